@@ -1,0 +1,9 @@
+"""warpav: where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.
+
+Floors, top to bottom; an import only ever points downwards:
+
+    cli > doctor > report > view, figures > results > config > evaluate > optimise > objective > detection > render
+    > rig, scene > geometry > errors, warpav_kernels
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""Floor 4: detectors, matching and average precision."""

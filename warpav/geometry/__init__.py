@@ -1,0 +1,1 @@
+"""Floor 1: frames, meshes and the mount surface, in plain NumPy."""

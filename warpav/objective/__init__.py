@@ -1,0 +1,1 @@
+"""Floor 5: constraints and the losses of the thesis."""

@@ -1,0 +1,1 @@
+"""Floor 6: segregation, gradient descent with multipliers, baselines."""

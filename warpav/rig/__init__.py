@@ -1,0 +1,1 @@
+"""Floor 2: cameras and the rigs that carry them."""

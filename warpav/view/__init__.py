@@ -1,0 +1,1 @@
+"""Floor 8: pyvista pictures of rigs and scenes."""
