@@ -1,0 +1,54 @@
+"""What a detector is: a thing that turns images into boxes with a confidence and a label."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector found in one image, most confident first.
+
+    Attributes:
+        box_px: Boxes ``x0, y0, x1, y1`` in pixels of the image, inside it, float32, shape [detection, 4].
+        confidence: Confidence in 0..1, float32, shape [detection].
+        class_index: Index into `names`, int32, shape [detection].
+        names: Every label that the detector can give.
+    """
+
+    box_px: np.ndarray
+    confidence: np.ndarray
+    class_index: np.ndarray
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.confidence)
+
+    @property
+    def label(self) -> tuple[str, ...]:
+        """The label of every detection."""
+        return tuple(self.names[index] for index in self.class_index)
+
+
+class Detector(Protocol):
+    """Finds vehicles in images."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every label that the detector can give."""
+        ...
+
+    def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
+        """Find the vehicles in every image.
+
+        Args:
+            images_rgb: Images of one size, uint8, shape [image, row, column, 3].
+
+        Returns:
+            One `Detections` for every image, in order.
+        """
+        ...
