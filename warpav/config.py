@@ -1,0 +1,740 @@
+"""The configuration: one tree, read strictly from YAML and ``key=value`` overrides.
+
+A file and the overrides are joined first and validated once, so that both have the same rules and the same messages.
+Every mistake is reported at once, one line each: where it stands, the field, what was expected, what came, a hint.
+Units are part of the names; lengths and angles in files may also carry their own (``20 cm``, ``1.57 rad``).
+Relative paths are relative to the working directory.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import annotated_types
+import yaml
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
+
+from warpav.errors import InputError
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
+COMMAND_LINE = "command line"
+MAX_SEED = 2**31 - 1
+MAX_SEED_COUNT = 100_000
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What a field expects, in words; ``{range}`` is replaced by the field's limits, ``unit`` follows them."""
+
+    text: str
+    unit: str = ""
+
+
+def _mistake(text: str, *fields: str) -> NoReturn:
+    """Refuse a value with a finished text; ``fields`` are the members of the section that the text speaks of."""
+    raise PydanticCustomError("mistake", "{text}", {"text": text, "fields": fields})
+
+
+def _quantity_reader(quantity: str, unit_factor: Mapping[str, float], example: str) -> BeforeValidator:
+    def read(value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]*)\s*", value)
+        unit = match[2] if match else ""
+        if match and unit in unit_factor:
+            try:
+                return float(match[1]) * unit_factor[unit]
+            except ValueError:
+                match = None
+        problem = f"; {unit!r} is no unit of {quantity}, use {', '.join(unit_factor)}" if match and unit else ""
+        _mistake(f"expected {example}, got {value!r}{problem}")
+
+    return BeforeValidator(read)
+
+
+_LENGTH_TEXT = 'a length in metres{range}, such as 0.2 or "20 cm"'
+_ANGLE_TEXT = 'an angle in degrees{range}, such as 90, "90 deg" or "1.57 rad"'
+_NUMBER_OR_TEXT = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+
+Metres = Annotated[
+    float,
+    _quantity_reader("length", METRES_PER_UNIT, _LENGTH_TEXT.format(range="")),
+    Expectation(_LENGTH_TEXT, " m"),
+    WithJsonSchema(_NUMBER_OR_TEXT),
+]
+Degrees = Annotated[
+    float,
+    _quantity_reader("angle", DEGREES_PER_UNIT, _ANGLE_TEXT.format(range="")),
+    Expectation(_ANGLE_TEXT, " deg"),
+    WithJsonSchema(_NUMBER_OR_TEXT),
+]
+
+_SEEDS_TEXT = "seeds as a range such as 1000..1009 or a list such as [1, 2, 3]"
+
+
+def _read_seeds(value: object) -> tuple[int, ...]:
+    seeds: list[int] = []
+    for item in value if isinstance(value, (list, tuple)) else [value]:
+        match = re.fullmatch(r"\s*([0-9]+)\s*\.\.\s*([0-9]+)\s*", item) if isinstance(item, str) else None
+        if match:
+            first, last = int(match[1]), int(match[2])
+            if last < first:
+                _mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
+            if last > MAX_SEED or last - first >= MAX_SEED_COUNT:
+                _mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
+            seeds.extend(range(first, last + 1))
+        elif isinstance(item, int) and not isinstance(item, bool):
+            if not 0 <= item <= MAX_SEED:
+                _mistake(f"expected seeds from 0 to {MAX_SEED}, got {item}")
+            seeds.append(item)
+        else:
+            _mistake(f"expected {_SEEDS_TEXT}, got {_shown(value)}")
+    if not seeds:
+        _mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
+    twice = sorted({seed for seed in seeds if seeds.count(seed) > 1}) if len(set(seeds)) < len(seeds) else []
+    if twice:
+        _mistake(f"expected every seed once, got {twice[0]} twice")
+    return tuple(seeds)
+
+
+def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
+    if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[-1] + 1)):
+        return f"{seeds[0]}..{seeds[-1]}"
+    return list(seeds)
+
+
+Seeds = Annotated[
+    tuple[int, ...],
+    BeforeValidator(_read_seeds),
+    PlainSerializer(_shown_seeds),
+    Expectation(_SEEDS_TEXT),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "array"}]}),
+]
+
+
+def _read_path(value: object) -> object:
+    if isinstance(value, str):
+        if not value.strip():
+            _mistake(f"expected a path, got {value!r}")
+        return Path(value).expanduser()
+    return value
+
+
+def _read_source(value: object) -> object:
+    if value == "captured":
+        _mistake("expected town or folder, got 'captured'; captured scenes are not there yet")
+    return value
+
+
+def _read_method(value: object) -> object:
+    if value == "default":
+        _mistake("expected thesis, got 'default'; the default method is not there yet")
+    return value
+
+
+def _read_device(value: object) -> object:
+    if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
+        hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
+        _mistake(f"expected cpu or a GPU such as cuda:0, got {_shown(value)}{hint}")
+    return value
+
+
+def _read_start(value: object) -> object:
+    if isinstance(value, str) and value not in ("random", "highest"):
+        _existing_file(value, "random, highest or the path of a rig YAML", [value], ["random", "highest"])
+    return value
+
+
+def _read_model(value: object) -> object:
+    if isinstance(value, str) and value != "builtin":
+        _existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
+    return value
+
+
+def _existing_file(value: str, expected: str, candidates: Sequence[str], words: Sequence[str]) -> None:
+    if any(Path(candidate).expanduser().is_file() for candidate in candidates):
+        return
+    near = difflib.get_close_matches(value, words, 1, 0.6)
+    hint = f"did you mean {near[0]}?" if near else "no such file"
+    _mistake(f"expected {expected}, got {value!r}; {hint}")
+
+
+class Section(BaseModel):
+    """Base of all sections: immutable, unknown keys refused, no silent conversions."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class RunConfig(Section):
+    """The run as a whole."""
+
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="seed of every random choice of the run")
+    out: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+        default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
+    )
+    iterations: int = Field(default=100, ge=0, le=1_000_000, description="optimiser steps")
+    batch_size: int = Field(default=4, ge=1, description="scenes per step")
+
+
+class SceneConfig(Section):
+    """Which traffic scenes are trained and tested on."""
+
+    source: Annotated[Literal["town", "folder"], BeforeValidator(_read_source)] = Field(
+        default="town", description="town builds the embedded street scenes; folder reads scene_<seed>.glb files"
+    )
+    train_seeds: Seeds = Field(default=tuple(range(30)), description="scenes that the optimiser sees")
+    test_seeds: Seeds = Field(default=tuple(range(1000, 1010)), description="scenes that only the evaluation sees")
+    folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+        default=None, description="where source: folder finds its scene_<seed>.glb files"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> SceneConfig:
+        both = sorted(set(self.train_seeds) & set(self.test_seeds))
+        if both:
+            _mistake(
+                f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
+                "test_seeds",
+                "train_seeds",
+            )
+        if self.source == "folder":
+            if self.folder is None:
+                _mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
+            if not self.folder.is_dir():
+                _mistake(
+                    f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one",
+                    "folder",
+                )
+        return self
+
+
+class RigConfig(Section):
+    """How many cameras there are, where they start, and how close they may come."""
+
+    cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
+    start: Annotated[str, BeforeValidator(_read_start), Expectation("random, highest or the path of a rig YAML")] = (
+        Field(
+            default="random",
+            description="rig that the optimiser starts from: random, highest or the path of a rig YAML",
+        )
+    )
+    height_offset_m: Metres = Field(
+        default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
+    )
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="least distance between two cameras")
+
+
+class CameraConfig(Section):
+    """The camera model that all cameras share."""
+
+    fov_deg: Degrees = Field(default=90.0, ge=10.0, le=170.0, description="horizontal field of view")
+    width_px: int = Field(default=256, ge=16, le=4096, description="image width")
+    height_px: int = Field(default=256, ge=16, le=4096, description="image height")
+    near_m: Metres = Field(default=0.1, gt=0.0, le=10.0, description="what is nearer than this is cut away")
+    supersampling: Literal[1, 2, 4, 8] = Field(default=1, description="samples per pixel edge of the renderer")
+
+
+class MountConfig(Section):
+    """The height map on which cameras may sit."""
+
+    cell_m: Metres = Field(default=0.02, ge=0.002, le=0.5, description="cell size of the height map")
+    min_upward_normal: float = Field(
+        default=0.8,
+        gt=0.0,
+        le=1.0,
+        description="least vertical part of the unit normal of a surface that can carry a camera",
+    )
+    smoothing_tolerance_m: Metres = Field(
+        default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
+    )
+
+
+class DetectorConfig(Section):
+    """The object detector, and when its boxes count."""
+
+    model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
+        default="builtin", description="builtin or the path of an ONNX file"
+    )
+    confidence_min: float = Field(default=0.1, ge=0.0, lt=1.0, description="least confidence of a detection")
+    iou_min: float = Field(
+        default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
+    )
+    nms_iou_max: float = Field(default=0.65, gt=0.0, le=1.0, description="boxes that overlap more are merged")
+    vehicle_names: (
+        Annotated[
+            tuple[str, ...],
+            BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+            PlainSerializer(list),
+            Expectation("a list of class names, such as [car, bus, truck]"),
+        ]
+        | None
+    ) = Field(default=None, description="classes that count as vehicles; null takes the usual names")
+    input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
+
+
+class SegregationConfig(Section):
+    """Which camera is responsible for which vehicle."""
+
+    rotations: int = Field(default=16, ge=2, le=360, description="directions looked at from the origin")
+
+
+class LossConfig(Section):
+    """Weights of the objectives, and the numbers inside them."""
+
+    in_frame_rotation: float = Field(default=1.0, ge=0.0, description="weight of the in-frame rotation loss")
+    detected_area: float = Field(default=10.0, ge=0.0, description="weight of the detected object area loss")
+    min_detected_area: float = Field(
+        default=0.5, gt=0.0, le=1.0, description="detected share of a vehicle's area from which more brings nothing"
+    )
+    epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
+
+    @model_validator(mode="after")
+    def _check(self) -> LossConfig:
+        if self.in_frame_rotation == 0.0 and self.detected_area == 0.0:
+            _mistake("expected at least one weight above 0, got only zeros", "in_frame_rotation", "detected_area")
+        return self
+
+
+class VisibilityConfig(Section):
+    """What hides a vehicle."""
+
+    occlusion: Literal["pairwise", "exact"] = Field(
+        default="pairwise",
+        description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
+    )
+
+
+class OptimiserConfig(Section):
+    """Step sizes, multipliers, and which iterate is kept."""
+
+    learning_rate_position_m: Metres = Field(default=0.25, gt=0.0, le=10.0, description="AdamW step of a position")
+    learning_rate_yaw_deg: Degrees = Field(
+        default=round(math.degrees(0.25), 4), gt=0.0, le=180.0, description="AdamW step of a yaw angle"
+    )
+    schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
+    weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
+    multiplier_learning_rate: float = Field(default=0.25, ge=0.0, le=100.0, description="AdamW step of a multiplier")
+    multiplier_weight_decay: float = Field(
+        default=1e-3, ge=0.0, le=1.0, description="pull of the multipliers towards zero"
+    )
+    multiplier_damping: float = Field(
+        default=0.0, ge=0.0, description="damping of the multipliers; 0 is the plain method"
+    )
+    keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
+    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all training scenes")
+
+
+class BaselineConfig(Section):
+    """The rigs that the result is compared with."""
+
+    random_samples: int = Field(default=100, ge=1, le=1_000_000, description="random rigs of which the best is taken")
+    random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
+
+
+class Config(Section):
+    """Everything that a run of warpav can be told."""
+
+    run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
+    device: Annotated[str, BeforeValidator(_read_device)] = Field(
+        default="cpu", description="cpu or a GPU such as cuda:0"
+    )
+    method: Annotated[Literal["thesis"], BeforeValidator(_read_method)] = Field(
+        default="thesis", description="the method"
+    )
+    scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
+    rig: RigConfig = Field(default=RigConfig(), description="the cameras together")
+    camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
+    mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
+    detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
+    segregation: SegregationConfig = Field(
+        default=SegregationConfig(), description="which camera answers for which vehicle"
+    )
+    losses: LossConfig = Field(default=LossConfig(), description="the objectives")
+    visibility: VisibilityConfig = Field(default=VisibilityConfig(), description="what hides a vehicle")
+    optimiser: OptimiserConfig = Field(default=OptimiserConfig(), description="steps and multipliers")
+    baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
+
+    @model_validator(mode="after")
+    def _check(self) -> Config:
+        scene_count = len(self.scenes.train_seeds)
+        if self.run.batch_size > scene_count:
+            _mistake(
+                f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}",
+                "run.batch_size",
+                "scenes.train_seeds",
+            )
+        if self.segregation.rotations < self.rig.cameras:
+            _mistake(
+                f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
+                "segregation.rotations",
+                "rig.cameras",
+            )
+        return self
+
+
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Config:
+    """The configuration of a YAML file and ``key=value`` overrides.
+
+    Args:
+        path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
+        overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
+
+    Returns:
+        The validated, immutable tree.
+
+    Raises:
+        InputError: Anything is wrong; one line per mistake, each with its place, its field, what was expected and
+            what came.
+    """
+    file = find_config(path) if path is not None else None
+    data, line_of = read_yaml(file) if file else ({}, {})
+    override_of: dict[tuple[str, ...], str] = {}
+    for override in overrides:
+        location, value = _read_override(override)
+        override_of[location] = override
+        _put(data, location, value, override)
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(mistake, file, line_of, override_of) for mistake in error.errors(include_url=False)]
+        raise InputError("\n".join(dict.fromkeys(lines))) from None
+
+
+def dump_config(config: Config) -> str:
+    """The whole tree as YAML that :func:`load_config` reads back to an equal tree."""
+    return yaml.dump(config.model_dump(mode="json"), Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
+
+
+def option_values(config: Config) -> dict[str, object]:
+    """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
+
+    def walk(data: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, object]]:
+        for name, value in data.items():
+            if isinstance(value, dict):
+                yield from walk(value, f"{prefix}{name}.")
+            else:
+                yield prefix + name, value
+
+    return dict(walk(config.model_dump(mode="json"), ""))
+
+
+def config_dir() -> Path:
+    """The folder of the shipped configurations: the installed package's own, else the checkout's."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "configs", package.parent / "configs"):
+        if (folder / "quick.yaml").is_file():
+            return folder
+    raise InputError(f"shipped configurations: expected a folder configs in {package}, got none; reinstall warpav")
+
+
+def config_names() -> list[str]:
+    """Names of the shipped configurations, such as ``quick``."""
+    return sorted(file.stem for file in config_dir().glob("*.yaml"))
+
+
+def find_config(path: str | Path) -> Path:
+    """The file that ``path`` means: an existing file, or a shipped configuration by its name.
+
+    Raises:
+        InputError: Neither exists.
+    """
+    file = Path(path).expanduser()
+    if file.is_file():
+        return file
+    shipped = config_dir() / f"{file.stem}.yaml"
+    named = str(path) in (file.stem, shipped.name, f"configs/{shipped.name}")
+    if named and shipped.is_file():
+        return shipped
+    near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
+    hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
+    raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
+
+
+def read_yaml(file: Path) -> tuple[dict[str, Any], dict[tuple[str, ...], int]]:
+    """The mapping in a YAML file, and the line (from 1) of every key and list item.
+
+    Numbers follow YAML 1.2 (``1e-3`` is a number, ``no`` and ``1:30`` are text); keys are always text.
+
+    Raises:
+        InputError: The file cannot be read, is not YAML, is not a mapping, or gives a key twice.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InputError(f"{file}: expected a readable YAML file, got: {reason}") from None
+    line_of: dict[tuple[str, ...], int] = {}
+    data = _parse_yaml(text, str(file), line_of)
+    if data is None:
+        return {}, line_of
+    if not isinstance(data, dict):
+        raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {_shown(data)}")
+    return data, line_of
+
+
+class _Yaml12Loader(yaml.SafeLoader):
+    """Safe loader whose plain scalars follow YAML 1.2."""
+
+    yaml_implicit_resolvers: typing.ClassVar[dict] = {}  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def construct_decimal(self, node: yaml.ScalarNode) -> int:
+        return int(node.value)
+
+
+for _tag, _pattern, _first in (
+    ("tag:yaml.org,2002:null", r"", ""),
+    ("tag:yaml.org,2002:null", r"~|null|Null|NULL", "~nN"),
+    ("tag:yaml.org,2002:bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("tag:yaml.org,2002:int", r"[-+]?[0-9]+", "-+0123456789"),
+    (
+        "tag:yaml.org,2002:float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+):
+    _Yaml12Loader.add_implicit_resolver(_tag, re.compile(f"^(?:{_pattern})$"), list(_first) or [""])
+_Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _Yaml12Loader.construct_decimal)
+
+
+class _FlowListDumper(yaml.SafeDumper):
+    """Dumper that writes lists on one line."""
+
+
+_FlowListDumper.add_representer(
+    list, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=True)
+)
+
+
+_MAX_DEPTH = 12
+_PLAIN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "null", "bool", "int", "float", "str")}
+
+
+def _parse_yaml(text: str, place: str, line_of: dict[tuple[str, ...], int]) -> Any:  # noqa: ANN401
+    try:
+        loader = _Yaml12Loader(text)
+        try:
+            node = loader.get_single_node()
+            return None if node is None else _plain(loader, node, (), place, line_of)
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = f":{mark.line + 1}" if mark and not place.startswith(COMMAND_LINE) else ""
+        problem = " ".join(str(error.problem or error.context).split())
+        raise InputError(f"{place}{line}: expected valid YAML, got a syntax error: {problem}") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{place}: expected valid YAML, got: {' '.join(str(error).split())}") from None
+
+
+def _plain(
+    loader: _Yaml12Loader,
+    node: yaml.Node,
+    location: tuple[str, ...],
+    place: str,
+    line_of: dict[tuple[str, ...], int],
+) -> Any:  # noqa: ANN401
+    line = node.start_mark.line + 1
+    line_of.setdefault(location, line)
+    if len(location) > _MAX_DEPTH:
+        raise InputError(f"{place}:{line}: expected at most {_MAX_DEPTH} levels, got more")
+    if node.tag not in _PLAIN_TAGS:
+        raise InputError(f"{place}:{line}: {'.'.join(location)}: expected plain YAML, got the tag {node.tag!r}")
+    if isinstance(node, yaml.MappingNode):
+        mapping: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            inner = (*location, str(key_node.value))
+            if inner[-1] in mapping:
+                raise InputError(
+                    f"{place}:{key_node.start_mark.line + 1}: {'.'.join(inner)}: expected every key once, "
+                    f"got it again (first in line {line_of[inner]})"
+                )
+            line_of[inner] = key_node.start_mark.line + 1
+            mapping[inner[-1]] = _plain(loader, value_node, inner, place, line_of)
+        return mapping
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(loader, item, (*location, str(i)), place, line_of) for i, item in enumerate(node.value)]
+    return loader.construct_object(node)
+
+
+def _read_override(override: str) -> tuple[tuple[str, ...], object]:
+    key, equals, text = override.partition("=")
+    location = tuple(part.strip() for part in key.split("."))
+    if not equals or not all(location):
+        near = difflib.get_close_matches(key, [".".join(name) for name in _option_locations(Config)], 1, 0.6)
+        hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
+        raise InputError(f"{COMMAND_LINE} ({override}): expected key=value, got {override!r}; {hint}")
+    return location, _parse_yaml(text, f"{COMMAND_LINE} ({override})", {})
+
+
+def _put(data: dict[str, Any], location: tuple[str, ...], value: object, override: str) -> None:
+    for depth, part in enumerate(location[:-1], start=1):
+        if data.get(part) is None:
+            data[part] = {}
+        data = data[part]
+        if not isinstance(data, dict):
+            outer = ".".join(location[:depth])
+            raise InputError(
+                f"{COMMAND_LINE} ({override}): {outer}: expected a section, got {_shown(data)} from the file"
+            )
+    data[location[-1]] = value
+
+
+def _section_of(annotation: object) -> type[Section] | None:
+    return annotation if isinstance(annotation, type) and issubclass(annotation, Section) else None
+
+
+def _option_locations(section: type[Section], prefix: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for name, field in section.model_fields.items():
+        inner = _section_of(field.annotation)
+        if inner:
+            yield from _option_locations(inner, (*prefix, name))
+        else:
+            yield (*prefix, name)
+
+
+def _explain(
+    mistake: Mapping[str, Any],
+    file: Path | None,
+    line_of: Mapping[tuple[str, ...], int],
+    override_of: Mapping[tuple[str, ...], str],
+) -> str:
+    """One line about one mistake that the validation found."""
+    section: type[Section] = Config
+    field: FieldInfo | None = None
+    location: tuple[str, ...] = ()
+    for part in mistake["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
+        known = section.model_fields.get(str(part)) if field is None else None
+        if field is not None:
+            break
+        location = (*location, str(part))
+        inner = _section_of(known.annotation) if known else None
+        if inner:
+            section = inner
+        else:
+            field = known
+            if known is None:
+                break
+    fields = mistake.get("ctx", {}).get("fields", ()) if mistake["type"] == "mistake" else ()
+    locations = [(*location, *name.split(".")) for name in fields] or [location]
+    overridden = [name for name in locations if _override_at(name, override_of)]
+    written = [name for name in locations if name in line_of]
+    place = _place((overridden or written or locations)[0], file, line_of, override_of)
+    location = locations[0]
+
+    if mistake["type"] == "extra_forbidden":
+        text = _unknown_option(section, location)
+    elif mistake["type"] == "mistake":
+        text = mistake["ctx"]["text"]
+    elif field is None:
+        text = f"expected a section with {', '.join(section.model_fields)}, got {_shown(mistake['input'])}"
+    else:
+        default = "null" if field.get_default() is None else _shown(field.get_default())
+        text = f"expected {_expected(field)}, got {_shown(mistake['input'])}"
+        choices = [str(choice) for choice in _choices(field)]
+        near = difflib.get_close_matches(str(mistake["input"]), choices, 1, 0.6)
+        text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
+    return f"{place}: {'.'.join(location)}: {text}"
+
+
+def _override_at(location: tuple[str, ...], override_of: Mapping[tuple[str, ...], str]) -> str | None:
+    for key, override in reversed(list(override_of.items())):
+        if key[: len(location)] == location or location[: len(key)] == key:
+            return override
+    return None
+
+
+def _place(
+    location: tuple[str, ...],
+    file: Path | None,
+    line_of: Mapping[tuple[str, ...], int],
+    override_of: Mapping[tuple[str, ...], str],
+) -> str:
+    override = _override_at(location, override_of)
+    if override:
+        return f"{COMMAND_LINE} ({override})"
+    if file is None:
+        return "defaults"
+    for length in range(len(location), 0, -1):
+        if location[:length] in line_of:
+            return f"{file}:{line_of[location[:length]]}"
+    return str(file)
+
+
+def _unknown_option(section: type[Section], location: tuple[str, ...]) -> str:
+    names = list(section.model_fields)
+    unknown = location[-1]
+    elsewhere = [".".join(name) for name in _option_locations(Config) if name[-1] == unknown]
+    near = difflib.get_close_matches(unknown, names, 1, 0.5)
+    hint = elsewhere[0] if elsewhere else ".".join((*location[:-1], near[0])) if near else ""
+    return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
+
+
+def _choices(field: FieldInfo) -> tuple[object, ...]:
+    return typing.get_args(field.annotation) if typing.get_origin(field.annotation) is Literal else ()
+
+
+def _expected(field: FieldInfo) -> str:
+    """What a field expects, in words, from its type and its limits."""
+    annotation, metadata, optional = field.annotation, list(field.metadata), ""
+    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
+        inner = next(member for member in typing.get_args(annotation) if member is not type(None))
+        annotation, optional = inner, ", or null"
+        if typing.get_origin(inner) is Annotated:
+            annotation = typing.get_args(inner)[0]
+            metadata += typing.get_args(inner)[1:]
+    words = next((item for item in metadata if isinstance(item, Expectation)), None)
+    if _choices(field):
+        return " or ".join([", ".join(map(str, _choices(field)[:-1])), str(_choices(field)[-1])]).removeprefix(" or ")
+    limits = _limits(metadata, words.unit if words else "")
+    if words:
+        return words.text.replace("{range}", limits) + optional
+    noun = {int: "a whole number", float: "a number"}.get(typing.cast(type, annotation), "text")
+    return noun + limits + optional
+
+
+def _limits(metadata: Sequence[object], unit: str) -> str:
+    low = high = ""
+    for item in metadata:
+        if isinstance(item, annotated_types.Ge):
+            low = f" from {_number(item.ge)}{unit}"
+        elif isinstance(item, annotated_types.Gt):
+            low = f" above {_number(item.gt)}{unit}"
+        elif isinstance(item, annotated_types.Le):
+            high = f" to {_number(item.le)}{unit}"
+        elif isinstance(item, annotated_types.Lt):
+            high = f" below {_number(item.lt)}{unit}"
+    return low + (f" and{high}" if low and high.startswith(" below") else high)
+
+
+def _number(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "nothing (null)"
+    if isinstance(value, (list, tuple, dict)):
+        text = yaml.safe_dump(value, default_flow_style=True, width=10_000).strip()
+    else:
+        text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
