@@ -594,7 +594,7 @@ def _put(data: dict[str, Any], location: tuple[str, ...], value: object, overrid
         if not isinstance(data, dict):
             outer = ".".join(location[:depth])
             raise InputError(
-                f"{COMMAND_LINE} ({override}): {outer}: expected a section, got {_shown(data)} from the file"
+                f"{COMMAND_LINE} ({override}): {outer}: expected a section, got {_shown(data)} in the file"
             )
     data[location[-1]] = value
 

@@ -1,0 +1,239 @@
+"""The configuration: strict reading, messages with their place, round trips, the shipped files."""
+
+import math
+
+import pytest
+
+from warpav.config import Config, config_names, dump_config, load_config, option_values
+from warpav.errors import InputError
+
+
+@pytest.fixture
+def yaml_file(tmp_path, monkeypatch):
+    """Writes a YAML file and returns its name in the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(text):
+        (tmp_path / "mine.yaml").write_text(text)
+        return "mine.yaml"
+
+    return write
+
+
+def _message(path, *overrides):
+    with pytest.raises(InputError) as caught:
+        load_config(path, overrides)
+    return str(caught.value)
+
+
+def test_defaults_are_valid_and_immutable():
+    config = load_config()
+    assert config == Config()
+    with pytest.raises(ValueError, match="frozen"):
+        config.run.seed = 3
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_shipped_configurations_load_by_name_and_round_trip(name, tmp_path):
+    config = load_config(name)
+    assert config == load_config(f"{name}.yaml") == load_config(f"configs/{name}.yaml")
+    file = tmp_path / "resolved.yaml"
+    file.write_text(dump_config(config))
+    assert load_config(file) == config
+
+
+def test_quick_configuration_is_the_promised_job():
+    config = load_config("quick")
+    assert config.scenes.train_seeds == tuple(range(30))
+    assert config.scenes.test_seeds == tuple(range(1000, 1010))
+    assert (config.rig.cameras, config.camera.fov_deg, config.camera.width_px, config.camera.height_px) == (
+        4,
+        90.0,
+        256,
+        256,
+    )
+    assert (config.run.batch_size, config.run.iterations) == (4, 100)
+
+
+def test_thesis_configuration_holds_the_appendix():
+    config = load_config("thesis")
+    optimiser = config.optimiser
+    assert (config.run.iterations, config.run.batch_size, config.rig.cameras) == (100, 4, 4)
+    assert (config.rig.height_offset_m, config.rig.min_spacing_m) == (0.25, 0.2)
+    assert (config.losses.epsilon, config.losses.min_detected_area) == (1e-5, 0.5)
+    assert (config.detector.confidence_min, config.detector.iou_min) == (0.1, 0.5)
+    assert optimiser.learning_rate_position_m == 0.25
+    assert math.radians(optimiser.learning_rate_yaw_deg) == pytest.approx(0.25, rel=1e-9)
+    assert (optimiser.weight_decay, optimiser.multiplier_weight_decay) == (1e-3, 1e-3)
+    assert (optimiser.multiplier_learning_rate, optimiser.multiplier_damping) == (0.25, 0.0)
+    assert (config.segregation.rotations, config.visibility.occlusion) == (16, "pairwise")
+
+
+def test_every_option_is_described():
+    for section in Config.model_fields.values():
+        assert section.description
+        for field in getattr(section.annotation, "model_fields", {}).values():
+            assert field.description
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [("0.3", 0.3), ("20 cm", 0.2), ("20cm", 0.2), ("250 mm", 0.25), ("10 in", 0.254), ("1 ft", 0.3048), ("1e-1", 0.1)],
+)
+def test_lengths_take_units(text, metres):
+    assert load_config(None, [f"rig.min_spacing_m={text}"]).rig.min_spacing_m == pytest.approx(metres, rel=1e-12)
+
+
+@pytest.mark.parametrize(("text", "degrees"), [("80", 80.0), ("80 deg", 80.0), ("1.5 rad", math.degrees(1.5))])
+def test_angles_take_units(text, degrees):
+    assert load_config(None, [f"camera.fov_deg={text}"]).camera.fov_deg == pytest.approx(degrees, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [
+        ("40..44", (40, 41, 42, 43, 44)),
+        ("[9, 3, 7, 1]", (9, 3, 7, 1)),
+        ("[0..2, 8]", (0, 1, 2, 8)),
+        ("[4, 5, 6, 7]", (4, 5, 6, 7)),
+    ],
+)
+def test_seeds_take_ranges_and_lists(text, seeds):
+    config = load_config(None, [f"scenes.train_seeds={text}"])
+    assert config.scenes.train_seeds == seeds
+
+
+def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
+    config = load_config(yaml_file("rig: {cameras: 3}\n"), ["rig.cameras=5", "rig.cameras=6"])
+    assert config.rig.cameras == 6
+
+
+def test_option_values_are_flat_and_complete():
+    values = option_values(load_config("quick"))
+    assert values["scenes.train_seeds"] == "0..29"
+    assert values["rig.cameras"] == 4
+    assert "run" not in values
+
+
+FILE_MISTAKES = [
+    (
+        "rig:\n  cameras: 4\n  min_spacng_m: 0.3\n",
+        "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, height_offset_m, min_spacing_m, "
+        "got 'min_spacng_m'; did you mean rig.min_spacing_m?",
+    ),
+    ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
+    (
+        "rig:\n  cameras: many\n",
+        "mine.yaml:2: rig.cameras: expected a whole number from 2 to 16, got 'many'; cameras on the vehicle",
+    ),
+    ("rig: {cameras: 1}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got 1;"),
+    ("rig: {cameras: 4.5}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got 4.5;"),
+    ("rig: {cameras: true}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got True;"),
+    ("rig: {cameras: }\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got nothing (null);"),
+    (
+        "\n\nrig: {min_spacing_m: 5 parsec}\n",
+        "mine.yaml:3: rig.min_spacing_m: expected a length in metres, such as 0.2 or \"20 cm\", got '5 parsec'; "
+        "'parsec' is no unit of length, use m, cm, mm, in, ft",
+    ),
+    ("camera: {fov_deg: 200}\n", "mine.yaml:1: camera.fov_deg: expected an angle in degrees from 10 deg to 170 deg,"),
+    ("camera: {fov_deg: .nan}\n", "mine.yaml:1: camera.fov_deg: expected an angle in degrees"),
+    ("camera: {supersampling: 3}\n", "mine.yaml:1: camera.supersampling: expected 1, 2, 4 or 8, got 3;"),
+    ("camera: {width_px: 100000}\n", "mine.yaml:1: camera.width_px: expected a whole number from 16 to 4096, got 1"),
+    ("camera: 5\n", "mine.yaml:1: camera: expected a section with fov_deg,"),
+    ("device: cuda\n", "mine.yaml:1: device: expected cpu or a GPU such as cuda:0, got 'cuda'; write cuda:0 for"),
+    ("method: default\n", "mine.yaml:1: method: expected thesis, got 'default'; the default method is not there yet"),
+    ("scenes: {source: captured}\n", "mine.yaml:1: scenes.source: expected town or folder, got 'captured'; captured"),
+    ("scenes: {source: folder}\n", "mine.yaml:1: scenes.folder: expected a folder of scenes because scenes.source is"),
+    (
+        "scenes:\n  source: folder\n  folder: nowhere\n",
+        "mine.yaml:3: scenes.folder: expected an existing folder, got 'nowhere';",
+    ),
+    ("scenes: {test_seeds: []}\n", "mine.yaml:1: scenes.test_seeds: expected seeds as a range such as 1000..1009"),
+    ("scenes: {test_seeds: 9..3}\n", "mine.yaml:1: scenes.test_seeds: expected a range whose end is not below its"),
+    ("scenes: {test_seeds: [-1]}\n", "mine.yaml:1: scenes.test_seeds: expected seeds from 0 to 2147483647, got -1"),
+    ("scenes: {test_seeds: [1.5]}\n", "mine.yaml:1: scenes.test_seeds: expected seeds as a range"),
+    ("scenes: {test_seeds: [50, 50]}\n", "mine.yaml:1: scenes.test_seeds: expected every seed once, got 50 twice"),
+    (
+        "scenes:\n  train_seeds: 0..9\n  test_seeds: 8..12\n",
+        "mine.yaml:3: scenes.test_seeds: expected test scenes that are not trained on, got 2 seed(s) in both",
+    ),
+    ("rig: {start: nowhere.yaml}\n", "mine.yaml:1: rig.start: expected random, highest or the path of a rig YAML, got"),
+    ("detector: {model: no.onnx}\n", "mine.yaml:1: detector.model: expected builtin or the path of an ONNX file, got"),
+    (
+        "optimiser: {schedule: cosin}\n",
+        "mine.yaml:1: optimiser.schedule: expected constant or cosine, got 'cosin'; did",
+    ),
+    ("losses: {in_frame_rotation: -1}\n", "mine.yaml:1: losses.in_frame_rotation: expected a number from 0, got -1;"),
+    (
+        "losses: {in_frame_rotation: 0, detected_area: 0}\n",
+        "mine.yaml:1: losses.in_frame_rotation: expected at least one weight above 0, got only zeros",
+    ),
+    ("run: {batch_size: 31}\n", "mine.yaml:1: run.batch_size: expected at most the 30 training scene(s), got 31"),
+    ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
+    ("rig: {cameras: 4}\nrig: {}\n", "mine.yaml:2: rig: expected every key once, got it again (first in line 1)"),
+    ("rig:\n\tcameras: 4\n", "mine.yaml:2: expected valid YAML, got a syntax error:"),
+    ("rig: !!python/object:x.y {}\n", "mine.yaml:1: rig: expected plain YAML, got the tag"),
+    ("rig: &a [*a]\n", "mine.yaml:1: expected at most 12 levels, got more"),
+    ("- 4\n", "mine.yaml:1: expected sections such as 'rig: {cameras: 4}', got [4]"),
+    ("rig: \x00\n", "mine.yaml: expected valid YAML, got:"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), FILE_MISTAKES, ids=range(len(FILE_MISTAKES)))
+def test_a_mistake_in_a_file_is_named_with_its_line(yaml_file, text, message):
+    found = _message(yaml_file(text))
+    assert found.startswith(message)
+    assert "\n" not in found
+
+
+OVERRIDE_MISTAKES = [
+    (
+        "rig.cameras=many",
+        "command line (rig.cameras=many): rig.cameras: expected a whole number from 2 to 16, got 'many'",
+    ),
+    ("rgi.cameras=4", "command line (rgi.cameras=4): rgi: expected one of run,"),
+    ("rig.camera=4", "command line (rig.camera=4): rig.camera: expected one of cameras,"),
+    ("rig.cameras.x=4", "command line (rig.cameras.x=4): rig.cameras: expected a section, got 3 in the file"),
+    ("device.x=4", "command line (device.x=4): device: expected cpu or a GPU such as cuda:0, got {x: 4}"),
+    ("rig.cameras", "command line (rig.cameras): expected key=value, got 'rig.cameras'; did you mean rig.cameras=...?"),
+    ("rig.=3", "command line (rig.=3): expected key=value, got 'rig.=3'"),
+    ("rig.cameras=[1", "command line (rig.cameras=[1): expected valid YAML, got a syntax error: "),
+    (
+        "scenes.train_seeds=[1, 2]",
+        "command line (scenes.train_seeds=[1, 2]): run.batch_size: expected at most the 2 training scene(s), got 4",
+    ),
+    (
+        "scenes.train_seeds=[1000, 1, 2, 3]",
+        "command line (scenes.train_seeds=[1000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
+    ),
+]
+
+
+@pytest.mark.parametrize(("override", "message"), OVERRIDE_MISTAKES, ids=[text for text, _ in OVERRIDE_MISTAKES])
+def test_a_mistake_in_an_override_is_named_with_the_override(yaml_file, override, message):
+    found = _message(yaml_file("rig: {cameras: 3}\n"), override)
+    assert found.startswith(message)
+    assert "\n" not in found
+
+
+def test_all_mistakes_are_reported_at_once(yaml_file):
+    found = _message(yaml_file("run: {seed: -1}\nrig:\n  cameras: x\nunknown: 1\n"), "camera.fov_deg=1 turn")
+    assert [line.split(": expected")[0] for line in found.splitlines()] == [
+        "mine.yaml:1: run.seed",
+        "mine.yaml:3: rig.cameras",
+        "command line (camera.fov_deg=1 turn): camera.fov_deg",
+        "mine.yaml:4: unknown",
+    ]
+
+
+def test_a_missing_file_is_named_with_a_suggestion(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert _message("quik") == "quik: config: expected a YAML file or a shipped name, got 'quik'; did you mean quick?"
+    assert "shipped ones are" in _message("zzz.yaml")
+    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\xff")
+    assert _message("bytes.yaml") == "bytes.yaml: expected a readable YAML file, got: not UTF-8 text"
+
+
+def test_words_that_old_yaml_would_convert_stay_words(yaml_file):
+    assert "got 'no'" in _message(yaml_file("rig: {cameras: no}\n"))
+    assert "got '1:30'" in _message(yaml_file("rig: {cameras: 1:30}\n"))
