@@ -1,0 +1,70 @@
+"""Taped: from the numbers that are optimised to the pose of every view, through the height map of the mount surface."""
+
+import warp as wp
+
+
+@wp.func
+def mount_height_m(x_m: float, y_m: float, height_m: wp.array2d[float], origin_m: wp.vec2, cell_m: float) -> float:
+    """Bilinear height of the mount surface [m]; beyond the border, the border's.
+
+    Gradients flow to x and y inside the map, and to the map.
+    """
+    row = wp.clamp((x_m - origin_m[0]) / cell_m, 0.0, float(height_m.shape[0] - 1))
+    column = wp.clamp((y_m - origin_m[1]) / cell_m, 0.0, float(height_m.shape[1] - 1))
+    i = wp.min(int(wp.floor(row)), height_m.shape[0] - 2)
+    j = wp.min(int(wp.floor(column)), height_m.shape[1] - 2)
+    s = row - float(i)
+    t = column - float(j)
+    low = (1.0 - t) * height_m[i, j] + t * height_m[i, j + 1]
+    high = (1.0 - t) * height_m[i + 1, j] + t * height_m[i + 1, j + 1]
+    return (1.0 - s) * low + s * high
+
+
+@wp.func
+def camera_from_ego_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> wp.mat33:
+    """Rotation from ego axes to camera axes (x right, y down, z forward); ego_from_link is Rz(yaw) Ry(pitch) Rx(roll)."""
+    cy = wp.cos(yaw_rad)
+    sy = wp.sin(yaw_rad)
+    cp = wp.cos(pitch_rad)
+    sp = wp.sin(pitch_rad)
+    cr = wp.cos(roll_rad)
+    sr = wp.sin(roll_rad)
+    # columns of ego_from_link: forward, left, up
+    forward = wp.vec3(cy * cp, sy * cp, -sp)
+    left = wp.vec3(cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
+    up = wp.vec3(cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
+    return wp.mat33(-left[0], -left[1], -left[2], -up[0], -up[1], -up[2], forward[0], forward[1], forward[2])
+
+
+@wp.kernel
+def place_on_surface_kernel(
+    # in
+    position_surface_m: wp.array[wp.vec2],
+    yaw_pitch_roll_rad: wp.array[wp.vec3],
+    height_m: wp.array2d[float],
+    origin_m: wp.vec2,
+    cell_m: float,
+    height_offset_m: float,
+    rotation_count: int,
+    rotation_step_rad: float,
+    # out
+    position_ego_m: wp.array[wp.vec3],
+    camera_from_ego: wp.array[wp.mat33],
+):
+    """Pose of every view: each camera on the mount surface, turned by every rotational addition about the vertical.
+
+    Equation: 3 (as printed)
+
+    Launch: ``dim=(camera_count, rotation_count)``; view = camera * rotation_count + rotation.
+    Writes: every element of ``position_ego_m`` and ``camera_from_ego`` once.
+    """
+    camera, rotation = wp.tid()
+    v = camera * rotation_count + rotation
+    place_m = position_surface_m[camera]
+    angle_rad = yaw_pitch_roll_rad[camera]
+    height = mount_height_m(place_m[0], place_m[1], height_m, origin_m, cell_m) + height_offset_m
+    position_ego_m[v] = wp.vec3(place_m[0], place_m[1], height)
+    # Eq. 3: theta_a = a F_closest
+    camera_from_ego[v] = camera_from_ego_rotation(
+        angle_rad[0] + float(rotation) * rotation_step_rad, angle_rad[1], angle_rad[2]
+    )

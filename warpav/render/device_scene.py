@@ -1,0 +1,130 @@
+"""A scene packed on a device: triangles sorted into clusters, vehicles as layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpav.geometry.mesh import merge
+from warpav.scene.scene import Scene, Sky
+from warpav_kernels.rasterise import Triangles
+
+CLUSTER_SIZE = 64
+
+# Object indices of a scene; vehicle k is FIRST_VEHICLE + k.
+ENVIRONMENT = 0
+EGO = 1
+FIRST_VEHICLE = 2
+
+
+def spread_bits(value: np.ndarray) -> np.ndarray:
+    """Every bit of a 10-bit number moved to three times its place, for Morton codes; uint64, same shape."""
+    value = value.astype(np.uint64)
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value
+
+
+def morton_order(centre_m: np.ndarray, object_index: np.ndarray) -> np.ndarray:
+    """Order that sorts triangles by object and, within an object, along a Morton curve; int64 [triangle]."""
+    low, high = centre_m.min(axis=0), centre_m.max(axis=0)
+    cell = ((centre_m - low) / np.maximum(high - low, 1e-9) * 1023.0).astype(np.uint64)
+    code = (
+        spread_bits(cell[:, 0]) | (spread_bits(cell[:, 1]) << np.uint64(1)) | (spread_bits(cell[:, 2]) << np.uint64(2))
+    )
+    return np.lexsort((code, object_index))
+
+
+@dataclass(frozen=True)
+class DeviceScene:
+    """A scene on a device, ready for `Renderer`.
+
+    Layers are the vehicles in order, then the ego vehicle.
+
+    Attributes:
+        name: The scene's name.
+        triangles: Sorted triangles and their clusters (struct of the kernels).
+        triangle_object: Object of every sorted triangle, int32 [triangle].
+        layer_object: Object of every layer, int32 [layer].
+        layer_bounds_ego_m: Lowest and highest corner of every layer's object [m], vec3 [layer, 2].
+        vertex_rgb: Vertex colours 0..1, vec3 [vertex].
+        sky: The background.
+        vehicle_count: Number of vehicles, at least 0.
+        cluster_count: Number of clusters.
+        triangle_count: Number of triangles.
+        source_triangle: Place of every sorted triangle in environment, ego, vehicles, one behind the other, [triangle].
+    """
+
+    name: str
+    triangles: Triangles
+    triangle_object: wp.array
+    layer_object: wp.array
+    layer_bounds_ego_m: wp.array
+    vertex_rgb: wp.array
+    sky: Sky
+    vehicle_count: int
+    cluster_count: int
+    triangle_count: int
+    source_triangle: np.ndarray
+
+    @property
+    def ego_layer(self) -> int:
+        """Layer of the ego vehicle."""
+        return self.vehicle_count
+
+    @property
+    def layer_count(self) -> int:
+        """Number of layers: the vehicles and the ego vehicle."""
+        return self.vehicle_count + 1
+
+    @classmethod
+    def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
+        """The scene on ``device``. Triangles are sorted; vertices keep their order."""
+        meshes = [scene.environment, scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+        whole = merge(meshes)
+        object_index = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
+        order = morton_order(whole.vertex_m[whole.triangle].mean(axis=1), object_index)
+        triangle, object_index = whole.triangle[order], object_index[order].astype(np.int32)
+
+        # cut every object's run of triangles into clusters
+        run_first = np.searchsorted(object_index, np.arange(len(meshes)))
+        run_end = np.searchsorted(object_index, np.arange(len(meshes)), side="right")
+        first = np.concatenate([np.arange(a, b, CLUSTER_SIZE) for a, b in zip(run_first, run_end, strict=True)])
+        count = np.diff(np.append(first, len(triangle)))
+        corner_m = whole.vertex_m[triangle].reshape(-1, 3)
+        low = np.minimum.reduceat(corner_m, 3 * first, axis=0)
+        high = np.maximum.reduceat(corner_m, 3 * first, axis=0)
+        centre = 0.5 * (low + high)
+        reach = np.linalg.norm(corner_m - np.repeat(centre, 3 * count, axis=0), axis=1)
+        radius = np.maximum.reduceat(reach, 3 * first) * (1.0 + 1e-5)
+
+        layer_object = np.array([*range(FIRST_VEHICLE, len(meshes)), EGO], np.int32)
+        layer_of_object = np.full(len(meshes), -1, np.int32)
+        layer_of_object[layer_object] = np.arange(len(layer_object))
+
+        triangles = Triangles()
+        triangles.vertex_ego_m = wp.array(whole.vertex_m, dtype=wp.vec3, device=device)
+        triangles.triangle = wp.array(triangle, dtype=wp.vec3i, device=device)
+        triangles.cluster_first = wp.array(first.astype(np.int32), dtype=wp.int32, device=device)
+        triangles.cluster_count = wp.array(count.astype(np.int32), dtype=wp.int32, device=device)
+        triangles.cluster_layer = wp.array(layer_of_object[object_index[first]], dtype=wp.int32, device=device)
+        triangles.cluster_sphere_ego_m = wp.array(
+            np.c_[centre, radius].astype(np.float32), dtype=wp.vec4, device=device
+        )
+        return cls(
+            name=scene.name,
+            triangles=triangles,
+            triangle_object=wp.array(object_index, dtype=wp.int32, device=device),
+            layer_object=wp.array(layer_object, dtype=wp.int32, device=device),
+            layer_bounds_ego_m=wp.array(
+                np.stack([meshes[i].bounds_m() for i in layer_object]), dtype=wp.vec3, device=device
+            ),
+            vertex_rgb=wp.array(whole.vertex_rgb.astype(np.float32) / 255.0, dtype=wp.vec3, device=device),
+            sky=scene.sky,
+            vehicle_count=len(scene.vehicles),
+            cluster_count=len(first),
+            triangle_count=len(triangle),
+            source_triangle=order,
+        )
