@@ -1,7 +1,7 @@
 """Decide: which samples of a layer are hidden, and how far away the surface is that hides them.
 
-The result has the layout of the layers: the bits of 1/z of the hiding surface, 0 where nothing hides the layer's object. It
-is filled outside the object's silhouette as well, because a boundary needs the depth on both of its sides.
+The result has the layout of the layers: the bits of 1/z of the hiding surface, 0 where nothing hides the layer's
+object. It is filled outside the object's silhouette as well, because a boundary needs the depth on both of its sides.
 """
 
 import warp as wp
@@ -73,7 +73,8 @@ def median_inverse_depth(
     shared: bool,
     layer_bits: wp.array[wp.int32],
 ) -> float:
-    """Median inverse depth of an object's samples that another object does (``shared``) or does not cover; 0 if none."""
+    """Median inverse depth of an object's samples that another object does (``shared``) or does not cover; 0 if
+    none."""
     low = float(1.0e9)
     high = float(0.0)
     count = int(0)
@@ -122,10 +123,11 @@ def order_overlapping_layers_kernel(
 ):
     """The thesis's pairwise occlusion: of two vehicles whose silhouettes overlap, the nearer one hides the other.
 
-    "Nearer" compares the median depths of the areas that do not overlap; where one silhouette lies wholly inside the other,
-    the medians inside the overlap (the thesis leaves that case open).
+    "Nearer" compares the median depths of the areas that do not overlap; where one silhouette lies wholly inside the
+    other, the medians inside the overlap (the thesis leaves that case open).
 
-    Launch: ``dim=(views of this chunk, vehicle_count, vehicle_count)``; thread (v, a, b) with b <= a does nothing. Not taped.
+    Launch: ``dim=(views of this chunk, vehicle_count, vehicle_count)``; thread (v, a, b) with b <= a does nothing. Not
+    taped.
     Writes: ``is_hidden_by[v, a, b]`` = 1 where a is hidden by b; the caller zeroes it.
     """
     chunk_view, a, b = wp.tid()

@@ -18,8 +18,9 @@ def linearise_measures_kernel(
 ):
     """The rendered measures plus their Jacobians times the change of pose.
 
-    At the rendered poses the value is the rendered one and the gradient is the Jacobian; so plain automatic differentiation
-    of what follows sees the whole renderer, and the render's buffers are free again as soon as they have been measured.
+    At the rendered poses the value is the rendered one and the gradient is the Jacobian; so plain automatic
+    differentiation of what follows sees the whole renderer, and the render's buffers are free again as soon as they
+    have been measured.
 
     Launch: ``dim=(view_count, vehicle_count)``; one thread per pair.
     Writes: every element of ``measure`` [view, vehicle, measure] once.

@@ -1,13 +1,15 @@
 """Measure: areas and extents of every object in every view, with their Jacobians to the view's six degrees of freedom.
 
-Pair flow. Move the camera a little and every point of the static scene moves in the image. The area of a silhouette changes
-only at its outline, that is between two neighbouring samples of which one belongs to it and the other does not. What moves
-there is the surface in front: the object itself at its outline, the occluder where something hides it. So every such pair
-of neighbours contributes (mask_p - mask_q) x (image flow of the front surface's point across the pair).
+Pair flow. Move the camera a little and every point of the static scene moves in the image. The area of a silhouette
+changes only at its outline, that is between two neighbouring samples of which one belongs to it and the other does
+not. What moves there is the surface in front: the object itself at its outline, the occluder where something hides it.
+So every such pair of neighbours contributes (mask_p - mask_q) x (image flow of the front surface's point across the
+pair).
 
-A perturbation of a view is a shift of its centre, ``shift`` (ego axes), and a small rotation, ``spin`` (camera axes, from the
-left): a point q in camera coordinates becomes ``q + spin x q - camera_from_ego shift``. With g = d(u or v)/dq this gives
-the flow ``g . (spin x q) - g . camera_from_ego shift``, hence the Jacobians ``q x g`` and ``-camera_from_ego^T g``.
+A perturbation of a view is a shift of its centre, ``shift`` (ego axes), and a small rotation, ``spin`` (camera axes,
+from the left): a point q in camera coordinates becomes ``q + spin x q - camera_from_ego shift``. With g = d(u or v)/dq
+this gives the flow ``g . (spin x q) - g . camera_from_ego shift``, hence the Jacobians ``q x g`` and
+``-camera_from_ego^T g``.
 """
 
 import warp as wp
@@ -33,7 +35,8 @@ OUTWARD_LIMIT = wp.constant(0.1)
 
 @wp.func
 def outward_inverse_depth(front: wp.int32, inner: wp.int32) -> float:
-    """Inverse depth of the front surface at its boundary, followed outwards from its inner neighbour (bits; 0: none)."""
+    """Inverse depth of the front surface at its boundary, followed outwards from its inner neighbour (bits; 0:
+    none)."""
     w = inverse_depth_of(front)
     if inner == wp.int32(0):
         return w
@@ -99,8 +102,8 @@ def measure_objects_kernel(
 ):
     """All measures of one object in one view, and their Jacobians, by one sweep over the object's rectangle.
 
-    The extents of an object that is not in the image are LEFT = TOP = the image's size and RIGHT = BOTTOM = 0, with zero
-    Jacobians; an extent cut by the image's border does not move either.
+    The extents of an object that is not in the image are LEFT = TOP = the image's size and RIGHT = BOTTOM = 0, with
+    zero Jacobians; an extent cut by the image's border does not move either.
 
     Launch: ``dim=(views of this chunk, vehicle_count)``; one thread per pair. Not taped.
     Writes: every element of ``measure`` [view, vehicle, measure], ``per_shift`` [1/m] and ``per_spin`` [1/rad] of these

@@ -22,7 +22,8 @@ def mount_height_m(x_m: float, y_m: float, height_m: wp.array2d[float], origin_m
 
 @wp.func
 def camera_from_ego_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> wp.mat33:
-    """Rotation from ego axes to camera axes (x right, y down, z forward); ego_from_link is Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Rotation from ego axes to camera axes (x right, y down, z forward); ego_from_link is Rz(yaw) Ry(pitch)
+    Rx(roll)."""
     cy = wp.cos(yaw_rad)
     sy = wp.sin(yaw_rad)
     cp = wp.cos(pitch_rad)

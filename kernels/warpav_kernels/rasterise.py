@@ -4,11 +4,11 @@ Two kinds of buffer are filled in one sweep over the triangles:
 
 * the key buffer, int64 [view, row, column]: ``bits(1/z) << 32 | triangle``, filled by atomic maximum, 0 is background.
   Z-buffer, triangle and object of every sample are read from it;
-* the layers, int32: for every (view, layer) the bits of 1/z of that one object alone, inside its bounding rectangle. All
-  rectangles of all views lie one behind the other in one flat array (the atlas); ``layer_offset`` says where.
+* the layers, int32: for every (view, layer) the bits of 1/z of that one object alone, inside its bounding rectangle.
+  All rectangles of all views lie one behind the other in one flat array (the atlas); ``layer_offset`` says where.
 
-A layer is an object whose silhouette is wanted alone: every vehicle, and the ego vehicle where the pairwise occlusion of
-the thesis needs it.
+A layer is an object whose silhouette is wanted alone: every vehicle, and the ego vehicle where the pairwise occlusion
+of the thesis needs it.
 """
 
 import warp as wp
@@ -48,7 +48,8 @@ def point_on_near_plane(a: wp.vec3, b: wp.vec3, near_m: float) -> wp.vec3:
 
 @wp.func
 def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, focal_px: float, width: int, height: int) -> wp.vec4:
-    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point in front of the camera."""
+    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point in front of the
+    camera."""
     u = 0.5 * float(width) + focal_px * point_m[0] / point_m[2]
     v = 0.5 * float(height) + focal_px * point_m[1] / point_m[2]
     return wp.vec4(wp.min(rectangle[0], u), wp.min(rectangle[1], v), wp.max(rectangle[2], u), wp.max(rectangle[3], v))
@@ -66,8 +67,8 @@ def bound_layers_kernel(
 ):
     """Rectangle of samples that surely holds each layer's image, one sample wider than needed on every side.
 
-    The rectangle is (first column, first row, columns, rows); an object out of sight has 0 columns. The eight corners and,
-    where the near plane cuts the object's box, its twelve edges are projected.
+    The rectangle is (first column, first row, columns, rows); an object out of sight has 0 columns. The eight corners
+    and, where the near plane cuts the object's box, its twelve edges are projected.
 
     Launch: ``dim=(view_count, layer_count)``; one thread per pair. Not taped.
     Writes: every element of ``layer_rectangle`` once.
@@ -244,11 +245,11 @@ def scatter_triangles_kernel(
 ):
     """Scatter every triangle into the key buffer and, where its object has one, into its layer.
 
-    A cluster whose bounding sphere misses the view is skipped whole; a triangle that crosses the near plane is cut to one
-    or two. With ``layers_only`` 1, clusters without a layer (the environment) are left out.
+    A cluster whose bounding sphere misses the view is skipped whole; a triangle that crosses the near plane is cut to
+    one or two. With ``layers_only`` 1, clusters without a layer (the environment) are left out.
 
-    Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills the
-    cluster's triangles lane, lane + lane_count, ... Not taped.
+    Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
+    the cluster's triangles lane, lane + lane_count, ... Not taped.
     Writes: ``key`` and ``layer_bits`` by atomic maximum; the caller zeroes them.
     """
     chunk_view, cluster, lane = wp.tid()

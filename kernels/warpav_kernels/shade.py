@@ -22,7 +22,8 @@ def resolve_depth_kernel(
     """Depth and object at the sample nearest to every pixel's centre.
 
     Launch: ``dim=(views of this chunk, height_px, width_px)``; one thread per pixel. Not taped.
-    Writes: every element of ``depth_m`` [m], +inf where nothing is hit, and of ``object_index``, -1 there, of these views.
+    Writes: every element of ``depth_m`` [m], +inf where nothing is hit, and of ``object_index``, -1 there, of these
+    views.
     """
     chunk_view, row, column = wp.tid()
     v = first_view + chunk_view
@@ -64,8 +65,8 @@ def resolve_rgb_kernel(
 ):
     """Unlit vertex colours, interpolated in perspective at every sample and averaged over the pixel.
 
-    Launch: ``dim=(images of this chunk, height_px, width_px)``; one thread per pixel. Image i shows view ``shown_view[i]``.
-    Not taped.
+    Launch: ``dim=(images of this chunk, height_px, width_px)``; one thread per pixel. Image i shows view
+    ``shown_view[i]``. Not taped.
     Writes: every element of ``rgb`` [image, row, column], 0..1, of these images once.
     """
     chunk_image, row, column = wp.tid()

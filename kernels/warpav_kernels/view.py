@@ -2,8 +2,8 @@
 
 Sample grid of a view: the image's pixels, each cut into supersampling x supersampling samples, inside a frame of one
 guard sample on every side. Sample (row, column) has its centre at (column + 0.5, row + 0.5); the principal point is the
-middle of the grid. The guard band has weight 0 in every measure; it is there so that outlines within half a sample of the
-image's edge still carry a gradient.
+middle of the grid. The guard band has weight 0 in every measure; it is there so that outlines within half a sample of
+the image's edge still carry a gradient.
 """
 
 import warp as wp

@@ -41,7 +41,8 @@ def render_images(
     Args:
         scene: The scene; packed first if it is not.
         cameras: Cameras in the ego frame; those of one image size are rendered together.
-        supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the centre.
+        supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the
+            centre.
         device: Warp device.
 
     Returns:

@@ -56,7 +56,8 @@ class Measures:
     def on_tape(self, position_ego_m: wp.array, camera_from_ego: wp.array) -> wp.array:
         """The measures as a function of the poses, recorded on the active tape; float [view, vehicle, measure].
 
-        The value is the rendered one, the gradient to the poses is the Jacobian (first order around the rendered poses).
+        The value is the rendered one, the gradient to the poses is the Jacobian (first order around the rendered
+        poses).
         """
         result = wp.empty_like(self.value, requires_grad=True)
         wp.launch(
@@ -259,7 +260,8 @@ class Renderer:
 
         Args:
             scene: The scene of the last `render`.
-            box_px: Box per view and vehicle (left, top, right, bottom [px]) for BOX_AREA, vec4 [view, vehicle]; None: no box.
+            box_px: Box per view and vehicle (left, top, right, bottom [px]) for BOX_AREA, vec4 [view, vehicle]; None:
+                no box.
 
         Returns:
             Fresh arrays, so several scenes can stay on one tape.
