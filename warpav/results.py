@@ -1,0 +1,349 @@
+"""The run folder: everything that a run leaves behind, readable at any moment of the run and ever after.
+
+::
+
+    runs/<name>/  config.yaml  env.json  events.jsonl  metrics.csv  rig_initial.yaml  rig_best.yaml  rig_final.yaml
+                  evaluation.json  checkpoints/last.npz  report.html  figures/*.png
+
+A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import io
+import json
+import math
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from warpav.config import Config, dump_config, load_config
+from warpav.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warpav.rig.rig import Rig
+
+RigRole = Literal["initial", "best", "final"]
+RUNS_FOLDER = Path("runs")
+EVALUATION_SCHEMA = 1
+_PACKAGES = (
+    "warp-lang",
+    "numpy",
+    "scipy",
+    "trimesh",
+    "embreex",
+    "onnxruntime",
+    "onnxruntime-gpu",
+    "opencv-contrib-python-headless",
+    "pyvista",
+    "vtk",
+    "cyclopts",
+    "pydantic",
+    "PyYAML",
+    "rich",
+)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run folder on disk.
+
+    Attributes:
+        path: The folder; it exists and holds ``config.yaml``.
+    """
+
+    path: Path
+
+    @classmethod
+    def create(cls, config: Config, *, name: str, device: str = "") -> RunFolder:
+        """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
+
+        Args:
+            config: The configuration of the run; ``run.out`` names the folder.
+            name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
+            device: What computes, in words.
+
+        Raises:
+            InputError: ``run.out`` exists, or no folder can be made there.
+        """
+        check_new_run(config)
+        try:
+            if config.run.out is not None:
+                path = config.run.out
+                path.mkdir(parents=True, exist_ok=True)
+            else:
+                path = _numbered_folder(name)
+            folder = cls(path)
+            (path / "checkpoints").mkdir()
+            (path / "figures").mkdir()
+        except OSError as error:
+            raise InputError(
+                f"run.out: expected a folder that can be made, got {error.filename!r}: {error.strerror}"
+            ) from None
+        folder._write_text("config.yaml", dump_config(config))
+        folder._write_json("env.json", environment(config, device))
+        return folder
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """The run folder at ``path``.
+
+        Raises:
+            InputError: There is no folder, or it is not one of a run.
+        """
+        folder = Path(path).expanduser()
+        if not folder.is_dir():
+            raise InputError(f"{path}: run folder: expected an existing folder, got none of that name")
+        if not (folder / "config.yaml").is_file():
+            raise InputError(
+                f"{path}: run folder: expected a folder written by warpav optimise, got one without config.yaml"
+            )
+        return cls(folder)
+
+    def write_rig(self, role: RigRole, rig: Rig) -> None:
+        """Write ``rig_<role>.yaml``."""
+        from warpav.rig.rig import write_rig
+
+        with self._replacing(f"rig_{role}.yaml") as file:
+            write_rig(rig, file)
+
+    def append_event(self, record: object) -> None:
+        """Append one iteration to ``events.jsonl`` and ``metrics.csv``.
+
+        Args:
+            record: A mapping or a dataclass with the fields that the run folder documents for an iteration.
+        """
+        event = _json_ready(record)
+        row = _flat_numbers(event)
+        metrics = self.path / "metrics.csv"
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(row), lineterminator="\n")
+        if not metrics.exists():
+            writer.writeheader()
+        writer.writerow(row)
+        self._append("metrics.csv", text.getvalue())
+        self._append("events.jsonl", json.dumps(event, allow_nan=False) + "\n")
+
+    def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write the state from which the run can go on to ``checkpoints/last.npz``."""
+        import numpy as np
+
+        with self._replacing("checkpoints/last.npz") as file, file.open("wb") as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
+
+    def write_evaluation(self, evaluation: Mapping[str, Any]) -> None:
+        """Write ``evaluation.json``; NaN becomes null."""
+        self._write_json("evaluation.json", {"schema": EVALUATION_SCHEMA, **evaluation})
+
+    def write_figure(self, name: str, png: bytes) -> Path:
+        """Write ``figures/<name>.png`` and return its path."""
+        with self._replacing(f"figures/{name}.png") as file:
+            file.write_bytes(png)
+        return self.path / "figures" / f"{name}.png"
+
+    def write_report(self, html: str) -> Path:
+        """Write ``report.html`` and return its path."""
+        self._write_text("report.html", html)
+        return self.path / "report.html"
+
+    def config(self) -> Config:
+        """The configuration of the run, validated anew."""
+        return load_config(self.path / "config.yaml")
+
+    def environment(self) -> dict[str, Any]:
+        """The content of ``env.json``, or an empty mapping."""
+        return self._read_json("env.json") or {}
+
+    def events(self) -> list[dict[str, Any]]:
+        """All iterations so far; a line that was cut off in the middle of being written is left out."""
+        try:
+            lines = (self.path / "events.jsonl").read_text(encoding="utf-8").split("\n")
+        except FileNotFoundError:
+            return []
+        events = []
+        for number, line in enumerate(lines, start=1):
+            try:
+                if line:
+                    events.append(json.loads(line))
+            except ValueError:
+                if number < len(lines):
+                    place = self.path / "events.jsonl"
+                    raise InputError(
+                        f"{place}:{number}: expected one JSON object per line, got {line[:40]!r}"
+                    ) from None
+        return events
+
+    def evaluation(self) -> dict[str, Any] | None:
+        """The content of ``evaluation.json``, or None when the run has not come that far."""
+        return self._read_json("evaluation.json")
+
+    def figures(self) -> list[Path]:
+        """The PNG files of the run, by name."""
+        return sorted((self.path / "figures").glob("*.png"))
+
+    def rig(self, role: RigRole | None = None) -> Rig:
+        """A rig of the run.
+
+        Args:
+            role: Which one; None takes the result, which is the best or the final one as ``optimiser.keep`` says, or
+                what comes nearest to it when the run was stopped.
+
+        Raises:
+            InputError: The run was stopped before it had one.
+        """
+        from warpav.rig.rig import read_rig
+
+        if role is None:
+            keep_best = self.config().optimiser.keep == "best"
+            roles: tuple[RigRole, ...] = ("best", "final", "initial") if keep_best else ("final", "best", "initial")
+        else:
+            roles = (role,)
+        for name in roles:
+            file = self.path / f"rig_{name}.yaml"
+            if file.is_file():
+                return read_rig(file)
+        raise InputError(f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none; the run has none yet")
+
+    @contextlib.contextmanager
+    def _replacing(self, name: str) -> Iterator[Path]:
+        """A path to write to; the file takes its place in one step when the block ends well."""
+        file = self.path / name
+        draft = file.with_name(f".draft-{os.getpid()}-{file.name}")
+        try:
+            yield draft
+            os.replace(draft, file)
+        finally:
+            draft.unlink(missing_ok=True)
+
+    def _write_text(self, name: str, text: str) -> None:
+        with self._replacing(name) as file:
+            file.write_text(text, encoding="utf-8")
+
+    def _write_json(self, name: str, data: object) -> None:
+        self._write_text(name, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
+
+    def _append(self, name: str, line: str) -> None:
+        with (self.path / name).open("ab", buffering=0) as file:
+            file.write(line.encode())
+
+    def _read_json(self, name: str) -> dict[str, Any] | None:
+        file = self.path / name
+        try:
+            return json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except ValueError as error:
+            raise InputError(f"{file}: expected JSON, got: {error}") from None
+
+
+def check_new_run(config: Config) -> None:
+    """Refuse a ``run.out`` that holds something already; an empty folder is welcome.
+
+    Raises:
+        InputError: ``run.out`` is a file, or a folder with content.
+    """
+    out = config.run.out
+    if out is None or not out.exists():
+        return
+    if not out.is_dir():
+        raise InputError(f"run.out: expected a folder to write to, got {str(out)!r}, which is a file")
+    if any(out.iterdir()):
+        raise InputError(
+            f"run.out: expected a folder that does not exist yet, got {str(out)!r}; "
+            "choose another, or leave run.out away and the run is numbered"
+        )
+
+
+def environment(config: Config, device: str) -> dict[str, Any]:
+    """What a run depended on: versions, device, seeds, command, time."""
+    return {
+        "warpav": metadata.version("warpav"),
+        "git_commit": _git_commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu_count": os.cpu_count(),
+        "device": device or config.device,
+        "packages": package_versions(),
+        "seeds": {
+            "run": config.run.seed,
+            "train": list(config.scenes.train_seeds),
+            "test": list(config.scenes.test_seeds),
+        },
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+
+
+def package_versions() -> dict[str, str]:
+    """Installed versions of the packages that warpav builds on, by distribution name; absent ones are left out."""
+    versions = {}
+    for package in _PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = metadata.version(package)
+    return versions
+
+
+def _git_commit() -> str | None:
+    """Commit of the checkout that runs, with ``+`` when it has changes; None for an installed package."""
+    checkout = Path(__file__).resolve().parent.parent
+    if not (checkout / ".git").exists():
+        return None
+    command = ["git", "-C", str(checkout), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def _numbered_folder(name: str) -> Path:
+    number = 1
+    while True:
+        path = RUNS_FOLDER / (name if number == 1 else f"{name}-{number}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+        else:
+            return path
+
+
+def _json_ready(value: object) -> Any:  # noqa: ANN401
+    """The value in JSON's own types: arrays become lists, numbers that are not finite become None."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _json_ready(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _json_ready(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_ready(inner) for inner in value]
+    if hasattr(value, "tolist"):  # NumPy arrays and scalars
+        return _json_ready(value.tolist())  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _flat_numbers(event: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The numbers of an event by dotted name; lists are left to ``events.jsonl``."""
+    row: dict[str, Any] = {}
+    for name, value in event.items():
+        if isinstance(value, dict):
+            row |= _flat_numbers(value, f"{prefix}{name}.")
+        elif not isinstance(value, (list, str)):
+            row[prefix + name] = value
+    return row
