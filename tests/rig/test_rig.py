@@ -1,0 +1,200 @@
+import math
+import os
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from warpav.errors import InputError
+from warpav.rig.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+
+GOOD = """\
+frame: ego
+cameras:
+  - name: front
+    position_m: [1.7, 0.5, 1.6]
+    yaw_deg: 45
+    pitch_deg: 5.0
+    roll_deg: 2
+    fov_deg: 90
+    width_px: 640
+    height_px: 480
+"""
+
+
+def camera(name="front", position_m=(1.0, 0.0, 1.5), yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0, **model):
+    return RigCamera(name, np.array(position_m), yaw_rad, pitch_rad, roll_rad, CameraModel(**model))
+
+
+def written(text, folder):
+    file = folder / "rig.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_pose_of_the_known_camera(tmp_path):
+    """The pose of tests/geometry/test_frames.py, through the file."""
+    (front,) = read_rig(written(GOOD, tmp_path)).cameras
+    camera_from_ego = np.linalg.inv(front.ego_from_camera)
+    expected = [
+        [0.704525, -0.708827, -0.034767, -0.787653],
+        [-0.086269, -0.036913, -0.995588, 1.758054],
+        [0.704416, 0.704416, -0.087156, -1.410266],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+    np.testing.assert_allclose(camera_from_ego, expected, atol=1e-6)
+    assert (front.model.width_px, front.model.height_px) == (640, 480)
+    assert front.model.fov_rad == pytest.approx(math.pi / 2)
+
+
+def test_level_camera_looks_along_its_yaw():
+    ego_from_camera = camera(yaw_rad=math.pi / 2).ego_from_camera
+    np.testing.assert_allclose(ego_from_camera @ [0, 0, 1, 0], [0, 1, 0, 0], atol=1e-12)  # optical axis: left
+    np.testing.assert_allclose(ego_from_camera @ [0, 1, 0, 0], [0, 0, -1, 0], atol=1e-12)  # image down: down
+    np.testing.assert_allclose(ego_from_camera @ [0, 0, 0, 1], [1.0, 0.0, 1.5, 1.0])
+
+
+def test_written_rig_follows_the_contract(tmp_path):
+    rig = Rig.create([camera("front", (1.25, -0.0, 1.5), -math.pi), camera("rear", yaw_rad=math.radians(30.0))])
+    write_rig(rig, tmp_path / "rig.yaml")
+    data = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    assert data["frame"] == "ego"
+    assert data["cameras"][0] == {
+        "name": "front",
+        "position_m": [1.25, 0.0, 1.5],
+        "yaw_deg": 180.0,
+        "pitch_deg": 0.0,
+        "roll_deg": 0.0,
+        "fov_deg": 90.0,
+        "width_px": 256,
+        "height_px": 256,
+    }
+    assert data["cameras"][1]["yaw_deg"] == 30.0
+    assert "-0.0" not in (tmp_path / "rig.yaml").read_text()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.tuples(*(st.floats(-20, 20),) * 3),
+            *(st.floats(-10, 10),) * 3,
+            st.floats(1.0, 179.0),
+            st.integers(8, 4096),
+            st.integers(8, 4096),
+        ),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_rig_survives_the_file_and_gives_the_same_bytes_again(tmp_path_factory, numbers):
+    folder = tmp_path_factory.mktemp("rig")
+    rig = Rig.create(
+        RigCamera(f"camera_{i}", np.array(position), yaw, pitch, roll, CameraModel(width, height, math.radians(fov)))
+        for i, (position, yaw, pitch, roll, fov, width, height) in enumerate(numbers)
+    )
+    write_rig(rig, folder / "a.yaml")
+    back = read_rig(folder / "a.yaml")
+    write_rig(back, folder / "b.yaml")
+    assert (folder / "a.yaml").read_bytes() == (folder / "b.yaml").read_bytes()
+    for before, after in zip(rig.cameras, back.cameras, strict=True):
+        assert after.name == before.name
+        np.testing.assert_allclose(after.position_m, before.position_m, atol=1e-6)
+        for field in ("yaw_rad", "pitch_rad", "roll_rad"):
+            difference_rad = math.remainder(getattr(after, field) - getattr(before, field), 2 * math.pi)
+            assert abs(math.degrees(difference_rad)) < 1e-6
+        assert math.degrees(after.model.fov_rad) == pytest.approx(math.degrees(before.model.fov_rad), abs=1e-6)
+        assert (after.model.width_px, after.model.height_px) == (before.model.width_px, before.model.height_px)
+
+
+@pytest.mark.parametrize("name", ["no", "On", "1", "1e3", "null", "2026-01-01", "0x1F", "007", "_1", "1_000", "a.b-c"])
+def test_names_that_yaml_would_misread_stay_text(tmp_path, name):
+    write_rig(Rig.create([camera(name)]), tmp_path / "rig.yaml")
+    assert read_rig(tmp_path / "rig.yaml").cameras[0].name == name
+    assert yaml.safe_load((tmp_path / "rig.yaml").read_text())["cameras"][0]["name"] == name
+
+
+def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
+    file = tmp_path / "rig.yaml"
+    write_rig(Rig.create([camera("old")]), file)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(InputError, match=r"rig\.yaml: expected a place to write .*No space left"):
+        write_rig(Rig.create([camera("new")]), file)
+    assert read_rig(file).cameras[0].name == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_writing_rejects_a_missing_folder(tmp_path):
+    with pytest.raises(InputError, match="expected a place to write the rig to, got: No such file"):
+        write_rig(Rig.create([camera()]), tmp_path / "missing" / "rig.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("frame: ego", "frame: vehicle", r"rig.yaml:1: frame: expected ego .*, got 'vehicle'"),
+        ("yaw_deg: 45", "yaw: 45", r":5: cameras\[0\]\.yaw: expected one of .*, got 'yaw'; did you mean yaw_deg\?"),
+        ("roll_deg: 2", "roll_deg: two", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got 'two'"),
+        ("roll_deg: 2", "roll_deg: .nan", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got nan"),
+        ("roll_deg: 2", "roll_deg: true", r"roll_deg: expected a finite number .*, got True"),
+        ("roll_deg: 2", "roll_deg: 1" + "0" * 400, r"roll_deg: expected a finite number .*, got 10000.*\.\.\."),
+        ("    roll_deg: 2\n", "", r":3: cameras\[0\]\.roll_deg: expected a finite number .*, got nothing"),
+        ("[1.7, 0.5, 1.6]", "[1.7, 0.5]", r":4: cameras\[0\]\.position_m: expected three .*, got \[1\.7, 0\.5\]"),
+        ("[1.7, 0.5, 1.6]", "[1.7, .inf, 0]", r"position_m: expected three finite numbers in metres"),
+        ("fov_deg: 90", "fov_deg: 180", r":8: cameras\[0\]\.fov_deg: expected .* between 0 and 180.*, got 180"),
+        ("width_px: 640", "width_px: 640.5", r"width_px: expected a whole number of pixels from 8 .*, got 640\.5"),
+        ("height_px: 480", "height_px: 4", r"height_px: expected a whole number of pixels from 8 .*, got 4"),
+        ("name: front", "name: ../front", r":3: cameras\[0\]\.name: expected a name of letters.*, got '\.\./front'"),
+        ("cameras:\n", "cameras: []\nrest:\n", r"cameras: expected a list of at least one camera, got \[\]"),
+        ("frame: ego", "frame: ego\nframe: ego", r"rig.yaml:2: frame: expected every key once"),
+        ("frame: ego", "frame: [ego", r"rig.yaml:\d+: expected valid YAML, got a syntax error"),
+        (GOOD, "", r"rig.yaml: expected a mapping with frame, cameras, got nothing"),
+        (GOOD, "- 1\n", r"rig.yaml:1: expected a mapping with frame, cameras, got \[1\]"),
+    ],
+)
+def test_reading_rejects_a_mistake_with_its_place(tmp_path, old, new, message):
+    assert old in GOOD
+    with pytest.raises(InputError, match=message):
+        read_rig(written(GOOD.replace(old, new), tmp_path))
+
+
+def test_reading_reports_every_mistake_on_a_line_of_its_own(tmp_path):
+    text = GOOD.replace("yaw_deg: 45", "yaw: 45").replace("fov_deg: 90", "fov_deg: -1")
+    with pytest.raises(InputError) as caught:
+        read_rig(written(text, tmp_path))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3  # the unknown yaw, the missing yaw_deg, the field of view
+    assert all(line.startswith(str(tmp_path / "rig.yaml") + ":") for line in lines)
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe\x00"])
+def test_reading_rejects_a_file_that_is_no_text(tmp_path, content):
+    file = tmp_path / "rig.yaml"
+    if content:
+        file.write_bytes(content)
+    with pytest.raises(InputError, match=r"rig\.yaml: expected a readable YAML file, got: (No such file|not UTF-8)"):
+        read_rig(file)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "message"),
+    [
+        ([], "my rig: expected at least one camera, got none"),
+        ([camera("a"), camera("b"), camera("A")], r"cameras\[2\]\.name: expected every name once, .*cameras\[0\]"),
+        ([camera("a/b")], "name: expected a name of letters"),
+        ([camera("")], "name: expected a name of letters"),
+        ([camera(position_m=(0, 0, math.nan))], "position_m: expected three finite numbers"),
+        ([camera(position_m=(0, 0))], "position_m: expected three finite numbers"),
+        ([camera(yaw_rad=math.inf)], "yaw_rad: expected a finite number, got inf"),
+    ],
+)
+def test_rig_rejects_cameras_that_cannot_be_used(cameras, message):
+    with pytest.raises(InputError, match=message):
+        Rig.create(cameras, name="my rig")

@@ -1,0 +1,297 @@
+"""Rigs: named cameras at fixed poses on the vehicle, and their YAML file."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpav.errors import InputError
+from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad
+from warpav.rig.camera import CameraModel
+from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
+
+MAX_IMAGE_PX = 16384
+"""Wider or higher images are refused: no detector reads them, and a size of this kind is a slip of the pen."""
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")  # camera names become file names
+_DECIMALS = 6  # micrometres and microdegrees: below what any mount holds
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """A camera on the vehicle.
+
+    Attributes:
+        name: Short name, unique within a rig; letters, digits, ``_``, ``-`` and ``.``.
+        position_m: Centre of projection in the ego frame [m], float64, shape [3].
+        yaw_rad: Turn to the left about z [rad].
+        pitch_rad: Nose down [rad].
+        roll_rad: Right side down [rad].
+        model: Image size and field of view.
+    """
+
+    name: str
+    position_m: np.ndarray
+    yaw_rad: float
+    pitch_rad: float
+    roll_rad: float
+    model: CameraModel
+
+    @property
+    def ego_from_camera(self) -> np.ndarray:
+        """The transform from camera to ego coordinates, float64, shape [4, 4]."""
+        transform = np.eye(4)
+        transform[:3, :3] = rotation_from_yaw_pitch_roll(self.yaw_rad, self.pitch_rad, self.roll_rad) @ FLU_FROM_RDF
+        transform[:3, 3] = self.position_m
+        return transform
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The cameras of a vehicle.
+
+    Attributes:
+        cameras: At least one, in a fixed order, with unique names.
+    """
+
+    cameras: tuple[RigCamera, ...]
+
+    @classmethod
+    def create(cls, cameras: Iterable[RigCamera], *, name: str = "rig") -> Rig:
+        """A rig of these cameras, checked.
+
+        Args:
+            cameras: At least one.
+            name: What the rig is called in messages.
+
+        Returns:
+            The rig, with positions as float64 arrays.
+
+        Raises:
+            InputError: No camera, a name that is unfit or there twice, or a number that is not finite.
+        """
+        checked = tuple(_checked(camera, name) for camera in cameras)
+        if not checked:
+            raise InputError(f"{name}: expected at least one camera, got none")
+        first_of: dict[str, int] = {}
+        for i, camera in enumerate(checked):
+            # File systems that ignore case would lose one of two images.
+            first = first_of.setdefault(camera.name.casefold(), i)
+            if first != i:
+                raise InputError(
+                    f"{name}: cameras[{i}].name: expected every name once, got {camera.name!r} again "
+                    f"(first as cameras[{first}])"
+                )
+        return cls(checked)
+
+
+def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
+    place = f"{rig_name}: camera {camera.name!r}"
+    if not _NAME.fullmatch(camera.name):
+        raise InputError(f"{place}: name: expected {_NAME_TEXT}, got {camera.name!r}")
+    position_m = np.array(camera.position_m, dtype=np.float64)
+    if position_m.shape != (3,) or not np.isfinite(position_m).all():
+        raise InputError(f"{place}: position_m: expected three finite numbers, got {camera.position_m!r}")
+    for field in ("yaw_rad", "pitch_rad", "roll_rad"):
+        if not math.isfinite(getattr(camera, field)):
+            raise InputError(f"{place}: {field}: expected a finite number, got {getattr(camera, field)!r}")
+    return RigCamera(
+        camera.name, position_m, float(camera.yaw_rad), float(camera.pitch_rad), float(camera.roll_rad), camera.model
+    )
+
+
+_NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
+_POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"
+_ANGLE_TEXT = "a finite number in degrees, such as 90.0"
+_FOV_TEXT = "a number of degrees between 0 and 180, such as 90.0"
+_SIZE_TEXT = f"a whole number of pixels from 8 to {MAX_IMAGE_PX}, such as 256"
+_EXPECTED = {
+    "name": _NAME_TEXT,
+    "position_m": _POSITION_TEXT,
+    "yaw_deg": _ANGLE_TEXT + ", left positive",
+    "pitch_deg": _ANGLE_TEXT + ", nose down positive",
+    "roll_deg": _ANGLE_TEXT + ", right side down positive",
+    "fov_deg": _FOV_TEXT,
+    "width_px": _SIZE_TEXT,
+    "height_px": _SIZE_TEXT,
+}
+
+
+def write_rig(rig: Rig, path: str | Path) -> None:
+    """Write a rig as YAML; the same rig gives the same bytes, and an existing file is replaced in one step.
+
+    Numbers are rounded to micrometres and microdegrees, angles brought to (-180, 180].
+
+    Args:
+        rig: The cameras.
+        path: The file; its folder must exist.
+
+    Raises:
+        InputError: The folder does not exist or cannot be written to.
+    """
+    file = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+                stream.write(_rig_text(rig))
+            os.chmod(temporary, 0o644)  # a temporary file is private, a rig is not
+            os.replace(temporary, file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{file}: expected a place to write the rig to, got: {error.strerror}") from None
+
+
+def read_rig(path: str | Path) -> Rig:
+    """Read a rig's YAML file, strictly.
+
+    Args:
+        path: The file: ``frame: ego`` and ``cameras``, a list of mappings with name, position_m, yaw_deg, pitch_deg,
+            roll_deg, fov_deg (horizontal), width_px and height_px, all of them required.
+
+    Returns:
+        The rig.
+
+    Raises:
+        InputError: The file cannot be read or breaks the format; one line per mistake, each with file and line, field,
+            what was expected and what came.
+    """
+    file = Path(path).expanduser()
+    data, line_of = read_yaml(file)
+    return _RigReader(str(file), line_of).rig(data)
+
+
+def _number(value: float) -> str:
+    """The number rounded to the file's decimals, in its shortest form, without exponent or negative zero."""
+    text = f"{value:.{_DECIMALS}f}".rstrip("0")
+    text += "0" if text.endswith(".") else ""
+    return "0.0" if text == "-0.0" else text
+
+
+def _angle(angle_rad: float) -> str:
+    """The angle [deg] in (-180, 180], after rounding."""
+    text = _number(math.degrees(wrap_angle_rad(angle_rad)))
+    return "180.0" if text == "-180.0" else text
+
+
+def _name(name: str) -> str:
+    """The name, quoted where YAML would read it as something else than text (``no``, ``1e3``, ``2026-01-01``)."""
+    is_plain = name[0].isalpha() and name.casefold() not in _YAML_WORDS and parse_yaml(name, "name")[0] == name
+    return name if is_plain else f'"{name}"'
+
+
+_YAML_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
+
+
+def _rig_text(rig: Rig) -> str:
+    lines = [
+        "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
+        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
+        "# horizontal field of view.",
+        "frame: ego",
+        "cameras:",
+    ]
+    for camera in rig.cameras:
+        position = ", ".join(_number(value) for value in camera.position_m)
+        lines += [
+            f"  - name: {_name(camera.name)}",
+            f"    position_m: [{position}]",
+            f"    yaw_deg: {_angle(camera.yaw_rad)}",
+            f"    pitch_deg: {_angle(camera.pitch_rad)}",
+            f"    roll_deg: {_angle(camera.roll_rad)}",
+            f"    fov_deg: {_number(math.degrees(camera.model.fov_rad))}",
+            f"    width_px: {camera.model.width_px}",
+            f"    height_px: {camera.model.height_px}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+class _RigReader:
+    """Checks a rig's data, keeping every mistake with its place."""
+
+    def __init__(self, place: str, line_of: Mapping[Location, int]) -> None:
+        self.place = place
+        self.line_of = line_of
+        self.mistakes: list[str] = []
+
+    def rig(self, data: object) -> Rig:
+        root = self.mapping(data, (), ("frame", "cameras"))
+        if "frame" in root and root["frame"] != "ego":
+            self.refuse(("frame",), "ego (x forward, y left, z up)", root["frame"])
+        cameras = root.get("cameras", [None])
+        if not isinstance(cameras, list) or not cameras:
+            self.refuse(("cameras",), "a list of at least one camera", cameras)
+            cameras = []
+        read = [self.camera(item, ("cameras", str(i))) for i, item in enumerate(cameras) if "cameras" in root]
+        if self.mistakes:
+            raise InputError("\n".join(self.mistakes))
+        return Rig.create((camera for camera in read if camera), name=self.place)
+
+    def camera(self, data: object, location: Location) -> RigCamera | None:
+        known_count = len(self.mistakes)
+        item = self.mapping(data, location, tuple(_EXPECTED))
+        for field, value in item.items():
+            if not _is_fit(field, value):
+                self.refuse((*location, field), _EXPECTED[field], value)
+        if len(self.mistakes) > known_count:
+            return None
+        return RigCamera(
+            item["name"],
+            np.array(item["position_m"], dtype=np.float64),
+            math.radians(item["yaw_deg"]),
+            math.radians(item["pitch_deg"]),
+            math.radians(item["roll_deg"]),
+            CameraModel(item["width_px"], item["height_px"], math.radians(item["fov_deg"])),
+        )
+
+    def mapping(self, data: object, location: Location, fields: Sequence[str]) -> dict[str, Any]:
+        """The known fields of a mapping; unknown and missing ones are mistakes."""
+        if not isinstance(data, dict):
+            self.refuse(location, f"a mapping with {', '.join(fields)}", data)
+            return {}
+        missing = [field for field in fields if field not in data]
+        for field in data:
+            if field not in fields:
+                near = difflib.get_close_matches(field, missing or fields, 1, 0.5)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                self.refuse((*location, field), f"one of {', '.join(fields)}", field, hint)
+        for field in missing:
+            self.refuse((*location, field), _EXPECTED.get(field, f"the field {field}"), None)
+        return {field: data[field] for field in fields if field in data}
+
+    def refuse(self, location: Location, expected: str, value: object, hint: str = "") -> None:
+        known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
+        line = f":{self.line_of[known]}" if known is not None else ""
+        field = f"{dotted(location)}: " if location else ""
+        shown = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
+        self.mistakes.append(f"{self.place}{line}: {field}expected {expected}, got {shown}{hint}")
+
+
+def _is_number(value: object) -> bool:
+    # A comparison, because math.isfinite fails on integers beyond the range of floats.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+
+
+def _is_fit(field: str, value: Any) -> bool:  # noqa: ANN401
+    match field:
+        case "name":
+            return isinstance(value, str) and _NAME.fullmatch(value) is not None
+        case "position_m":
+            return isinstance(value, list) and len(value) == 3 and all(_is_number(number) for number in value)
+        case "fov_deg":
+            return _is_number(value) and 0.0 < value < 180.0
+        case "width_px" | "height_px":
+            return isinstance(value, int) and not isinstance(value, bool) and 8 <= value <= MAX_IMAGE_PX
+        case _:
+            return _is_number(value)
