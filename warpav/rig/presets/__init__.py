@@ -1,0 +1,36 @@
+"""Camera rigs of known vehicles, one YAML file each; the head of a file names its source and licence."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from warpav.errors import InputError
+from warpav.rig.rig import Rig, read_rig
+
+_FOLDER = Path(__file__).parent
+
+
+def preset_names() -> list[str]:
+    """Names of the shipped rigs, sorted, such as ``nuscenes``."""
+    return sorted(file.stem for file in _FOLDER.glob("*.yaml"))
+
+
+def preset_rig(name: str) -> Rig:
+    """The shipped rig of this name.
+
+    Args:
+        name: One of :func:`preset_names`.
+
+    Returns:
+        The rig, in the ego frame of its own vehicle; the head of its file says what is known of the origin.
+
+    Raises:
+        InputError: There is no such rig.
+    """
+    names = preset_names()
+    if name not in names:
+        near = difflib.get_close_matches(name, names, 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{hint}")
+    return read_rig(_FOLDER / f"{name}.yaml")
