@@ -73,8 +73,7 @@ def median_inverse_depth(
     shared: bool,
     layer_bits: wp.array[wp.int32],
 ) -> float:
-    """Median inverse depth of an object's samples that another object does (``shared``) or does not cover; 0 if
-    none."""
+    """Median inverse depth of the samples that another object does (``shared``) or does not cover; 0: none."""
     low = float(1.0e9)
     high = float(0.0)
     count = int(0)

@@ -35,8 +35,7 @@ OUTWARD_LIMIT = wp.constant(0.1)
 
 @wp.func
 def outward_inverse_depth(front: wp.int32, inner: wp.int32) -> float:
-    """Inverse depth of the front surface at its boundary, followed outwards from its inner neighbour (bits; 0:
-    none)."""
+    """Inverse depth of the front surface at its boundary, followed outwards from its inner neighbour."""
     w = inverse_depth_of(front)
     if inner == wp.int32(0):
         return w

@@ -22,8 +22,7 @@ def mount_height_m(x_m: float, y_m: float, height_m: wp.array2d[float], origin_m
 
 @wp.func
 def camera_from_ego_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> wp.mat33:
-    """Rotation from ego axes to camera axes (x right, y down, z forward); ego_from_link is Rz(yaw) Ry(pitch)
-    Rx(roll)."""
+    """Rotation from ego to camera axes (x right, y down, z forward); ego_from_link is Rz(yaw) Ry(pitch) Rx(roll)."""
     cy = wp.cos(yaw_rad)
     sy = wp.sin(yaw_rad)
     cp = wp.cos(pitch_rad)
@@ -37,11 +36,19 @@ def camera_from_ego_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) 
     return wp.mat33(-left[0], -left[1], -left[2], -up[0], -up[1], -up[2], forward[0], forward[1], forward[2])
 
 
+# columns of the numbers that are optimised, one row per camera
+X_M = wp.constant(0)
+Y_M = wp.constant(1)
+YAW_RAD = wp.constant(2)
+PITCH_RAD = wp.constant(3)
+ROLL_RAD = wp.constant(4)
+MOUNT_POSE_SIZE = wp.constant(5)
+
+
 @wp.kernel
 def place_on_surface_kernel(
     # in
-    position_surface_m: wp.array[wp.vec2],
-    yaw_pitch_roll_rad: wp.array[wp.vec3],
+    mount_pose: wp.array2d[float],
     height_m: wp.array2d[float],
     origin_m: wp.vec2,
     cell_m: float,
@@ -61,11 +68,10 @@ def place_on_surface_kernel(
     """
     camera, rotation = wp.tid()
     v = camera * rotation_count + rotation
-    place_m = position_surface_m[camera]
-    angle_rad = yaw_pitch_roll_rad[camera]
-    height = mount_height_m(place_m[0], place_m[1], height_m, origin_m, cell_m) + height_offset_m
-    position_ego_m[v] = wp.vec3(place_m[0], place_m[1], height)
+    x_m = mount_pose[camera, X_M]
+    y_m = mount_pose[camera, Y_M]
+    z_m = mount_height_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m
+    position_ego_m[v] = wp.vec3(x_m, y_m, z_m)
     # Eq. 3: theta_a = a F_closest
-    camera_from_ego[v] = camera_from_ego_rotation(
-        angle_rad[0] + float(rotation) * rotation_step_rad, angle_rad[1], angle_rad[2]
-    )
+    yaw_rad = mount_pose[camera, YAW_RAD] + float(rotation) * rotation_step_rad
+    camera_from_ego[v] = camera_from_ego_rotation(yaw_rad, mount_pose[camera, PITCH_RAD], mount_pose[camera, ROLL_RAD])

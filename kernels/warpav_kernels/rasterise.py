@@ -48,8 +48,7 @@ def point_on_near_plane(a: wp.vec3, b: wp.vec3, near_m: float) -> wp.vec3:
 
 @wp.func
 def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, focal_px: float, width: int, height: int) -> wp.vec4:
-    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point in front of the
-    camera."""
+    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point."""
     u = 0.5 * float(width) + focal_px * point_m[0] / point_m[2]
     v = 0.5 * float(height) + focal_px * point_m[1] / point_m[2]
     return wp.vec4(wp.min(rectangle[0], u), wp.min(rectangle[1], v), wp.max(rectangle[2], u), wp.max(rectangle[3], v))

@@ -42,3 +42,21 @@ class CameraModel:
         """The 3 x 3 matrix that maps camera coordinates to homogeneous pixels; pixel centres lie at +0.5."""
         focal = self.focal_px
         return np.array([[focal, 0.0, 0.5 * self.width_px], [0.0, focal, 0.5 * self.height_px], [0.0, 0.0, 1.0]])
+
+
+def rotational_additions(fov_rad: float) -> tuple[int, float]:
+    """How often, and by what angle, a camera turns to look all round.
+
+    ``2 pi mod F = 0`` cannot be tested in floating point; rounding alone gives the same value there. A field of view that
+    is not near a divisor of the circle leaves blind seams or overlaps, as in the thesis.
+
+    Equation: 2 (same value: rounding alone covers both cases)
+
+    Args:
+        fov_rad: Horizontal field of view F [rad], in (0, pi).
+
+    Returns:
+        Number of additions, at least 2, and ``F_closest`` [rad] between neighbours. Halves are rounded to even.
+    """
+    count = max(round(2.0 * math.pi / fov_rad), 2)
+    return count, 2.0 * math.pi / count

@@ -1,0 +1,193 @@
+"""Losses of the thesis that say how well a rig sees the vehicles of a scene: in-frame rotation and detected area.
+
+A vehicle is assigned to one camera (-1: to none, and then it does not count). View ``camera * rotation_count + a`` is
+the camera turned by the rotational addition a; a = 0 is where it really looks.
+"""
+
+import warp as wp
+
+from warpav_kernels.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
+from warpav_kernels.mount_pose import YAW_RAD
+
+# what is known of a vehicle's bearing
+NEVER_SEEN = wp.constant(0)
+SEEN_OUT_OF_FRAME = wp.constant(1)
+IN_FRAME = wp.constant(2)
+
+
+@wp.func
+def in_frame_bearing_rad(view_yaw_rad: float, column_px: float, width_px: float, fov_rad: float) -> float:
+    """Bearing of an image column, linear in the column; yaw is left-positive, columns run to the right.
+
+    Equation: 10 (changed: the sign, because yaw is left-positive here)
+    """
+    return view_yaw_rad - fov_rad * (column_px / width_px - 0.5)
+
+
+@wp.func
+def circular_distance_rad(a_rad: float, b_rad: float) -> float:
+    """Shortest angle between two bearings, 0..pi.
+
+    Equation: 11 (same value: for bearings of any number of turns)
+    """
+    turns = (a_rad - b_rad) / (2.0 * wp.pi)
+    return wp.abs(turns - wp.round(turns)) * 2.0 * wp.pi
+
+
+@wp.kernel(enable_backward=False)
+def find_vehicle_bearings_kernel(
+    # in
+    measure: wp.array3d[float],
+    assigned_camera: wp.array[wp.int32],
+    mount_pose: wp.array2d[float],
+    rotation_count: int,
+    rotation_step_rad: float,
+    width_px: float,
+    fov_rad: float,
+    # out
+    bearing_rad: wp.array[wp.vec2],
+    sight: wp.array[wp.int32],
+):
+    """Bearings of every vehicle's left and right end from its assigned camera, over all rotational additions.
+
+    The silhouette of the vehicle alone counts. Where it crosses the seam between neighbouring views, the views'
+    intervals are one: the left end comes from the last, the right end from the first view of the run that holds the
+    largest part.
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle. Not taped: the bearings are held fixed while the camera
+    turns.
+    Writes: every element of ``bearing_rad`` (left, right) and ``sight`` (NEVER_SEEN, SEEN_OUT_OF_FRAME, IN_FRAME) once.
+    """
+    vehicle = wp.tid()
+    camera = assigned_camera[vehicle]
+    bearing_rad[vehicle] = wp.vec2(0.0, 0.0)
+    sight[vehicle] = NEVER_SEEN
+    if camera < 0:
+        return
+    best = int(-1)
+    best_area = float(0.0)
+    for a in range(rotation_count):
+        area = measure[camera * rotation_count + a, vehicle, AMODAL_AREA]
+        if area > best_area:
+            best_area = area
+            best = a
+    if best < 0:
+        return
+    # walk both ways round the circle while the neighbouring view sees the vehicle too
+    last = best
+    first = best
+    growing_left = int(1)
+    growing_right = int(1)
+    for step in range(1, rotation_count):
+        to_left = camera * rotation_count + (best + step) % rotation_count
+        if growing_left == 1 and measure[to_left, vehicle, AMODAL_AREA] > 0.0:
+            last = best + step
+        else:
+            growing_left = 0
+        to_right = camera * rotation_count + (best - step + rotation_count) % rotation_count
+        if growing_right == 1 and measure[to_right, vehicle, AMODAL_AREA] > 0.0:
+            first = best - step
+        else:
+            growing_right = 0
+    yaw_rad = mount_pose[camera, YAW_RAD]
+    last_view = camera * rotation_count + last % rotation_count
+    first_view = camera * rotation_count + (first + rotation_count) % rotation_count
+    bearing_rad[vehicle] = wp.vec2(
+        in_frame_bearing_rad(
+            yaw_rad + float(last) * rotation_step_rad, measure[last_view, vehicle, LEFT], width_px, fov_rad
+        ),
+        in_frame_bearing_rad(
+            yaw_rad + float(first) * rotation_step_rad, measure[first_view, vehicle, RIGHT], width_px, fov_rad
+        ),
+    )
+    if measure[camera * rotation_count, vehicle, AMODAL_AREA] > 0.0:
+        sight[vehicle] = IN_FRAME
+    else:
+        sight[vehicle] = SEEN_OUT_OF_FRAME
+
+
+@wp.kernel
+def in_frame_rotation_loss_kernel(
+    # in
+    mount_pose: wp.array2d[float],
+    assigned_camera: wp.array[wp.int32],
+    bearing_rad: wp.array[wp.vec2],
+    sight: wp.array[wp.int32],
+    epsilon: float,
+    weight: float,
+    # out
+    loss: wp.array[float],
+):
+    """Add every assigned vehicle's share of the in-frame rotation loss: how far its camera must turn to see it.
+
+    A vehicle that the camera sees in no direction counts 1, the largest loss, and gives no gradient (the thesis leaves
+    that case open). Gradients flow to the cameras' yaw only, because the bearings are held fixed.
+
+    Equation: 12, 13 (as printed)
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle; ``weight`` is 1 over the number of assigned vehicles.
+    Writes: ``loss[0]`` by atomic add; the caller zeroes it.
+    """
+    vehicle = wp.tid()
+    camera = assigned_camera[vehicle]
+    if camera < 0:
+        return
+    if sight[vehicle] == NEVER_SEEN:
+        wp.atomic_add(loss, 0, weight)
+        return
+    yaw_rad = mount_pose[camera, YAW_RAD]
+    ends_rad = bearing_rad[vehicle]
+    turn_rad = wp.min(circular_distance_rad(ends_rad[0], yaw_rad), circular_distance_rad(ends_rad[1], yaw_rad))
+    scale = float(1.0)
+    if sight[vehicle] == IN_FRAME:
+        scale = epsilon  # Eq. 12
+    wp.atomic_add(loss, 0, weight * scale * turn_rad / wp.pi)  # Eq. 13
+
+
+@wp.func
+def soft_masked_area(inside: float, whole: float, epsilon: float) -> float:
+    """Area under a box mask that never drops to 0: the part inside counts fully, the rest ``epsilon``.
+
+    Equation: 4 (same value: the mask summed over the silhouette)
+    """
+    return inside * (1.0 - epsilon) + whole * epsilon
+
+
+@wp.kernel
+def detected_area_loss_kernel(
+    # in
+    measure: wp.array3d[float],
+    assigned_camera: wp.array[wp.int32],
+    rotation_count: int,
+    min_visibility: float,
+    epsilon: float,
+    weight: float,
+    # out
+    loss: wp.array[float],
+):
+    """Add every assigned vehicle's share of the detected-area loss.
+
+    The visibility is the silhouette inside the matched detection's box where the camera really looks, over the
+    non-occluded silhouette in all directions: what Eq. 14 reduces to. BOX_AREA is 0 where no detection matched. A
+    vehicle of which its camera sees nothing in any direction counts 1 and gives no gradient.
+
+    Equation: 14 (same value: sum - (sum - S_dm) is S_dm)
+    Equation: 15, 16 (as printed)
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle; ``weight`` is 1 over the number of assigned vehicles.
+    Writes: ``loss[1]`` by atomic add; the caller zeroes it.
+    """
+    vehicle = wp.tid()
+    camera = assigned_camera[vehicle]
+    if camera < 0:
+        return
+    around = float(0.0)
+    for a in range(rotation_count):
+        around += measure[camera * rotation_count + a, vehicle, VISIBLE_AREA]
+    if around < 0.5:
+        wp.atomic_add(loss, 1, weight)
+        return
+    ahead = camera * rotation_count
+    detected = soft_masked_area(measure[ahead, vehicle, BOX_AREA], measure[ahead, vehicle, VISIBLE_AREA], epsilon)
+    visibility = detected / around  # Eq. 14
+    wp.atomic_add(loss, 1, weight * wp.max(min_visibility - visibility, 0.0) / min_visibility)  # Eq. 15, 16

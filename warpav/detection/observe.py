@@ -1,0 +1,103 @@
+"""What a detector makes of a rendered scene, camera by camera: truth boxes, detections, and which belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.detection.detector import Detections, Detector
+from warpav.detection.ground_truth import largest_component_box
+from warpav.detection.matching import match_detections
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Renderer
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Detections of one scene through the cameras of a rig.
+
+    Attributes:
+        image_rgb: What the cameras see, uint8 [camera, row, column, 3].
+        detections: What the detector says, one per camera.
+        truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is seen, float32
+            [camera, vehicle, 4].
+        match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
+    """
+
+    image_rgb: np.ndarray
+    detections: list[Detections]
+    truth_box_px: np.ndarray
+    match: np.ndarray
+
+    def matched_box_px(self) -> np.ndarray:
+        """Box of the detection matched to every vehicle [px]; all 0 where there is none, float32 [camera, vehicle,
+        4].
+        """
+        box = np.zeros((*self.match.shape, 4), np.float32)
+        for camera, detections in enumerate(self.detections):
+            found = self.match[camera] >= 0
+            box[camera, found] = detections.box_px[self.match[camera, found]]
+        return box
+
+    def matched_confidence(self) -> np.ndarray:
+        """Confidence of the detection matched to every vehicle, NaN where there is none, float64 [camera, vehicle]."""
+        confidence = np.full(self.match.shape, np.nan)
+        for camera, detections in enumerate(self.detections):
+            found = self.match[camera] >= 0
+            confidence[camera, found] = detections.confidence[self.match[camera, found]]
+        return confidence
+
+
+def observe(
+    renderer: Renderer,
+    scene: DeviceScene,
+    detector: Detector,
+    *,
+    ahead_view: Sequence[int],
+    confidence_min: float,
+    iou_min: float,
+    min_area_px: int = 16,
+) -> Observation:
+    """Run the detector on what the cameras see in the renderer's last render, and match its boxes to the truth.
+
+    Args:
+        renderer: Has rendered ``scene``.
+        scene: The scene.
+        detector: Finds vehicles.
+        ahead_view: The view of each camera in which it looks straight ahead.
+        confidence_min: Least confidence of a match.
+        iou_min: Least intersection over union of a match.
+        min_area_px: Visible parts smaller than this have no truth box [px^2].
+
+    Returns:
+        The observation; nothing here carries a gradient.
+    """
+    image_rgb = (renderer.rgb(scene, ahead_view).numpy() * 255.0 + 0.5).astype(np.uint8)
+    detections = detector.detect(image_rgb)
+    masks = renderer.visible_masks(scene, ahead_view)
+    samples = renderer.supersampling
+    truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
+    match = np.full((len(masks), scene.vehicle_count), -1, np.int64)
+    for camera, (masks_of_camera, found) in enumerate(zip(masks, detections, strict=True)):
+        inside = np.zeros((scene.vehicle_count, len(found)), bool)
+        for vehicle, (left, top, mask) in enumerate(masks_of_camera):
+            if not mask.any():
+                continue
+            box = largest_component_box(mask, min_area_px=min_area_px * samples * samples)
+            if box is not None:
+                truth_box_px[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
+            # part of the vehicle is seen inside the detection
+            for k, box_px in enumerate(found.box_px * samples):
+                x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
+                inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
+        match[camera] = match_detections(
+            truth_box_px[camera],
+            found.box_px,
+            found.confidence,
+            confidence_min=confidence_min,
+            iou_min=iou_min,
+            seen_inside=inside,
+        )
+    return Observation(image_rgb, detections, truth_box_px, match)

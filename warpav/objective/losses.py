@@ -1,0 +1,146 @@
+"""The thesis's losses of a scene, and the Lagrangian of them all, on the tape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from warpav.objective.mount import CameraMount, PlacedViews
+from warpav.render.renderer import Measures
+from warpav_kernels import lagrangian, placement_losses
+
+# order of the objective losses in their array
+OBJECTIVES = ("in_frame_rotation", "detected_area")
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """Scales and parameters of the losses.
+
+    Attributes:
+        in_frame_rotation: Scale of the in-frame rotation loss, at least 0.
+        detected_area: Scale of the detected-area loss, at least 0.
+        min_detected_area: Visibility below which a vehicle costs something, in (0, 1].
+        epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
+        min_spacing_m: Least distance between two camera centres [m], positive.
+        multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
+    """
+
+    in_frame_rotation: float = 1.0
+    detected_area: float = 10.0
+    min_detected_area: float = 0.5
+    epsilon: float = 1e-5
+    min_spacing_m: float = 0.2
+    multiplier_damping: float = 0.0
+
+    @property
+    def objective_scale(self) -> tuple[float, float]:
+        """Scales in the order of `OBJECTIVES`."""
+        return self.in_frame_rotation, self.detected_area
+
+    @property
+    def constraint_scale(self) -> float:
+        """Scale of every constraint: the largest of the objectives', as in the thesis."""
+        return max(self.objective_scale)
+
+    @property
+    def objective_count(self) -> int:
+        """Number of objectives that take part."""
+        return sum(scale > 0.0 for scale in self.objective_scale)
+
+
+def add_placement_losses(
+    loss: wp.array,
+    *,
+    mount: CameraMount,
+    views: PlacedViews,
+    rendered: Measures,
+    assigned_camera: wp.array,
+    assigned_count: int,
+    scene_weight: float,
+    settings: LossSettings,
+) -> None:
+    """Add one scene's in-frame rotation and detected-area loss to ``loss``, recorded on the active tape.
+
+    Args:
+        loss: Sums in the order of `OBJECTIVES`, float [2].
+        mount: Knows the rotational additions and the lens.
+        views: Placed views; gradients flow to their poses and yaw.
+        rendered: Measures of the scene in these views.
+        assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
+        assigned_count: Number of vehicles that have a camera; a scene without any adds nothing.
+        scene_weight: Weight of the scene in the batch.
+        settings: Parameters of the losses.
+    """
+    if assigned_count == 0:
+        return
+    device = loss.device
+    vehicle_count = assigned_camera.shape[0]
+    weight = scene_weight / assigned_count
+    bearing_rad = wp.empty(vehicle_count, dtype=wp.vec2, device=device)
+    sight = wp.empty(vehicle_count, dtype=wp.int32, device=device)
+    wp.launch(
+        placement_losses.find_vehicle_bearings_kernel,
+        dim=vehicle_count,
+        inputs=[
+            rendered.value,
+            assigned_camera,
+            views.mount_pose,
+            mount.rotation_count,
+            mount.rotation_step_rad,
+            float(mount.camera.width_px),
+            mount.camera.fov_rad,
+        ],
+        outputs=[bearing_rad, sight],
+        device=device,
+        record_tape=False,
+    )
+    wp.launch(
+        placement_losses.in_frame_rotation_loss_kernel,
+        dim=vehicle_count,
+        inputs=[views.mount_pose, assigned_camera, bearing_rad, sight, settings.epsilon, weight],
+        outputs=[loss],
+        device=device,
+    )
+    wp.launch(
+        placement_losses.detected_area_loss_kernel,
+        dim=vehicle_count,
+        inputs=[
+            rendered.on_tape(views.position_ego_m, views.camera_from_ego),
+            assigned_camera,
+            mount.rotation_count,
+            settings.min_detected_area,
+            settings.epsilon,
+            weight,
+        ],
+        outputs=[loss],
+        device=device,
+    )
+
+
+def lagrangian_of(
+    objective_loss: wp.array, constraint_loss: wp.array, multiplier: wp.array, settings: LossSettings
+) -> wp.array:
+    """The number that the rig's gradient descent lowers and the multipliers' ascent raises (thesis Eq. 1), float
+    [1].
+    """
+    device = objective_loss.device
+    total = wp.zeros(1, dtype=float, device=device, requires_grad=True)
+    constraint_scale = [settings.constraint_scale] * constraint_loss.shape[0]
+    wp.launch(
+        lagrangian.lagrangian_kernel,
+        dim=1,
+        inputs=[
+            objective_loss,
+            wp.array(settings.objective_scale, dtype=float, device=device),
+            constraint_loss,
+            wp.array(constraint_scale, dtype=float, device=device),
+            multiplier,
+            float(settings.objective_count),
+            settings.multiplier_damping,
+        ],
+        outputs=[total],
+        device=device,
+    )
+    return total
