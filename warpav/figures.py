@@ -1,0 +1,467 @@
+"""Figures of a run as PNG files: loss curves, the rig from above, the height map, detections before and after.
+
+Every function draws one figure, writes it and returns its path. Colours of cameras are those of the 3D pictures.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.errors import InputError
+from warpav.view.frustum import sector_polygon_m
+from warpav.view.palette import (
+    FALSE_POSITIVE_RGB,
+    GRID_RGB,
+    INK_RGB,
+    MISS_RGB,
+    MUTED_RGB,
+    PAPER_RGB,
+    TRUE_POSITIVE_RGB,
+    TRUTH_RGB,
+    camera_rgb,
+    hex_colour,
+)
+
+if TYPE_CHECKING:
+    from warpav.geometry.mesh import Mesh
+    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.rig import Rig
+    from warpav.scene.scene import Scene
+
+WIDTH_INCH = 9.0
+DOTS_PER_INCH = 150
+
+STYLE: dict[str, Any] = {
+    "font.size": 10.0,
+    "axes.titlesize": 11.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": hex_colour(MUTED_RGB),
+    "axes.labelcolor": hex_colour(INK_RGB),
+    "axes.titlecolor": hex_colour(INK_RGB),
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": hex_colour(GRID_RGB),
+    "grid.linewidth": 0.8,
+    "xtick.color": hex_colour(MUTED_RGB),
+    "ytick.color": hex_colour(MUTED_RGB),
+    "text.color": hex_colour(INK_RGB),
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": hex_colour(PAPER_RGB),
+}
+
+
+@dataclass(frozen=True)
+class DetectionPanel:
+    """One camera image with what is there and what was found.
+
+    Attributes:
+        title: A short line above the image.
+        image_rgb: The image, uint8, shape [row, column, 3].
+        truth_box_px: Ground-truth boxes (x0, y0, x1, y1) [px], shape [vehicle, 4]; NaN where a vehicle has none.
+        detection_box_px: Detected boxes [px], shape [detection, 4].
+        detection_of_truth: Index of the detection that found each vehicle, -1 for none, shape [vehicle].
+    """
+
+    title: str
+    image_rgb: np.ndarray
+    truth_box_px: np.ndarray
+    detection_box_px: np.ndarray
+    detection_of_truth: np.ndarray
+
+
+def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_distance_m: float | None = None) -> Path:
+    """Draw loss, loss terms, multipliers and the smallest camera distance over the iterations.
+
+    Args:
+        records: The lines of ``events.jsonl``, in order: ``iteration``, ``loss``, ``terms``, ``multipliers``,
+            ``positions_m``.
+        path: PNG file to write.
+        min_distance_m: The distance that the cameras must keep [m]; drawn as a limit when given.
+
+    Raises:
+        InputError: No records, or one without these keys.
+    """
+    if not records:
+        raise InputError(f"{path}: there is no iteration to draw; run at least one")
+    missing = [key for key in ("iteration", "loss", "terms", "multipliers", "positions_m") if key not in records[0]]
+    if missing:
+        raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
+    iteration = np.array([record["iteration"] for record in records])
+    multiplier_names = list(records[0]["multipliers"])
+    with _style():
+        figure = _figure(WIDTH_INCH, 5.6)
+        axes = figure.subplots(2, 2, sharex=True)
+        loss = np.array([record["loss"] for record in records], dtype=np.float64)
+        axes[0, 0].plot(iteration, loss, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2)
+        axes[0, 0].plot(iteration, running_mean(loss), color=hex_colour(INK_RGB))
+        axes[0, 0].set_title("Loss")
+        for index, name in enumerate(records[0]["terms"]):
+            term = np.array([record["terms"].get(name, math.nan) for record in records], dtype=np.float64)
+            colour = hex_colour(camera_rgb(index))
+            axes[0, 1].plot(iteration, term, color=colour, alpha=0.25, linewidth=1.2)
+            axes[0, 1].plot(iteration, running_mean(term), color=colour, label=name)
+        axes[0, 1].set_title("Loss terms")
+        for index, name in enumerate(multiplier_names):
+            value = [np.max(record["multipliers"][name], initial=0.0) for record in records]
+            axes[1, 0].plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
+        axes[1, 0].set_title("Multipliers")
+        spacing = [_smallest_distance_m(record["positions_m"]) for record in records]
+        axes[1, 1].plot(iteration, spacing, color=hex_colour(INK_RGB))
+        axes[1, 1].set_title("Smallest distance between cameras [m]")
+        largest = np.nanmax([*spacing, min_distance_m or 0.0, 1e-3])
+        axes[1, 1].set_ylim(0.0, 1.1 * float(largest))
+        if min_distance_m is not None:
+            axes[1, 1].axhline(
+                min_distance_m, color=hex_colour(FALSE_POSITIVE_RGB), linestyle=(0, (4, 3)), linewidth=1.3
+            )
+            axes[1, 1].annotate(
+                f"must keep {min_distance_m:g} m",
+                (1.0, min_distance_m),
+                xycoords=("axes fraction", "data"),
+                xytext=(0, 4),
+                textcoords="offset points",
+                ha="right",
+                color=hex_colour(FALSE_POSITIVE_RGB),
+                fontsize=9,
+            )
+        for axis, names in ((axes[0, 1], records[0]["terms"]), (axes[1, 0], multiplier_names)):
+            if names:
+                axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
+        for axis in axes[1]:
+            axis.set_xlabel("iteration")
+        return _save(figure, path)
+
+
+def rig_top_view(
+    path: Path | str,
+    *,
+    rig: Rig,
+    ego: Mesh,
+    mount_surface: MountSurface,
+    rig_initial: Rig | None = None,
+    trajectory_m: np.ndarray | None = None,
+    sector_radius_m: float = 1.6,
+) -> Path:
+    """Draw the vehicle from above with the cameras, where they started, their paths and their sectors.
+
+    Args:
+        path: PNG file to write.
+        rig: The cameras at the end.
+        ego: The vehicle; its outline is drawn.
+        mount_surface: The height map below the cameras.
+        rig_initial: The cameras at the start, drawn hollow.
+        trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
+        sector_radius_m: How far the sectors are drawn [m].
+    """
+    with _style():
+        figure = _figure(WIDTH_INCH, 6.0)
+        axis = figure.subplots()
+        _draw_vehicle(axis, ego)
+        image = _draw_height_map(axis, mount_surface, colours=_pale_map())
+        if trajectory_m is not None:
+            step = np.asarray(trajectory_m, dtype=np.float64)
+            for index in range(step.shape[1]):
+                axis.plot(*step[:, index, :2].T, color="white", linewidth=4.0, zorder=5)
+                axis.plot(*step[:, index, :2].T, color=hex_colour(camera_rgb(index)), linewidth=1.8, zorder=6)
+        for index, camera in enumerate(rig.cameras):
+            colour = hex_colour(camera_rgb(index))
+            if rig_initial is not None and index < len(rig_initial.cameras):
+                start = rig_initial.cameras[index].position_m
+                axis.plot(
+                    start[0],
+                    start[1],
+                    "o",
+                    markersize=8,
+                    markerfacecolor="white",
+                    markeredgecolor=colour,
+                    markeredgewidth=1.8,
+                    zorder=7,
+                )
+            outline = sector_polygon_m(camera, radius_m=sector_radius_m)
+            axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
+            axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
+            axis.plot(
+                camera.position_m[0],
+                camera.position_m[1],
+                "o",
+                markersize=10,
+                markerfacecolor=colour,
+                markeredgecolor="white",
+                markeredgewidth=1.5,
+                zorder=8,
+            )
+            arc_middle = outline[1:][(len(outline) - 1) // 2]
+            direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
+            label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
+            side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
+            axis.text(*label, camera.name, color=colour, ha=side, va="center", fontweight="bold", zorder=9)
+            axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
+        if rig_initial is not None:
+            grey = hex_colour(MUTED_RGB)
+            axis.plot([], [], "o", markersize=8, markerfacecolor="white", markeredgecolor=grey, label="start")
+            axis.plot([], [], "o", markersize=9, color=grey, label="end")
+            axis.legend(loc="upper left")
+        axis.set_aspect("equal")
+        axis.use_sticky_edges = False
+        axis.margins(0.04)
+        axis.autoscale_view()
+        axis.set_xlabel("x, forward [m]")
+        axis.set_ylabel("y, left [m]")
+        bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
+        bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        return _save(figure, path)
+
+
+def height_map_figure(mount_surface: MountSurface, ego: Mesh, path: Path | str) -> Path:
+    """Draw the height map over the vehicle, from above and from the side (after figure 9 of the thesis)."""
+    low, high = ego.bounds_m().astype(np.float64)
+    margin = 0.12
+    width, height = high[1] - low[1] + 2 * margin, high[2] - low[2] + 2 * margin
+    with _style():
+        figure = _figure(WIDTH_INCH, 1.4 + 0.86 * WIDTH_INCH * (width + height) / (high[0] - low[0] + 2 * margin))
+        above, side = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [width, height]})
+        corner = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)]
+        _draw_triangles(above, corner[:, :, :2], colour=hex_colour(GRID_RGB))
+        _draw_triangles(side, corner[:, :, [0, 2]], colour=hex_colour(GRID_RGB))
+        image = _draw_height_map(above, mount_surface, colours="viridis")
+        raster = np.asarray(mount_surface.height_m, dtype=np.float64)
+        x = mount_surface.origin_m[0] + mount_surface.cell_m * np.arange(raster.shape[0])
+        colour = hex_colour(camera_rgb(0))
+        side.fill_between(
+            x, raster.min(axis=1), raster.max(axis=1), color=colour, alpha=0.25, lw=0, label="over the width"
+        )
+        side.plot(x, raster[:, raster.shape[1] // 2], color=colour, label="along the middle")
+        side.legend(loc="lower center", ncols=2)
+        above.set_title("From above")
+        side.set_title("From the side")
+        above.set_ylabel("y, left [m]")
+        side.set_ylabel("z, up [m]")
+        side.set_xlabel("x, forward [m]")
+        for axis, first, last in ((above, low[1], high[1]), (side, low[2], high[2])):
+            axis.set_aspect("equal")
+            axis.set_xlim(low[0] - margin, high[0] + margin)
+            axis.set_ylim(first - margin, last + margin)
+        bar = figure.colorbar(image, ax=[above, side], shrink=0.6, pad=0.02, aspect=28)
+        bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        return _save(figure, path)
+
+
+def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | str) -> Path:
+    """Draw camera images in a grid with what was there, what was found and what was not.
+
+    Ground truth is thin white, true positives green, false positives red, misses dashed orange.
+
+    Args:
+        rows: The images of each row by the row's heading, for example ``start`` and ``after 100 iterations``.
+        path: PNG file to write.
+
+    Raises:
+        InputError: There is no image.
+    """
+    column_count = max((len(panels) for panels in rows.values()), default=0)
+    if column_count == 0:
+        raise InputError(f"{path}: there is no image to draw")
+    from matplotlib.lines import Line2D
+
+    sample = next(panels[0].image_rgb for panels in rows.values() if panels)
+    edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
+    row_inch = edge_inch * sample.shape[0] / sample.shape[1] + 0.3
+    with _style():
+        figure = _figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
+        grid = figure.subplots(len(rows), column_count, squeeze=False)
+        for (heading, panels), axes in zip(rows.items(), grid, strict=True):
+            for column, axis in enumerate(axes):
+                axis.set(xticks=[], yticks=[], frame_on=False)
+                if column < len(panels):
+                    _draw_panel(axis, panels[column])
+            axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
+        handles = [
+            Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="found"),
+            Line2D([], [], color=hex_colour(MISS_RGB), linewidth=2.2, linestyle=(0, (3, 2)), label="missed"),
+            Line2D([], [], color=hex_colour(FALSE_POSITIVE_RGB), linewidth=2.2, label="false alarm"),
+            Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+        return _save(figure, path)
+
+
+def scene_heat_map(scenes: Sequence[Scene], path: Path | str, *, radius_m: float = 25.0, cell_m: float = 0.25) -> Path:
+    """Draw how often traffic stands where around the ego vehicle (after figure 8 of the thesis).
+
+    Args:
+        scenes: What to count; each needs its vehicles' boxes.
+        path: PNG file to write.
+        radius_m: Half the edge of the map [m].
+        cell_m: Edge of a cell [m].
+    """
+    share = vehicle_occupancy(scenes, radius_m=radius_m, cell_m=cell_m)
+    with _style():
+        figure = _figure(6.4, 5.4)
+        axis = figure.subplots()
+        extent = (radius_m, -radius_m, -radius_m, radius_m)
+        image = axis.imshow(
+            share[::-1, ::-1], extent=extent, cmap="OrRd", interpolation="bilinear", aspect="equal", origin="upper"
+        )
+        axis.grid(visible=False)
+        low, high = scenes[0].ego.bounds_m()
+        axis.fill([low[1], high[1], high[1], low[1]], [low[0], low[0], high[0], high[0]], color=hex_colour(INK_RGB))
+        axis.text((low[1] + high[1]) / 2, high[0] + 0.6, "ego", ha="center", fontweight="bold")
+        axis.set_xlabel("y, left [m]")
+        axis.set_ylabel("x, forward [m]")
+        axis.set_title(f"Share of {len(scenes)} scenes with a vehicle there")
+        figure.colorbar(image, ax=axis, shrink=0.8, pad=0.02).outline.set_visible(False)
+        return _save(figure, path)
+
+
+def vehicle_occupancy(scenes: Sequence[Scene], *, radius_m: float, cell_m: float) -> np.ndarray:
+    """Share of the scenes in which a vehicle's box covers a cell.
+
+    Args:
+        scenes: At least one scene.
+        radius_m: Half the edge of the map [m], around the origin of the ego frame.
+        cell_m: Edge of a cell [m].
+
+    Returns:
+        0..1, float64, shape [row, column]; rows run along x, columns along y, both from ``-radius_m``.
+    """
+    if not scenes:
+        raise InputError("a heat map needs at least one scene, got 0")
+    count = math.ceil(2.0 * radius_m / cell_m)
+    centre = -radius_m + (np.arange(count) + 0.5) * cell_m
+    x, y = np.meshgrid(centre, centre, indexing="ij")
+    total = np.zeros((count, count))
+    for scene in scenes:
+        covered = np.zeros((count, count), dtype=bool)
+        for vehicle in scene.vehicles:
+            cosine, sine = math.cos(vehicle.box.yaw_rad), math.sin(vehicle.box.yaw_rad)
+            dx, dy = x - vehicle.box.center_m[0], y - vehicle.box.center_m[1]
+            covered |= (np.abs(cosine * dx + sine * dy) <= vehicle.box.size_m[0] / 2) & (
+                np.abs(cosine * dy - sine * dx) <= vehicle.box.size_m[1] / 2
+            )
+        total += covered
+    return total / len(scenes)
+
+
+def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
+    """Mean over the ``window`` entries around each one, fewer at the ends; NaN entries do not count."""
+    value = np.asarray(value, dtype=np.float64)
+    half = window // 2
+    valid = np.isfinite(value)
+    total = np.convolve(np.pad(np.where(valid, value, 0.0), half), np.ones(2 * half + 1), mode="valid")
+    count = np.convolve(np.pad(valid.astype(np.float64), half), np.ones(2 * half + 1), mode="valid")
+    return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
+
+
+def _smallest_distance_m(position_m: object) -> float:
+    position = np.asarray(position_m, dtype=np.float64)
+    first, second = np.triu_indices(len(position), 1)
+    if len(first) == 0:
+        return math.nan
+    return float(np.linalg.norm(position[first] - position[second], axis=1).min())
+
+
+def _draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
+    _draw_triangles(axis, np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, :2], colour=hex_colour(GRID_RGB))
+
+
+def _draw_triangles(axis: Any, corner_m: np.ndarray, *, colour: str) -> None:  # noqa: ANN401 (matplotlib)
+    """A silhouette: all triangles in one flat colour, those that are edge on left out; [triangle, 3, 2]."""
+    from matplotlib.collections import PolyCollection
+
+    axis.add_collection(PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=0.6, zorder=1))
+    axis.autoscale_view()
+
+
+def _draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)
+    low, high = np.asarray(mount_surface.bounds_m, dtype=np.float64)
+    half = mount_surface.cell_m / 2.0
+    return axis.imshow(
+        np.asarray(mount_surface.height_m).T,
+        origin="lower",
+        extent=(low[0] - half, high[0] + half, low[1] - half, high[1] + half),
+        cmap=colours,
+        zorder=2,
+        interpolation="nearest",
+    )
+
+
+def _pale_map() -> Any:  # noqa: ANN401 (matplotlib)
+    """Greys that leave room for the colours of the cameras: low is light, high is darker."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("pale", ["#f4f6f9", "#a9b5c6"])
+
+
+def _draw_panel(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (matplotlib)
+    height, width = panel.image_rgb.shape[:2]
+    axis.imshow(panel.image_rgb, extent=(0, width, height, 0), interpolation="antialiased")
+    match = np.asarray(panel.detection_of_truth, dtype=int)
+    truth = np.asarray(panel.truth_box_px, dtype=np.float64).reshape(-1, 4)
+    detection = np.asarray(panel.detection_box_px, dtype=np.float64).reshape(-1, 4)
+    present = np.isfinite(truth).all(axis=1)
+    for box, found in zip(truth[present], match[present] >= 0, strict=True):
+        if found:
+            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9)
+        else:
+            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)))
+    found_index = set(match[present & (match >= 0)].tolist())
+    for index, box in enumerate(detection):
+        _draw_box(axis, box, TRUE_POSITIVE_RGB if index in found_index else FALSE_POSITIVE_RGB, linewidth=1.6)
+    axis.set_xlim(0, width)
+    axis.set_ylim(height, 0)
+    axis.set_title(
+        f"{panel.title}: {len(found_index)} of {int(present.sum())} found", fontsize=9.5, fontweight="normal", pad=4
+    )
+
+
+def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **line: Any) -> None:  # noqa: ANN401
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = box_px
+    axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=hex_colour(colour), **line))
+
+
+def _style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
+    import matplotlib
+
+    return matplotlib.rc_context(STYLE)
+
+
+def _figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matplotlib)
+    """A figure that belongs to no window, whatever backend the caller's notebook uses."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_inch, height_inch), dpi=DOTS_PER_INCH, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
+    path = Path(path)
+    encoded = io.BytesIO()
+    figure.savefig(encoded, format="png", metadata={"Software": None})
+    unfinished = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_bytes(encoded.getvalue())
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    return path

@@ -1,0 +1,38 @@
+"""The colours of every picture: one per camera, the same in 3D views and in figures."""
+
+from __future__ import annotations
+
+Rgb = tuple[int, int, int]
+"""An sRGB colour, 0..255."""
+
+CAMERA_RGB: tuple[Rgb, ...] = (
+    (36, 107, 224),  # blue
+    (240, 126, 22),  # orange
+    (18, 160, 128),  # teal
+    (206, 58, 142),  # magenta
+    (122, 86, 214),  # violet
+    (214, 160, 0),  # gold
+    (0, 158, 206),  # sky
+    (142, 94, 58),  # brown
+)
+
+PAPER_RGB: Rgb = (255, 255, 255)
+GROUND_RGB: Rgb = (238, 240, 243)
+INK_RGB: Rgb = (38, 44, 54)
+MUTED_RGB: Rgb = (132, 140, 152)
+GRID_RGB: Rgb = (226, 229, 234)
+
+TRUTH_RGB: Rgb = (255, 255, 255)
+TRUE_POSITIVE_RGB: Rgb = (57, 211, 83)
+FALSE_POSITIVE_RGB: Rgb = (240, 62, 62)
+MISS_RGB: Rgb = (255, 159, 28)
+
+
+def camera_rgb(index: int) -> Rgb:
+    """Colour of the camera with this index, from 0; the colours repeat after the eighth."""
+    return CAMERA_RGB[index % len(CAMERA_RGB)]
+
+
+def hex_colour(rgb: Rgb) -> str:
+    """The colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb)

@@ -1,0 +1,457 @@
+"""The picture of a rig: ego vehicle, cameras with frustums and sectors, paths of the optimisation, traffic.
+
+Every function adds to a plotter that the caller owns. Actors carry stable names (``rig/<camera>/frustum``,
+``scene/vehicles`` ...), so drawing again replaces what was drawn before.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.frustum import bearing_sector_rad, frustum_points
+from warpav.view.opengl import load_pyvista
+from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpav.geometry.mesh import Mesh
+    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.scene import Scene
+
+    Plotter = Any
+    PolyData = Any
+
+WINDOW_PX = (1280, 800)
+FRUSTUM_DEPTH_M = 1.25
+SECTOR_RADIUS_M = 9.0
+HAZE_START_M = 9.0
+HAZE_END_M = 22.0
+VIEW_AZIMUTH_RAD = math.radians(38.0)
+GROUND_CUT_M = 0.6
+"""What of the environment lies lower is ground; what rises above it counts as building."""
+
+
+def mesh_to_pyvista(mesh: Mesh) -> PolyData:
+    """The mesh as ``pyvista.PolyData``; colours are the point data ``RGB`` (uint8, shape [vertex, 3])."""
+    pyvista = load_pyvista()
+    surface = pyvista.PolyData.from_regular_faces(np.asarray(mesh.vertex_m), np.asarray(mesh.triangle))
+    surface.point_data["RGB"] = mesh.vertex_rgb
+    return surface
+
+
+def rig_plotter(
+    rig: Rig,
+    *,
+    ego: Mesh,
+    scene: Scene | None = None,
+    trajectory_m: np.ndarray | None = None,
+    mount_surface: MountSurface | None = None,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_PX,
+    title: str | None = None,
+    frustum_depth_m: float = FRUSTUM_DEPTH_M,
+    sectors: bool = True,
+    labels: bool = True,
+) -> Plotter:
+    """A plotter with the whole picture, not yet shown: call ``.show()`` on it or `warpav.view.picture.save_picture`.
+
+    Args:
+        rig: The cameras.
+        ego: The vehicle that carries them, in the ego frame.
+        scene: Traffic and street around it; an empty ground when None.
+        trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
+        mount_surface: When given, drawn on the vehicle in colours of height.
+        off_screen: Draw without a window; by default when there is no display.
+        window_size: Width and height [px].
+        title: A line in the upper left corner.
+        frustum_depth_m: How far the frustums are drawn [m].
+        sectors: Whether to draw on the ground what bearings each camera covers.
+        labels: Whether to name the cameras.
+
+    Raises:
+        InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
+    """
+    pyvista = load_pyvista()
+    if off_screen is None:
+        from warpav.view.opengl import has_display
+
+        off_screen = not has_display()
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="light kit")
+    plotter.set_background(hex_colour(PAPER_RGB))
+    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    look_at_ego(plotter, ego, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD)
+    add_ego(plotter, ego)
+    add_ground(plotter, ego, shadow=scene is None, rings=scene is None)
+    if scene is not None:
+        add_scene(plotter, scene)
+    if mount_surface is not None:
+        add_mount_surface(plotter, mount_surface)
+    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    if trajectory_m is not None:
+        add_trajectory(plotter, trajectory_m)
+    if title:
+        plotter.add_text(
+            title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
+        )
+    return plotter
+
+
+def look_at_ego(
+    plotter: Plotter,
+    ego: Mesh,
+    *,
+    azimuth_rad: float = VIEW_AZIMUTH_RAD,
+    elevation_rad: float = math.radians(33.0),
+) -> None:
+    """Point the plotter's camera at the ego vehicle, by default from the front left.
+
+    Args:
+        plotter: Where to draw.
+        ego: The vehicle in the middle of the picture.
+        azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
+        elevation_rad: Height of the viewer above the horizon [rad].
+    """
+    low, high = ego.bounds_m().astype(np.float64)
+    target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
+    distance = 4.1 * float(high[0] - low[0])
+    direction = np.array(
+        [
+            math.cos(elevation_rad) * math.cos(azimuth_rad),
+            math.cos(elevation_rad) * math.sin(azimuth_rad),
+            math.sin(elevation_rad),
+        ]
+    )
+    plotter.camera_position = [tuple(target + distance * direction), tuple(target), (0.0, 0.0, 1.0)]
+    plotter.camera.view_angle = 28.0
+    plotter.camera_set = True
+
+
+def clear_azimuth_rad(scene: Scene) -> float:
+    """Bearing of the viewer from which the least traffic stands before the ego vehicle [rad].
+
+    Front left, unless something stands there and less stands at the front right.
+    """
+    low, high = scene.ego.bounds_m().astype(np.float64)
+    middle = (low[:2] + high[:2]) / 2
+
+    def hidden(azimuth_rad: float) -> float:
+        towards_viewer = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
+        total = 0.0
+        for vehicle in scene.vehicles:
+            offset = np.asarray(vehicle.box.center_m, dtype=np.float64)[:2] - middle
+            along = float(offset @ towards_viewer)
+            across = offset[0] * -towards_viewer[1] + offset[1] * towards_viewer[0]
+            if 0.0 < along < 12.0:
+                total += float(vehicle.box.size_m[2]) * math.exp(-((across / 3.0) ** 2) - along / 6.0)
+        return total
+
+    return min((VIEW_AZIMUTH_RAD, -VIEW_AZIMUTH_RAD), key=lambda azimuth: round(hidden(azimuth), 2))
+
+
+def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
+    """Where points of the ego frame appear in the plotter's picture [px], from the upper left corner.
+
+    Args:
+        plotter: The picture; it need not have been drawn yet.
+        point_m: Points in front of the viewer [m], shape [point, 3].
+
+    Returns:
+        Column and row [px], float64, shape [point, 2]; outside the picture where the point is not in it.
+    """
+    width, height = plotter.window_size
+    matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1.0, 1.0)
+    from_world = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    clip = np.column_stack([np.asarray(point_m, dtype=np.float64), np.ones(len(point_m))]) @ from_world.T
+    unit = clip[:, :2] / clip[:, 3:]
+    return np.column_stack([(unit[:, 0] + 1.0) / 2.0 * width, (1.0 - unit[:, 1]) / 2.0 * height])
+
+
+def add_ego(plotter: Plotter, ego: Mesh, *, name: str = "ego") -> None:
+    """Add the ego vehicle in its own colours."""
+    plotter.add_mesh(mesh_to_pyvista(ego), scalars="RGB", rgb=True, name=name, **_BAKED)
+
+
+def add_ground(plotter: Plotter, ego: Mesh, *, shadow: bool = True, rings: bool = True, name: str = "ground") -> None:
+    """Add a plain ground that fades into the background.
+
+    Args:
+        plotter: Where to draw.
+        ego: The vehicle in its middle.
+        shadow: Whether the vehicle throws a soft shadow.
+        rings: Whether to mark distances of 5, 10 and 15 m from the vehicle.
+        name: First part of the actors' names.
+    """
+    low, high = ego.bounds_m().astype(np.float64)
+    middle = (low[:2] + high[:2]) / 2
+    turn = np.linspace(0.0, 2.0 * math.pi, 181)
+    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, 100), turn, height_m=-0.03)
+    colour = np.tile(np.asarray(GROUND_RGB, dtype=np.float64), (disc.n_points, 1))
+    if shadow:
+        outside = np.maximum(np.abs(disc.points[:, :2] - middle) - (high[:2] - low[:2]) / 2 + 0.35, 0.0)
+        colour *= 1.0 - 0.35 * np.exp(-np.square(outside / 0.45).sum(axis=1))[:, None]
+    disc.point_data["RGB"] = _hazed(colour, disc.points, middle)
+    plotter.add_mesh(disc, scalars="RGB", rgb=True, name=name, **_BAKED)
+    for radius in (5.0, 10.0, 15.0) if rings else ():
+        ring = _polar_grid(middle, np.array([radius - 0.012, radius + 0.012]), turn, height_m=-0.01)
+        plotter.add_mesh(ring, color=(205, 210, 218), lighting=False, name=f"{name}/ring_{radius:.0f}m")
+
+
+def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: float = 0.42) -> None:
+    """Add street and traffic around the ego vehicle, fading into the background with distance.
+
+    Buildings are left out: they would stand between the viewer and the vehicle.
+
+    Args:
+        plotter: Where to draw.
+        scene: What to draw, without its ego vehicle.
+        name: First part of the actors' names.
+        softness: How far the street's colours move towards the background, 0..1, so that cameras stand out.
+    """
+    from warpav.geometry.mesh import merge
+
+    low, high = scene.ego.bounds_m().astype(np.float64)
+    middle = (low[:2] + high[:2]) / 2
+    near = [vehicle.mesh for vehicle in scene.vehicles if _distance_m(vehicle.mesh, middle) < HAZE_END_M]
+    if near:
+        traffic = mesh_to_pyvista(merge(near))
+        distance = np.repeat([_distance_m(mesh, middle) for mesh in near], [len(mesh.vertex_m) for mesh in near])
+        traffic.point_data["RGB"] = _blend(traffic.point_data["RGB"], 0.12 + 0.88 * _haze(distance))
+        plotter.add_mesh(traffic, scalars="RGB", rgb=True, name=f"{name}/vehicles", **_BAKED)
+    ground = _ground_of(scene.environment, middle)
+    if ground is not None:
+        street = _blend(ground.point_data["RGB"], softness)
+        ground.point_data["RGB"] = _hazed(street, ground.points, middle)
+        plotter.add_mesh(ground, scalars="RGB", rgb=True, name=f"{name}/ground", **_BAKED)
+
+
+def add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: str = "mount_surface") -> None:
+    """Add the surface on which cameras may sit, coloured by height from dark (low) to light (high)."""
+    pyvista = load_pyvista()
+    height = np.asarray(mount_surface.height_m, dtype=np.float64)
+    row, column = np.indices(height.shape)
+    origin = np.asarray(mount_surface.origin_m, dtype=np.float64)
+    grid = pyvista.StructuredGrid(
+        origin[0] + row * mount_surface.cell_m, origin[1] + column * mount_surface.cell_m, height + 0.015
+    )
+    grid.point_data["height_m"] = height.ravel(order="F")
+    plotter.add_mesh(
+        grid, scalars="height_m", cmap="viridis", opacity=0.75, show_scalar_bar=False, lighting=False, name=name
+    )
+
+
+def add_rig(
+    plotter: Plotter,
+    rig: Rig,
+    *,
+    name: str = "rig",
+    frustum_depth_m: float = FRUSTUM_DEPTH_M,
+    sectors: bool = True,
+    labels: bool = True,
+) -> None:
+    """Add the cameras of a rig: body, frustum, sector on the ground, name.
+
+    Args:
+        plotter: Where to draw.
+        rig: The cameras; each has its own colour, the same as in every other picture.
+        name: First part of the actors' names.
+        frustum_depth_m: How far the frustums are drawn [m].
+        sectors: Whether to draw on the ground what bearings each camera covers.
+        labels: Whether to name the cameras.
+    """
+    for index, camera in enumerate(rig.cameras):
+        colour = camera_rgb(index)
+        _add_frustum(plotter, camera, colour, depth_m=frustum_depth_m, name=f"{name}/{camera.name}")
+        _add_camera_body(plotter, camera, colour, name=f"{name}/{camera.name}")
+        if sectors:
+            _add_sector(plotter, camera, colour, name=f"{name}/{camera.name}")
+    if labels:
+        _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name)
+
+
+def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "trajectory") -> None:
+    """Add the path of every camera over an optimisation as a tube, with a white ball where it started.
+
+    Args:
+        plotter: Where to draw.
+        trajectory_m: Camera positions [m], shape [iteration, camera, 3], at least one iteration.
+        name: First part of the actors' names.
+
+    Raises:
+        InputError: The array has another shape.
+    """
+    pyvista = load_pyvista()
+    path = checked_trajectory(trajectory_m)
+    for index in range(path.shape[1]):
+        point = path[:, index] + np.array([0.0, 0.0, 0.012])
+        moved = np.r_[True, np.linalg.norm(np.diff(point, axis=0), axis=1) > 1e-4]
+        point = point[moved]
+        colour = camera_rgb(index)
+        start = pyvista.Sphere(radius=0.06, center=point[0])
+        plotter.add_mesh(start, color="white", ambient=0.45, name=f"{name}/{index}/start", smooth_shading=True)
+        ring = pyvista.Disc(center=point[0], inner=0.06, outer=0.09, normal=(0, 0, 1), c_res=40)
+        plotter.add_mesh(ring, color=colour, lighting=False, name=f"{name}/{index}/start_ring")
+        if len(point) > 1:
+            tube = pyvista.lines_from_points(point).tube(radius=0.02, n_sides=14)
+            plotter.add_mesh(tube, color=colour, name=f"{name}/{index}/path", ambient=0.5, smooth_shading=True)
+
+
+def checked_trajectory(trajectory_m: object) -> np.ndarray:
+    """The trajectory as float64, shape [iteration, camera, 3].
+
+    Raises:
+        InputError: It has another shape or holds a number that is not finite.
+    """
+    from warpav.errors import InputError
+
+    path = np.asarray(trajectory_m, dtype=np.float64)
+    if path.ndim != 3 or path.shape[2] != 3 or 0 in path.shape:
+        raise InputError(f"trajectory_m: expected the shape [iteration, camera, 3], got {list(path.shape)}")
+    if not np.isfinite(path).all():
+        raise InputError("trajectory_m: some positions are NaN or infinite")
+    return path
+
+
+_BAKED: dict[str, Any] = {"lighting": False, "show_edges": False}
+"""Meshes of the town carry their light in their colours."""
+
+
+def _add_frustum(plotter: Plotter, camera: RigCamera, colour: Rgb, *, depth_m: float, name: str) -> None:
+    pyvista = load_pyvista()
+    point = frustum_points(camera, depth_m=depth_m)
+    side = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
+    plotter.add_mesh(
+        pyvista.PolyData.from_regular_faces(point, side),
+        color=colour,
+        opacity=0.07,
+        lighting=False,
+        name=f"{name}/frustum",
+    )
+    plane = pyvista.PolyData.from_regular_faces(point, np.array([[1, 2, 3, 4]]))
+    plotter.add_mesh(plane, color=colour, opacity=0.13, lighting=False, name=f"{name}/image_plane")
+    edges = pyvista.MultiBlock(
+        [pyvista.Line(point[0], point[corner]).tube(radius=0.011, n_sides=12) for corner in (1, 2, 3, 4)]
+        + [pyvista.lines_from_points(point[[1, 2, 3, 4, 1]]).tube(radius=0.013, n_sides=12)]
+    )
+    plotter.add_mesh(
+        edges.combine().extract_surface(algorithm=None), color=colour, lighting=False, name=f"{name}/edges"
+    )
+
+
+def _add_camera_body(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) -> None:
+    pyvista = load_pyvista()
+    body = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
+    lens = pyvista.Cylinder(center=(0, 0, 0.03), direction=(0, 0, 1), radius=0.05, height=0.06, resolution=32)
+    transform = np.asarray(camera.ego_from_camera, dtype=np.float64)
+    plotter.add_mesh(body.transform(transform, inplace=False), color=colour, ambient=0.35, name=f"{name}/body")
+    plotter.add_mesh(
+        lens.transform(transform, inplace=False), color=INK_RGB, ambient=0.3, smooth_shading=False, name=f"{name}/lens"
+    )
+
+
+def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) -> None:
+    right_rad, left_rad = bearing_sector_rad(camera)
+    bearing = np.linspace(right_rad, left_rad, 2 + math.ceil((left_rad - right_rad) / math.radians(2.0)))
+    centre = np.asarray(camera.position_m, dtype=np.float64)[:2]
+    radius = np.linspace(0.3, SECTOR_RADIUS_M, 40)
+    wedge = _polar_grid(centre, radius, bearing, height_m=0.16)
+    distance = np.linalg.norm(wedge.points[:, :2] - centre, axis=1)
+    alpha = 105.0 * np.clip(1.0 - distance / SECTOR_RADIUS_M, 0.0, 1.0) ** 0.8
+    wedge.point_data["RGBA"] = np.column_stack([np.tile(colour, (len(alpha), 1)), alpha]).astype(np.uint8)
+    plotter.add_mesh(wedge, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/sector")
+
+
+def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, name: str) -> None:
+    """Names above the frustums, moved up until none hides another from where the plotter looks now."""
+    point = [frustum_points(camera, depth_m=depth_m) for camera in cameras]
+    anchor = np.array([corner[1:].mean(axis=0) for corner in point])
+    anchor[:, 2] = [corner[:, 2].max() + 0.12 for corner in point]
+    width_px = np.array([11.0 * len(camera.name) + 30.0 for camera in cameras])
+    anchor = _without_overlap(plotter, anchor, width_px)
+    for index, camera in enumerate(cameras):
+        plotter.add_point_labels(
+            anchor[index][None],
+            [f" {camera.name} "],
+            name=f"{name}/{camera.name}/label",
+            font_size=17,
+            bold=True,
+            text_color="white",
+            shape="rounded_rect",
+            shape_color=camera_rgb(index),
+            shape_opacity=1.0,
+            margin=4,
+            show_points=False,
+            always_visible=True,
+        )
+
+
+def _without_overlap(plotter: Plotter, anchor_m: np.ndarray, width_px: np.ndarray) -> np.ndarray:
+    """Anchors raised in steps until labels of this width no longer overlap; [label, 3] and [label]."""
+    step_m, height_px = 0.12, 32.0
+    placed_px: list[np.ndarray] = []
+    raised_m = anchor_m.copy()
+    for index in np.argsort(-project_px(plotter, anchor_m)[:, 1]):  # lowest in the picture first
+        for _ in range(40):
+            here_px = project_px(plotter, raised_m[index][None])[0]
+            clear = all(
+                abs(here_px[0] - other[0]) > (width_px[index] + other[2]) / 2 or abs(here_px[1] - other[1]) > height_px
+                for other in placed_px
+            )
+            if clear:
+                break
+            raised_m[index, 2] += step_m
+        placed_px.append(np.array([*project_px(plotter, raised_m[index][None])[0], width_px[index]]))
+    return raised_m
+
+
+def _polar_grid(centre_m: np.ndarray, radius_m: np.ndarray, bearing_rad: np.ndarray, *, height_m: float) -> PolyData:
+    pyvista = load_pyvista()
+    radius, bearing = np.meshgrid(radius_m, bearing_rad, indexing="ij")
+    grid = pyvista.StructuredGrid(
+        centre_m[0] + radius * np.cos(bearing), centre_m[1] + radius * np.sin(bearing), np.full_like(radius, height_m)
+    )
+    return grid.extract_surface(algorithm=None)
+
+
+def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
+    """The low part of the environment near the ego vehicle, cut small enough to carry a fade; None if there is none."""
+    height = environment.vertex_m[:, 2][environment.triangle]
+    low = environment.triangle[height.max(axis=1) < GROUND_CUT_M]
+    if len(low) == 0:
+        return None
+    from warpav.geometry.mesh import Mesh
+
+    surface = mesh_to_pyvista(Mesh(environment.vertex_m, low, environment.vertex_rgb)).clean(point_merging=False)
+    surface.point_data["RGB"] = surface.point_data["RGB"].astype(np.float32)
+    for axis, normal in ((0, "x"), (1, "y")):
+        for sign in (-1.0, 1.0):
+            origin = [0.0, 0.0, 0.0]
+            origin[axis] = middle_m[axis] + sign * HAZE_END_M
+            surface = surface.clip(normal, origin=origin, invert=sign > 0)
+            if surface.n_cells == 0:
+                return None
+    return surface.triangulate().subdivide_adaptive(max_edge_len=1.5, max_n_passes=8)
+
+
+def _distance_m(mesh: Mesh, middle_m: np.ndarray) -> float:
+    low, high = mesh.bounds_m()
+    return float(np.linalg.norm((low[:2] + high[:2]) / 2 - middle_m))
+
+
+def _haze(distance_m: np.ndarray) -> np.ndarray:
+    t = np.clip((distance_m - HAZE_START_M) / (HAZE_END_M - HAZE_START_M), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _blend(colour_rgb: np.ndarray, share: float | np.ndarray) -> np.ndarray:
+    """Colours moved towards the background by ``share``, uint8."""
+    share = np.broadcast_to(np.asarray(share, dtype=np.float64), (len(colour_rgb),))[:, None]
+    return np.rint(np.asarray(colour_rgb) * (1.0 - share) + np.asarray(PAPER_RGB) * share).astype(np.uint8)
+
+
+def _hazed(colour_rgb: np.ndarray, point_m: np.ndarray, middle_m: np.ndarray) -> np.ndarray:
+    return _blend(colour_rgb, _haze(np.linalg.norm(np.asarray(point_m)[:, :2] - middle_m, axis=1)))
