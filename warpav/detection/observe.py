@@ -32,9 +32,7 @@ class Observation:
     match: np.ndarray
 
     def matched_box_px(self) -> np.ndarray:
-        """Box of the detection matched to every vehicle [px]; all 0 where there is none, float32 [camera, vehicle,
-        4].
-        """
+        """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
         box = np.zeros((*self.match.shape, 4), np.float32)
         for camera, detections in enumerate(self.detections):
             found = self.match[camera] >= 0

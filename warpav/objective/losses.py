@@ -122,9 +122,7 @@ def add_placement_losses(
 def lagrangian_of(
     objective_loss: wp.array, constraint_loss: wp.array, multiplier: wp.array, settings: LossSettings
 ) -> wp.array:
-    """The number that the rig's gradient descent lowers and the multipliers' ascent raises (thesis Eq. 1), float
-    [1].
-    """
+    """The number that descent lowers and the multipliers' ascent raises (thesis Eq. 1), float [1]."""
     device = objective_loss.device
     total = wp.zeros(1, dtype=float, device=device, requires_grad=True)
     constraint_scale = [settings.constraint_scale] * constraint_loss.shape[0]

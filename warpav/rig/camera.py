@@ -47,8 +47,8 @@ class CameraModel:
 def rotational_additions(fov_rad: float) -> tuple[int, float]:
     """How often, and by what angle, a camera turns to look all round.
 
-    ``2 pi mod F = 0`` cannot be tested in floating point; rounding alone gives the same value there. A field of view that
-    is not near a divisor of the circle leaves blind seams or overlaps, as in the thesis.
+    ``2 pi mod F = 0`` cannot be tested in floating point; rounding alone gives the same value there. A field of view
+    that is not near a divisor of the circle leaves blind seams or overlaps, as in the thesis.
 
     Equation: 2 (same value: rounding alone covers both cases)
 

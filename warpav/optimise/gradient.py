@@ -1,0 +1,264 @@
+"""Gradient descent on the cameras and gradient ascent on the multipliers (thesis section III.C)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpav.errors import InputError
+from warpav.objective.constraints import CONSTRAINTS, min_camera_distance_m, project_to_constraints
+from warpav.objective.mount import PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
+from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
+from warpav.optimise.segregation import BatchChooser
+from warpav_kernels import update
+
+
+@dataclass(frozen=True)
+class OptimiserSettings:
+    """How the descent steps.
+
+    Attributes:
+        iterations: Number of steps, at least 1.
+        batch_size: Scenes per step, at least 1.
+        learning_rate_position_m: First step of x and y [m].
+        learning_rate_yaw_rad: First step of the yaw [rad].
+        schedule: ``constant``, or ``cosine`` from the first step down to a hundredth of it.
+        weight_decay: Pull of AdamW towards 0.
+        multiplier_learning_rate: Step of the multipliers.
+        multiplier_weight_decay: Pull of the multipliers towards 0.
+        keep: ``last``, or ``best`` on all training scenes.
+        check_every: Iterations between two looks at all training scenes, with ``keep`` best.
+    """
+
+    iterations: int = 100
+    batch_size: int = 4
+    learning_rate_position_m: float = 0.25
+    learning_rate_yaw_rad: float = 0.25
+    schedule: str = "constant"
+    weight_decay: float = 1e-3
+    multiplier_learning_rate: float = 0.25
+    multiplier_weight_decay: float = 1e-3
+    keep: str = "last"
+    check_every: int = 10
+
+
+@dataclass(frozen=True)
+class IterationRecord:
+    """What one step did; every field goes into ``events.jsonl`` as it is.
+
+    Attributes:
+        iteration: From 0.
+        loss: The Lagrangian on the batch, at the poses before the step.
+        terms: Every loss by name, unscaled.
+        multipliers: Every Lagrange multiplier by name.
+        gradient_norm: L2 norm of the gradient to all positions and to all yaws.
+        positions_m: Camera centres in the ego frame before the step [m], [camera][3].
+        yaw_deg: Yaw before the step [deg], [camera].
+        seconds: Wall time: render, detect, backward, total [s].
+        min_camera_distance_m: Smallest distance between two cameras [m].
+        training_objective: Objective of the feasible poses on all training scenes, None where it was not looked at.
+        best_training_objective: The lowest of them so far, None before the first look.
+    """
+
+    iteration: int
+    loss: float
+    terms: dict[str, float]
+    multipliers: dict[str, float]
+    gradient_norm: dict[str, float]
+    positions_m: list[list[float]]
+    yaw_deg: list[float]
+    seconds: dict[str, float]
+    min_camera_distance_m: float | None
+    training_objective: float | None
+    best_training_objective: float | None
+
+
+class AdamW:
+    """AdamW on one array of numbers, on the device of the objective."""
+
+    def __init__(self, value: np.ndarray, *, weight_decay: float, device: str) -> None:
+        """State for ``value``, any shape."""
+        self._shape = value.shape
+        self._device = device
+        self._weight_decay = weight_decay
+        self._step_number = 0
+        flat = np.ascontiguousarray(value, np.float32).ravel()
+        self._value = wp.array(flat, dtype=float, device=device)
+        self._first_moment = wp.zeros_like(self._value)
+        self._second_moment = wp.zeros_like(self._value)
+
+    @property
+    def value(self) -> np.ndarray:
+        """The numbers now, a copy."""
+        return self._value.numpy().reshape(self._shape).copy()
+
+    def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
+        """One step; a negative step size ascends, 0 leaves a number as it is. Shapes as ``value``."""
+        self._step_number += 1
+        wp.launch(
+            update.adamw_step_kernel,
+            dim=self._value.shape[0],
+            inputs=[
+                wp.array(np.ascontiguousarray(gradient, np.float32).ravel(), dtype=float, device=self._device),
+                wp.array(np.ascontiguousarray(step_size, np.float32).ravel(), dtype=float, device=self._device),
+                self._weight_decay,
+                0.9,
+                0.999,
+                1e-8,
+                self._step_number,
+            ],
+            outputs=[self._first_moment, self._second_moment, self._value],
+            device=self._device,
+        )
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that a checkpoint needs."""
+        return {
+            "value": self.value,
+            "first_moment": self._first_moment.numpy().copy(),
+            "second_moment": self._second_moment.numpy().copy(),
+            "step_number": np.array(self._step_number),
+        }
+
+
+@dataclass
+class Candidate:
+    """A rig that satisfies the constraints, and its objective on all training scenes."""
+
+    mount_pose: np.ndarray
+    training_objective: float
+    iteration: int
+
+
+@dataclass
+class Descent:
+    """A run of the optimiser; call `step` until you have enough, then `finish`.
+
+    Attributes:
+        objective: What is lowered.
+        scenes: The training scenes with their assigned cameras.
+        settings: How to step.
+        start: Mount poses to start from, float [camera, 5].
+        rng: Chooses the batches.
+        candidates: Rigs that were looked at on all training scenes, in order.
+    """
+
+    objective: ThesisObjective
+    scenes: Sequence[AssignedScene]
+    settings: OptimiserSettings
+    start: np.ndarray
+    rng: np.random.Generator
+    candidates: list[Candidate] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        device = self.objective.device
+        self.iteration = 0
+        self._pose = AdamW(self.start, weight_decay=self.settings.weight_decay, device=device)
+        self._multiplier = AdamW(
+            np.zeros(len(CONSTRAINTS), np.float32), weight_decay=self.settings.multiplier_weight_decay, device=device
+        )
+        self._batches = BatchChooser(self.scenes, len(self.start), self.rng)
+        rate = np.zeros_like(self.start, dtype=np.float32)
+        rate[:, [X_M, Y_M]] = self.settings.learning_rate_position_m
+        rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
+        rate[:, [PITCH_RAD, ROLL_RAD]] = 0.0  # the thesis moves cameras in the plane and turns them about the vertical
+        self._rate = rate
+
+    def step(self) -> IterationRecord:
+        """One batch, one step of the cameras, one of the multipliers.
+
+        Raises:
+            InputError: The loss is no longer finite.
+        """
+        look = self._look() if self._is_time_to_look() else None
+        pose, multiplier = self._pose.value, self._multiplier.value
+        batch = [self.scenes[k] for k in self._batches.choose(self.settings.batch_size)]
+        result = self.objective.evaluate(pose, batch, multiplier=multiplier, gradient=True)
+        gradient, multiplier_gradient = result.gradient, result.multiplier_gradient
+        assert gradient is not None
+        assert multiplier_gradient is not None
+        if not (math.isfinite(result.total) and np.isfinite(gradient).all()):
+            raise InputError(
+                f"iteration {self.iteration}: expected a finite loss and gradient, got {result.total:g}; "
+                "lower optimiser.learning_rate_position_m and optimiser.learning_rate_yaw_deg"
+            )
+        record = self._record(pose, multiplier, gradient, result, look)
+        self._pose.step(gradient, self._rate * self._schedule())
+        self._multiplier.step(multiplier_gradient, np.full(len(CONSTRAINTS), -self.settings.multiplier_learning_rate))
+        self.iteration += 1
+        return record
+
+    def finish(self) -> Candidate:
+        """The rig to hand over: the best or the last, always within the constraints."""
+        if not self.candidates or self.candidates[-1].iteration != self.iteration:
+            self._look()
+        return self.best if self.settings.keep == "best" else self.candidates[-1]
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the lowest training objective."""
+        return min(self.candidates, key=lambda candidate: candidate.training_objective)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a checkpoint needs, as arrays."""
+        return {
+            "iteration": np.array(self.iteration),
+            **{f"pose_{name}": value for name, value in self._pose.state().items()},
+            **{f"multiplier_{name}": value for name, value in self._multiplier.state().items()},
+        }
+
+    def _is_time_to_look(self) -> bool:
+        if self.iteration == 0:
+            return True
+        return self.settings.keep == "best" and self.iteration % self.settings.check_every == 0
+
+    def _look(self) -> Candidate:
+        """Evaluate the nearest feasible poses on all training scenes."""
+        pose = self._pose.value
+        pose[:, [X_M, Y_M]] = project_to_constraints(
+            pose[:, [X_M, Y_M]],
+            self.objective.mount.surface,
+            min_spacing_m=self.objective.settings.min_spacing_m,
+        )
+        objective = self.objective.evaluate(pose, self.scenes).objective
+        candidate = Candidate(pose, objective, self.iteration)
+        self.candidates.append(candidate)
+        return candidate
+
+    def _schedule(self) -> float:
+        if self.settings.schedule == "constant":
+            return 1.0
+        progress = self.iteration / max(self.settings.iterations - 1, 1)
+        return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * progress))
+
+    def _record(
+        self,
+        pose: np.ndarray,
+        multiplier: np.ndarray,
+        gradient: np.ndarray,
+        result: Evaluation,
+        look: Candidate | None,
+    ) -> IterationRecord:
+        position_m = np.array([camera.position_m for camera in self.objective.mount.rig(pose).cameras])
+        distance_m = min_camera_distance_m(position_m)
+        return IterationRecord(
+            iteration=self.iteration,
+            loss=result.total,
+            terms=result.terms,
+            multipliers=dict(zip(CONSTRAINTS, multiplier.tolist(), strict=True)),
+            gradient_norm={
+                "position": float(np.linalg.norm(gradient[:, [X_M, Y_M]])),
+                "rotation": float(np.linalg.norm(gradient[:, YAW_RAD])),
+            },
+            positions_m=position_m.tolist(),
+            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
+            seconds=result.seconds,
+            min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
+            training_objective=look.training_objective if look else None,
+            best_training_objective=self.best.training_objective if self.candidates else None,
+        )
