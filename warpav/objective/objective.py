@@ -86,6 +86,8 @@ class ThesisObjective:
         self.camera_count = camera_count
         self.confidence_min = confidence_min
         self.iou_min = iou_min
+        self.occlusion = occlusion
+        self.supersampling = supersampling
         self.device = mount.device
         self.ahead_view = [camera * mount.rotation_count for camera in range(camera_count)]
         self._renderer = Renderer(
