@@ -34,6 +34,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from warpav.errors import InputError
+from warpav.yaml_file import Location, parse_yaml, read_yaml
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
@@ -407,8 +408,8 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
             what came.
     """
     file = find_config(path) if path is not None else None
-    data, line_of = read_yaml(file) if file else ({}, {})
-    override_of: dict[tuple[str, ...], str] = {}
+    data, line_of = _read_file(file) if file else ({}, {})
+    override_of: dict[Location, str] = {}
     for override in overrides:
         location, value = _read_override(override)
         override_of[location] = override
@@ -436,6 +437,22 @@ def option_values(config: Config) -> dict[str, object]:
                 yield prefix + name, value
 
     return dict(walk(config.model_dump(mode="json"), ""))
+
+
+def read_seeds(text: str, place: str) -> tuple[int, ...]:
+    """Seeds from a range such as ``1000..1009`` or a list such as ``[1, 2, 3]``.
+
+    Args:
+        text: What the user wrote.
+        place: Where it stands, for messages.
+
+    Raises:
+        InputError: It is neither, or a seed is out of range or there twice.
+    """
+    try:
+        return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
+    except PydanticCustomError as error:
+        raise InputError(f"{place}: {error.message()}") from None
 
 
 def config_dir() -> Path:
@@ -470,50 +487,11 @@ def find_config(path: str | Path) -> Path:
     raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
 
 
-def read_yaml(file: Path) -> tuple[dict[str, Any], dict[tuple[str, ...], int]]:
-    """The mapping in a YAML file, and the line (from 1) of every key and list item.
-
-    Numbers follow YAML 1.2 (``1e-3`` is a number, ``no`` and ``1:30`` are text); keys are always text.
-
-    Raises:
-        InputError: The file cannot be read, is not YAML, is not a mapping, or gives a key twice.
-    """
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(f"{file}: expected a readable YAML file, got: {reason}") from None
-    line_of: dict[tuple[str, ...], int] = {}
-    data = _parse_yaml(text, str(file), line_of)
-    if data is None:
-        return {}, line_of
-    if not isinstance(data, dict):
+def _read_file(file: Path) -> tuple[dict[str, Any], dict[Location, int]]:
+    data, line_of = read_yaml(file)
+    if data is not None and not isinstance(data, dict):
         raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {_shown(data)}")
-    return data, line_of
-
-
-class _Yaml12Loader(yaml.SafeLoader):
-    """Safe loader whose plain scalars follow YAML 1.2."""
-
-    yaml_implicit_resolvers: typing.ClassVar[dict] = {}  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    def construct_decimal(self, node: yaml.ScalarNode) -> int:
-        return int(node.value)
-
-
-for _tag, _pattern, _first in (
-    ("tag:yaml.org,2002:null", r"", ""),
-    ("tag:yaml.org,2002:null", r"~|null|Null|NULL", "~nN"),
-    ("tag:yaml.org,2002:bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
-    ("tag:yaml.org,2002:int", r"[-+]?[0-9]+", "-+0123456789"),
-    (
-        "tag:yaml.org,2002:float",
-        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
-        "-+.0123456789",
-    ),
-):
-    _Yaml12Loader.add_implicit_resolver(_tag, re.compile(f"^(?:{_pattern})$"), list(_first) or [""])
-_Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _Yaml12Loader.construct_decimal)
+    return data or {}, line_of
 
 
 class _FlowListDumper(yaml.SafeDumper):
@@ -525,68 +503,17 @@ _FlowListDumper.add_representer(
 )
 
 
-_MAX_DEPTH = 12
-_PLAIN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "null", "bool", "int", "float", "str")}
-
-
-def _parse_yaml(text: str, place: str, line_of: dict[tuple[str, ...], int]) -> Any:  # noqa: ANN401
-    try:
-        loader = _Yaml12Loader(text)
-        try:
-            node = loader.get_single_node()
-            return None if node is None else _plain(loader, node, (), place, line_of)
-        finally:
-            loader.dispose()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        line = f":{mark.line + 1}" if mark and not place.startswith(COMMAND_LINE) else ""
-        problem = " ".join(str(error.problem or error.context).split())
-        raise InputError(f"{place}{line}: expected valid YAML, got a syntax error: {problem}") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{place}: expected valid YAML, got: {' '.join(str(error).split())}") from None
-
-
-def _plain(
-    loader: _Yaml12Loader,
-    node: yaml.Node,
-    location: tuple[str, ...],
-    place: str,
-    line_of: dict[tuple[str, ...], int],
-) -> Any:  # noqa: ANN401
-    line = node.start_mark.line + 1
-    line_of.setdefault(location, line)
-    if len(location) > _MAX_DEPTH:
-        raise InputError(f"{place}:{line}: expected at most {_MAX_DEPTH} levels, got more")
-    if node.tag not in _PLAIN_TAGS:
-        raise InputError(f"{place}:{line}: {'.'.join(location)}: expected plain YAML, got the tag {node.tag!r}")
-    if isinstance(node, yaml.MappingNode):
-        mapping: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            inner = (*location, str(key_node.value))
-            if inner[-1] in mapping:
-                raise InputError(
-                    f"{place}:{key_node.start_mark.line + 1}: {'.'.join(inner)}: expected every key once, "
-                    f"got it again (first in line {line_of[inner]})"
-                )
-            line_of[inner] = key_node.start_mark.line + 1
-            mapping[inner[-1]] = _plain(loader, value_node, inner, place, line_of)
-        return mapping
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(loader, item, (*location, str(i)), place, line_of) for i, item in enumerate(node.value)]
-    return loader.construct_object(node)
-
-
-def _read_override(override: str) -> tuple[tuple[str, ...], object]:
+def _read_override(override: str) -> tuple[Location, object]:
     key, equals, text = override.partition("=")
     location = tuple(part.strip() for part in key.split("."))
     if not equals or not all(location):
         near = difflib.get_close_matches(key, [".".join(name) for name in _option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
         raise InputError(f"{COMMAND_LINE} ({override}): expected key=value, got {override!r}; {hint}")
-    return location, _parse_yaml(text, f"{COMMAND_LINE} ({override})", {})
+    return location, parse_yaml(text, f"{COMMAND_LINE} ({override})", has_lines=False)[0]
 
 
-def _put(data: dict[str, Any], location: tuple[str, ...], value: object, override: str) -> None:
+def _put(data: dict[str, Any], location: Location, value: object, override: str) -> None:
     for depth, part in enumerate(location[:-1], start=1):
         if data.get(part) is None:
             data[part] = {}
@@ -603,7 +530,7 @@ def _section_of(annotation: object) -> type[Section] | None:
     return annotation if isinstance(annotation, type) and issubclass(annotation, Section) else None
 
 
-def _option_locations(section: type[Section], prefix: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def _option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
     for name, field in section.model_fields.items():
         inner = _section_of(field.annotation)
         if inner:
@@ -615,13 +542,13 @@ def _option_locations(section: type[Section], prefix: tuple[str, ...] = ()) -> I
 def _explain(
     mistake: Mapping[str, Any],
     file: Path | None,
-    line_of: Mapping[tuple[str, ...], int],
-    override_of: Mapping[tuple[str, ...], str],
+    line_of: Mapping[Location, int],
+    override_of: Mapping[Location, str],
 ) -> str:
     """One line about one mistake that the validation found."""
     section: type[Section] = Config
     field: FieldInfo | None = None
-    location: tuple[str, ...] = ()
+    location: Location = ()
     for part in mistake["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
         known = section.model_fields.get(str(part)) if field is None else None
         if field is not None:
@@ -656,7 +583,7 @@ def _explain(
     return f"{place}: {'.'.join(location)}: {text}"
 
 
-def _override_at(location: tuple[str, ...], override_of: Mapping[tuple[str, ...], str]) -> str | None:
+def _override_at(location: Location, override_of: Mapping[Location, str]) -> str | None:
     for key, override in reversed(list(override_of.items())):
         if key[: len(location)] == location or location[: len(key)] == key:
             return override
@@ -664,10 +591,10 @@ def _override_at(location: tuple[str, ...], override_of: Mapping[tuple[str, ...]
 
 
 def _place(
-    location: tuple[str, ...],
+    location: Location,
     file: Path | None,
-    line_of: Mapping[tuple[str, ...], int],
-    override_of: Mapping[tuple[str, ...], str],
+    line_of: Mapping[Location, int],
+    override_of: Mapping[Location, str],
 ) -> str:
     override = _override_at(location, override_of)
     if override:
@@ -680,7 +607,7 @@ def _place(
     return str(file)
 
 
-def _unknown_option(section: type[Section], location: tuple[str, ...]) -> str:
+def _unknown_option(section: type[Section], location: Location) -> str:
     names = list(section.model_fields)
     unknown = location[-1]
     elsewhere = [".".join(name) for name in _option_locations(Config) if name[-1] == unknown]

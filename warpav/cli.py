@@ -1,0 +1,262 @@
+"""The command line: one function per verb, which reads its input, calls what does the work, and prints.
+
+Exit status: 0 done, 1 the run failed, 2 the input is wrong, 130 interrupted. Nothing heavy is imported before a verb
+needs it, so that ``--help`` and ``config`` answer at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+from warpav import __version__
+from warpav.errors import InputError
+
+DEFAULT_CONFIG = "quick"
+
+app = App(
+    name="warpav",
+    version=__version__,
+    help="Find where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.",
+    help_epilogue="Options are key=value, such as rig.cameras=6 camera.fov_deg='80 deg'; 'warpav config show' lists "
+    "them. --debug shows where an error was raised.",
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
+config_app = App(name="config", help="Show, check, copy and compare configurations.")
+rig_app = App(name="rig", help="Known camera rigs.")
+for _group in (scenes_app, config_app, rig_app):
+    app.command(_group)
+
+Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
+Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
+RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
+SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status.
+
+    Args:
+        argv: Arguments without the program's name; those of the process when None.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    try:
+        status = app(arguments, exit_on_error=False, print_error=False)
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return 130
+    except BrokenPipeError:
+        return 1
+    except (InputError, CycloptsError) as error:
+        if debug:
+            raise
+        _complain(_usage_text(error) if isinstance(error, CycloptsError) else str(error))
+        return 2
+    except Exception as error:
+        if debug:
+            raise
+        text = " ".join(str(error).split())
+        _complain(f"failed: {type(error).__name__}: {text}; run again with --debug to see where")
+        return 1
+    return status if isinstance(status, int) else 0
+
+
+@app.command(alias="optimize")
+def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+    """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
+    from warpav.config import find_config, load_config
+    from warpav.console import RunDisplay
+    from warpav.run import optimise_rig
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    settings = load_config(config, overrides)
+    with RunDisplay() as display:
+        optimise_rig(settings, name=find_config(config).stem, display=display)
+
+
+@app.command
+def evaluate(
+    rig: RigSource,
+    /,
+    *overrides: Overrides,
+    json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+) -> None:
+    """Measure a rig on the test scenes."""
+    from warpav.console import RunDisplay
+    from warpav.run import config_for, evaluate_rig
+
+    settings = config_for(rig, config, overrides, default=DEFAULT_CONFIG)
+    with RunDisplay() as display:
+        evaluate_rig(rig, settings, json_file=json, display=display)
+
+
+@app.command
+def render(
+    scene: SceneSource,
+    /,
+    *overrides: Overrides,
+    rig: RigSource,
+    out: Annotated[Path, Parameter(help="Folder for the images.")],
+) -> None:
+    """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
+    from warpav.run import config_for, render_rig
+
+    folder = render_rig(scene, rig, config_for(rig, None, overrides, default=DEFAULT_CONFIG), out, overrides)
+    _say(f"wrote {folder}")
+
+
+@app.command
+def inspect(
+    run_or_rig: RigSource,
+    /,
+    *overrides: Overrides,
+    out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
+) -> None:
+    """Show a rig on its vehicle, in a window when there is a display, else in a file."""
+    from warpav.run import config_for, inspect_rig
+
+    file = inspect_rig(run_or_rig, config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG), out)
+    if file is not None:
+        _say(f"wrote {file}")
+
+
+@app.command
+def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
+    """Write the HTML report of a run again."""
+    from warpav.report import write_report
+    from warpav.results import RunFolder
+
+    _say(f"wrote {write_report(RunFolder.open(run))}")
+
+
+@app.command
+def doctor(*, json: Annotated[Path | None, Parameter(help="File to write the findings to.")] = None) -> int:
+    """Check this machine: versions, devices, OpenGL, execution providers, cache, a self-test of the renderer."""
+    from warpav.doctor import examine
+
+    return examine(json_file=json)
+
+
+@scenes_app.command(name="make")
+def scenes_make(
+    *,
+    seeds: Annotated[str, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")],
+    out: Annotated[Path, Parameter(help="Folder for scene_<seed>.glb.")],
+) -> None:
+    """Build embedded street scenes and write each as a GLB file."""
+    from warpav.config import read_seeds
+    from warpav.console import RunDisplay
+    from warpav.run import make_scenes
+
+    numbers = read_seeds(seeds, place="command line (--seeds)")
+    with RunDisplay() as display:
+        for file in display.steps("building scenes", make_scenes(numbers, out), count=len(numbers)):
+            display.say(str(file))
+
+
+@scenes_app.command(name="show")
+def scenes_show(
+    scene: SceneSource,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
+) -> None:
+    """Show a scene and list its vehicles."""
+    from warpav.run import show_scene
+
+    _say(show_scene(scene, out))
+
+
+@config_app.command(name="show")
+def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+    """Print a configuration with all its defaults."""
+    from warpav.config import dump_config
+
+    _say(dump_config(_load(config, overrides)).rstrip())
+
+
+@config_app.command(name="check")
+def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+    """Check a configuration, and name everything that is wrong with it."""
+    _load(config, overrides)
+    _say("the configuration is valid")
+
+
+@config_app.command(name="schema")
+def config_schema() -> None:
+    """Print the JSON Schema with which editors complete and check configurations."""
+    import json
+
+    from warpav.config import Config
+
+    _say(json.dumps(Config.model_json_schema(), indent=1))
+
+
+@config_app.command(name="copy")
+def config_copy(name: Config, target: Annotated[Path, Parameter(help="File to write.")], /) -> None:
+    """Copy a shipped configuration, comments included, to start one's own from."""
+    from warpav.config import find_config
+
+    source = find_config(name)
+    if target.exists():
+        raise InputError(f"{target}: expected a file that does not exist yet, got one that does")
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: expected an existing folder to write to, got {str(target.parent)!r}")
+    target.write_bytes(source.read_bytes())
+    _say(f"wrote {target}")
+
+
+@config_app.command(name="diff")
+def config_diff(one: Config, other: Config, /) -> None:
+    """List the options in which two configurations differ."""
+    from warpav.config import load_config, option_values
+
+    left, right = (option_values(load_config(name)) for name in (one, other))
+    for name, value in left.items():
+        if value != right[name]:
+            _say(f"{name}: {value} -> {right[name]}")
+
+
+@rig_app.command(name="presets")
+def rig_presets() -> None:
+    """List the rigs that ship with warpav."""
+    from warpav.rig.presets import preset_names, preset_rig
+
+    for name in preset_names():
+        _say(f"{name}: {len(preset_rig(name).cameras)} cameras")
+
+
+def _load(config: str, overrides: Sequence[str]):  # noqa: ANN202 (importing the type would cost start-up time)
+    from warpav.config import load_config
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    return load_config(config, overrides)
+
+
+def _usage_text(error: CycloptsError) -> str:
+    """What is wrong with the words of the command, in one line."""
+    return f"command line: {' '.join(str(error).split()).rstrip('.')}; see warpav --help"
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+
+
+def _complain(text: str) -> None:
+    for line in text.splitlines():
+        sys.stderr.write(f"{line}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

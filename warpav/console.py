@@ -1,0 +1,177 @@
+"""What a run shows: a live table in a terminal, plain lines when piped, and the verdict at the end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.progress import TaskID
+
+Item = TypeVar("Item")
+Record = TypeVar("Record")
+
+REFRESH_PER_SECOND = 4
+PLAIN_LINES_PER_STAGE = 10
+
+
+class RunDisplay:
+    """Shows the stages of a run and its iterations; a context manager.
+
+    In a terminal it redraws one table in place. Elsewhere it prints whole lines: one when a stage starts, and one for
+    about every tenth of its steps.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        self.console = console or Console(highlight=False, soft_wrap=True)
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=32),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[speed]}"),
+            TimeRemainingColumn(),
+            console=self.console,
+        )
+        self._live = Live(console=self.console, refresh_per_second=REFRESH_PER_SECOND, get_renderable=self._render)
+        self._numbers: Table | None = None
+        self._task: TaskID | None = None
+        self._best = math.inf
+        self._best_iteration = 0
+
+    def __enter__(self) -> RunDisplay:
+        if self.console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self.console.is_terminal:
+            self._live.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the table."""
+        self.console.print(text, markup=False)
+
+    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+        """Pass ``items`` on and show how many of ``count`` have come."""
+        self._start(description, count)
+        every = max(1, count // PLAIN_LINES_PER_STAGE) if count > PLAIN_LINES_PER_STAGE else count
+        began = time.perf_counter()
+        for number, item in enumerate(items, start=1):
+            self._advance(number, began)
+            if not self.console.is_terminal and number % every == 0 and number < count:
+                self.say(f"{description}: {number}/{count}")
+            yield item
+
+    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+        """Pass the records of an optimisation on and show their numbers.
+
+        Args:
+            records: Iteration records: loss, terms, multipliers, gradient norms, positions, seconds.
+            count: How many are expected.
+            min_spacing_m: Least allowed distance between cameras [m], shown beside the actual one.
+        """
+        self._start("optimising", count)
+        self._best = math.inf
+        every = max(1, count // PLAIN_LINES_PER_STAGE)
+        began = time.perf_counter()
+        for number, record in enumerate(records, start=1):
+            loss = float(getattr(record, "loss", math.nan))
+            if loss < self._best:
+                self._best, self._best_iteration = loss, number
+            speed = (time.perf_counter() - began) / number
+            rows = iteration_rows(record, min_spacing_m=min_spacing_m)
+            rows["best loss"] = f"{self._best:.4f} in iteration {self._best_iteration}"
+            self._numbers = _grid(rows)
+            self._advance(number, began)
+            if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
+                left_s = speed * (count - number)
+                text = "  ".join(f"{name} {value}" for name, value in rows.items() if name != "best loss")
+                self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
+            yield record
+        self._numbers = None
+
+    def _start(self, description: str, count: int) -> None:
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._numbers = None
+        self._task = self._progress.add_task(description, total=count, speed="")
+        if not self.console.is_terminal:
+            self.say(f"{description}: {count}")
+
+    def _advance(self, number: int, began: float) -> None:
+        if self._task is not None:
+            speed = (time.perf_counter() - began) / number
+            self._progress.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
+
+    def _render(self) -> RenderableType:
+        return Group(self._progress, self._numbers) if self._numbers is not None else self._progress
+
+
+def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
+    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
+    spacing_m = min_distance_m(getattr(record, "positions_m", ()))
+    return {
+        "loss": _number(getattr(record, "loss", None)),
+        **{name: _number(value) for name, value in getattr(record, "terms", {}).items()},
+        **{f"multiplier {name}": _number(value) for name, value in getattr(record, "multipliers", {}).items()},
+        **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
+        "closest cameras": f"{spacing_m:.2f} m (at least {min_spacing_m:.2f} m)",
+    }
+
+
+def min_distance_m(positions_m: Sequence[Sequence[float]]) -> float:
+    """Least distance between two of the positions [m]; inf for fewer than two."""
+    positions = [tuple(float(value) for value in position) for position in positions_m]
+    pairs = ((a, b) for i, a in enumerate(positions) for b in positions[:i])
+    return min((math.dist(a, b) for a, b in pairs), default=math.inf)
+
+
+ARM_COLUMNS = {
+    "map50_average": "AP50 mean",
+    "map50_min_camera": "worst camera",
+    "map50_max_camera": "best camera",
+    "ap50_pooled": "AP50 pooled",
+    "tp_detection_rate": "detected",
+    "tp_in_frame_rate": "in frame",
+    "detection_confidence": "confidence",
+    "objective": "objective",
+    "constraint_violation": "violation",
+    "min_camera_distance_m": "closest [m]",
+}
+"""Fields of an arm's metrics and the headings they are shown under."""
+
+
+def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
+    """A table with one row per arm and one column per metric."""
+    table = Table(title=title or None, title_justify="left", header_style="bold")
+    table.add_column("arm", no_wrap=True)
+    for heading in ARM_COLUMNS.values():
+        table.add_column(heading, justify="right")
+    for name, metrics in arms.items():
+        style = "bold" if name == "optimised" else None
+        table.add_row(name, *(_metric(metrics.get(field)) for field in ARM_COLUMNS), style=style)
+    return table
+
+
+def _grid(rows: Mapping[str, str]) -> Table:
+    grid = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        grid.add_row(f"  {name}", value)
+    return grid
+
+
+def _metric(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{float(value):.4g}"
