@@ -77,7 +77,7 @@ class RigObserver:
         device: str,
     ) -> None:
         """Renderers for the rig; cameras of one model share one."""
-        self._detector, self._limits = detector, {"confidence_min": confidence_min, "iou_min": iou_min}
+        self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         self._groups: list[tuple[Renderer, Rig]] = []
         for model in models:
@@ -94,7 +94,14 @@ class RigObserver:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             renderer.render(scene, views.position_ego_m, views.camera_from_ego)
             ahead = list(range(len(part.cameras)))
-            observation = observe(renderer, scene, self._detector, ahead_view=ahead, **self._limits)
+            observation = observe(
+                renderer,
+                scene,
+                self._detector,
+                ahead_view=ahead,
+                confidence_min=self._confidence_min,
+                iou_min=self._iou_min,
+            )
             looks.append((observation, renderer.measure(scene)))
         return looks
 
@@ -185,7 +192,7 @@ def evaluate_rig(
     camera_map = [value for value in camera_map if math.isfinite(value)]
     position_m = np.array([camera.position_m for camera in rig.cameras])
     return ArmMetrics(
-        map50_average=_number(np.mean(camera_map)) if camera_map else None,
+        map50_average=_number(float(np.mean(camera_map))) if camera_map else None,
         map50_min_camera=_number(min(camera_map)) if camera_map else None,
         map50_max_camera=_number(max(camera_map)) if camera_map else None,
         ap50_pooled=_number(average_precision([score for images in scores for score in images])),
