@@ -70,7 +70,7 @@ def score_image(
         waived = np.asarray(detection_ignored_unless_matched, bool)[order]
 
     truth = np.asarray(truth_box_px, np.float64).reshape(-1, 4)
-    exists: np.ndarray = np.isfinite(truth).all(axis=1)
+    exists = np.asarray(np.isfinite(truth).all(axis=1))
     counted = exists if truth_ignored is None else exists & ~np.asarray(truth_ignored, bool)
     region = np.zeros((0, 4)) if ignore_region_px is None else np.asarray(ignore_region_px, np.float64).reshape(-1, 4)
     coverage = covered_fraction(box_px, region).max(axis=1, initial=0.0)

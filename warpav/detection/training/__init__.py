@@ -1,0 +1,1 @@
+"""Training of the shipped detector; the only place that needs PyTorch (extra ``train``)."""

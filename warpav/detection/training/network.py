@@ -1,0 +1,188 @@
+"""The shipped detector's network: one stage, no anchors, four strides, 1.5 million parameters.
+
+Plain 3 x 3 convolutions and ReLU throughout: on a CPU they run several times faster than depthwise convolutions and
+smooth activations of the same arithmetic. The finest stride is 4, because a car 20 m away is 10 px high in a 256 px
+image.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+STRIDES_PX = (4, 8, 16, 32)
+CLASS_NAMES = ("car", "van", "lorry", "bus")
+
+# exp of the network's distance output, in strides: from a fiftieth of a pixel to 150 cells.
+_LOG_DISTANCE_MIN, _LOG_DISTANCE_MAX = -5.0, 5.0
+
+
+def _convolution(channels_in: int, channels_out: int, *, size: int = 3, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(channels_in, channels_out, size, stride, padding=size // 2, bias=False),
+        nn.BatchNorm2d(channels_out, eps=1e-3, momentum=0.03),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Stage(nn.Module):
+    """Cross-stage block: half the channels pass through residual 3 x 3 pairs, and all are mixed at the end."""
+
+    def __init__(self, channels_in: int, channels_out: int, depth: int, *, residual: bool = True) -> None:
+        super().__init__()
+        half = channels_out // 2
+        self.through = _convolution(channels_in, half, size=1)
+        self.past = _convolution(channels_in, half, size=1)
+        self.pairs = nn.ModuleList(
+            nn.Sequential(_convolution(half, half), _convolution(half, half)) for _ in range(depth)
+        )
+        self.mix = _convolution(channels_out, channels_out, size=1)
+        self.residual = residual
+
+    def forward(self, feature: Tensor) -> Tensor:
+        through = self.through(feature)
+        for pair in self.pairs:
+            through = through + pair(through) if self.residual else pair(through)
+        return self.mix(torch.cat([through, self.past(feature)], dim=1))
+
+
+class _WideView(nn.Module):
+    """Three chained 5 x 5 maxima: the coarsest stride sees the whole image."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.enter = _convolution(channels, channels // 2, size=1)
+        self.leave = _convolution(channels * 2, channels, size=1)
+
+    def forward(self, feature: Tensor) -> Tensor:
+        features = [self.enter(feature)]
+        for _ in range(3):
+            features.append(functional.max_pool2d(features[-1], 5, 1, 2))
+        return self.leave(torch.cat(features, dim=1))
+
+
+class _Head(nn.Module):
+    """Scores and distances of one stride, from two branches."""
+
+    def __init__(self, channels: int, class_count: int, stride_px: int) -> None:
+        super().__init__()
+        self.score_branch = _convolution(channels, channels)
+        self.distance_branch = _convolution(channels, channels)
+        self.score = nn.Conv2d(channels, class_count, 1)
+        self.distance = nn.Conv2d(channels, 4, 1)
+        # Start from few objects in an image, each about four cells wide.
+        objects_per_cell = 5.0 / (256.0 / stride_px) ** 2
+        nn.init.constant_(_bias(self.score), math.log(objects_per_cell / class_count))
+        nn.init.constant_(_bias(self.distance), math.log(2.0))
+
+    def forward(self, feature: Tensor) -> tuple[Tensor, Tensor]:
+        score, distance = self.score_branch(feature), self.distance_branch(feature)
+        # The last layers keep full precision: a bfloat16 logarithm would round a distance by more than a per cent.
+        with torch.autocast(feature.device.type, enabled=False):
+            return self.score(score.float()), self.distance(distance.float())
+
+
+def _bias(convolution: nn.Conv2d) -> Tensor:
+    assert convolution.bias is not None
+    return convolution.bias
+
+
+class TownNetwork(nn.Module):
+    """Images to boxes and scores at strides 4, 8, 16 and 32.
+
+    Args:
+        class_count: Number of labels.
+        channels: Of the stem and of the stages at stride 4, 8, 16 and 32.
+        depth: Residual pairs of those stages.
+        neck_channels: Of the feature maps that the heads read, finest first.
+    """
+
+    def __init__(
+        self,
+        class_count: int = len(CLASS_NAMES),
+        *,
+        channels: Sequence[int] = (16, 32, 48, 96, 160),
+        depth: Sequence[int] = (1, 2, 2, 2),
+        neck_channels: Sequence[int] = (16, 48, 96, 96),
+    ) -> None:
+        super().__init__()
+        self.class_count = class_count
+        self.stem = _convolution(3, channels[0], stride=2)
+        self.down = nn.ModuleList(_convolution(channels[i], channels[i + 1], stride=2) for i in range(4))
+        self.stages = nn.ModuleList(_Stage(channels[i + 1], channels[i + 1], depth[i]) for i in range(4))
+        self.wide_view = _WideView(channels[4])
+        self.lateral = nn.ModuleList(_convolution(channels[i + 1], neck_channels[i], size=1) for i in range(4))
+        self.reduce = nn.ModuleList(_convolution(neck_channels[i + 1], neck_channels[i], size=1) for i in range(3))
+        self.top_down = nn.ModuleList(
+            _Stage(2 * neck_channels[i], neck_channels[i], 1, residual=False) for i in range(3)
+        )
+        self.neck_down = nn.ModuleList(_convolution(neck_channels[i], neck_channels[i], stride=2) for i in range(3))
+        self.bottom_up = nn.ModuleList(
+            _Stage(neck_channels[i] + neck_channels[i + 1], neck_channels[i + 1], 1, residual=False) for i in range(3)
+        )
+        self.heads = nn.ModuleList(
+            _Head(each, class_count, stride_px) for each, stride_px in zip(neck_channels, STRIDES_PX, strict=True)
+        )
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Run the network.
+
+        Args:
+            images: RGB in 0..1, shape [image, 3, row, column], rows and columns multiples of 32.
+
+        Returns:
+            Scores before the sigmoid, shape [image, cell, class]; box edges ``x0, y0, x1, y1`` [px], shape
+            [image, cell, 4]; cell centres x, y [px], shape [cell, 2]; the cells' strides [px], shape [cell].
+        """
+        feature = self.stem(images)
+        features = []
+        for down, stage in zip(self.down, self.stages, strict=True):
+            feature = stage(down(feature))
+            features.append(feature)
+        features[3] = self.wide_view(features[3])
+        features = [lateral(feature) for lateral, feature in zip(self.lateral, features, strict=True)]
+        for i in (2, 1, 0):
+            enlarged = functional.interpolate(self.reduce[i](features[i + 1]), scale_factor=2.0, mode="nearest")
+            features[i] = self.top_down[i](torch.cat([features[i], enlarged], dim=1))
+        for i in (0, 1, 2):
+            features[i + 1] = self.bottom_up[i](torch.cat([self.neck_down[i](features[i]), features[i + 1]], dim=1))
+
+        score_logits, boxes_px, centers_px, strides_px = [], [], [], []
+        for head, feature, stride_px in zip(self.heads, features, STRIDES_PX, strict=True):
+            score_logit, log_distance = head(feature)
+            rows, columns = feature.shape[2], feature.shape[3]
+            y_px = (torch.arange(rows, device=images.device, dtype=torch.float32) + 0.5) * stride_px
+            x_px = (torch.arange(columns, device=images.device, dtype=torch.float32) + 0.5) * stride_px
+            center_px = torch.stack(
+                [x_px[None, :] + 0.0 * y_px[:, None], y_px[:, None] + 0.0 * x_px[None, :]], dim=-1
+            ).reshape(-1, 2)
+            distance_px = log_distance.clamp(_LOG_DISTANCE_MIN, _LOG_DISTANCE_MAX).exp() * stride_px
+            distance_px = distance_px.flatten(2).transpose(1, 2)
+            boxes_px.append(torch.cat([center_px - distance_px[..., :2], center_px + distance_px[..., 2:]], dim=-1))
+            score_logits.append(score_logit.flatten(2).transpose(1, 2))
+            centers_px.append(center_px)
+            strides_px.append(torch.full_like(center_px[:, 0], float(stride_px)))
+        return torch.cat(score_logits, 1), torch.cat(boxes_px, 1), torch.cat(centers_px), torch.cat(strides_px)
+
+
+class ExportedNetwork(nn.Module):
+    """The network with the output layout that `warpav.detection.onnx_detector` reads.
+
+    Args:
+        network: The trained network.
+    """
+
+    def __init__(self, network: TownNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Rows centre x, centre y, width, height [px] and class scores in 0..1, shape [image, 4 + class, cell]."""
+        score_logit, box_px, _, _ = self.network(images)
+        left_top, right_bottom = box_px[..., :2], box_px[..., 2:]
+        output = torch.cat([0.5 * (left_top + right_bottom), right_bottom - left_top, score_logit.sigmoid()], dim=-1)
+        return output.transpose(1, 2)
