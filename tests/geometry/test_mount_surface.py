@@ -29,7 +29,7 @@ def dome(radius_m=1.0, curvature_radius_m=4.0, count=60):
 
 
 def car():
-    """Bonnet at 1 m, roof at 1.5 m, a steep windscreen between them with a seat below it, and two small mirrors."""
+    """Bonnet at 1 m, roof at 1.5 m, a steep windscreen between them with a seat below it, two mirrors and a sill."""
     return merge(
         [
             plate(1.0, 2.0, -0.8, 0.8),
@@ -38,6 +38,7 @@ def car():
             plate(0.0, 0.9, -0.5, 0.5, lambda x, y: 0.6),
             plate(0.9, 1.0, 0.9, 1.1, lambda x, y: 0.95),
             plate(0.9, 1.0, -1.1, -0.9, lambda x, y: 0.95),
+            plate(-1.0, 1.0, 0.8, 0.83, lambda x, y: 0.9),
         ]
     )
 
@@ -85,7 +86,7 @@ def test_glass_and_what_lies_below_it_are_filled_from_bonnet_and_roof():
     assert np.all(np.diff(over_windscreen) <= 0.0)
     assert over_windscreen.min() >= 1.0
     assert over_windscreen.max() <= 1.5
-    assert surface.height_m.min() >= 1.0  # neither the seat nor the mirrors
+    assert surface.height_m.min() >= 1.0  # neither the seat nor the mirrors nor the sill
     np.testing.assert_allclose(surface.bounds_m, [[-1.49, -0.79], [1.99, 0.79]], atol=0.011)
 
 
@@ -166,3 +167,21 @@ def test_mount_surface_rejects_a_mesh_that_offers_no_place(mesh, message):
 def test_mount_surface_rejects_options_out_of_range(option):
     with pytest.raises(ValueError, match="must"):
         mount_surface_from_mesh(car(), **option)
+
+
+def test_surface_of_the_embedded_vehicle_is_roof_windscreen_and_bonnet():
+    from warpav.scene.town import ego_vehicle
+
+    mesh = ego_vehicle()
+    surface = mount_surface_from_mesh(mesh)
+    low, high = mesh.bounds_m()
+    x, y, z = surface.highest_point_m()
+    assert z == pytest.approx(high[2], abs=0.005)
+    assert abs(y) <= surface.cell_m
+    assert low[0] <= surface.bounds_m[0, 0] < 0.0 < 3.0 < surface.bounds_m[1, 0] < high[0]
+    assert surface.bounds_m[1, 1] < high[1] - 0.1  # without the mirrors
+    np.testing.assert_allclose(surface.height_m, surface.height_m[:, ::-1], atol=0.02)
+    forwards = np.arange(x, surface.bounds_m[1, 0], 0.02)
+    along = surface.height_at_m(np.stack([forwards, np.zeros_like(forwards)], axis=-1))
+    assert np.diff(along).max() < 0.002  # from the roof forwards it only falls
+    assert np.abs(np.diff(along)).max() < 0.02  # without a step

@@ -196,9 +196,11 @@ def _first_upward_height(
 
 
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
-    """The mask without its small 8-connected patches; the largest always stays."""
+    """The mask without slivers thinner than three cells and without small patches; the largest patch always stays."""
     from scipy import ndimage
 
+    opened = ndimage.binary_opening(is_measured, structure=np.ones((3, 3)))
+    is_measured = opened if opened.any() else is_measured
     label = np.zeros(is_measured.shape, dtype=np.int32)
     ndimage.label(is_measured, structure=np.ones((3, 3)), output=label)
     area = np.bincount(label.ravel())
