@@ -54,8 +54,9 @@ BLACK_SKY = Sky(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
 
 @dataclass(frozen=True)
 class Scene:
-    """One traffic situation, in the ego frame (ISO 8855: x forward, y left, z up; origin on the ground below the
-    middle of the rear axle).
+    """One traffic situation, in the ego frame.
+
+    Ego frame: ISO 8855, x forward, y left, z up; origin on the ground below the middle of the rear axle.
 
     Attributes:
         name: Short name, such as ``town_0007``.
@@ -63,6 +64,7 @@ class Scene:
         ego: The vehicle that carries the cameras.
         vehicles: The others, in order of instance id.
         sky: The background.
+        source: Where it came from, such as ``town seed 7``.
     """
 
     name: str
@@ -70,3 +72,4 @@ class Scene:
     ego: Mesh
     vehicles: tuple[Vehicle, ...]
     sky: Sky = BLACK_SKY
+    source: str = ""

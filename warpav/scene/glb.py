@@ -1,0 +1,223 @@
+"""Scenes as GLB files that Blender, trimesh and every glTF viewer open.
+
+Below one root node, whose matrix turns the ego frame (z up) into glTF's axes (y up), stand the nodes ``environment``,
+``ego`` and one ``vehicle_<instance id>`` per vehicle. Their vertices are in the ego frame, their colours are exact
+8-bit vertex colours, and the vehicles' extras hold instance id, class and 3D box.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.errors import InputError
+from warpav.geometry.mesh import Mesh
+from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
+
+if TYPE_CHECKING:
+    import trimesh
+
+SCHEMA = "warpav-scene/1"
+_ROOT, _ENVIRONMENT, _EGO, _VEHICLE_PREFIX = "ego_frame", "environment", "ego", "vehicle_"
+# (x, y, z) in the ego frame is (x, z, -y) in glTF.
+_GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
+
+
+def write_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene; the same scene gives the same bytes.
+
+    The file appears only once it is complete.
+
+    Args:
+        scene: The scene.
+        path: A name that ends in ``.glb``.
+
+    Raises:
+        InputError: The folder does not exist or cannot be written to.
+    """
+    import trimesh
+
+    path = Path(path)
+    file = trimesh.Scene(base_frame="world")
+    file.metadata = {
+        "schema": SCHEMA,
+        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's middle",
+        "units": "m",
+        "name": scene.name,
+        "source": scene.source,
+        "sky_horizon_rgb": [int(value) for value in scene.sky.horizon_rgb],
+        "sky_zenith_rgb": [int(value) for value in scene.sky.zenith_rgb],
+    }
+    file.graph.update(frame_from="world", frame_to=_ROOT, matrix=_GLTF_FROM_EGO)
+    _add_node(file, _ENVIRONMENT, scene.environment, {"role": "environment"})
+    _add_node(file, _EGO, scene.ego, {"role": "ego"})
+    for vehicle in scene.vehicles:
+        extras = {
+            "role": "vehicle",
+            "instance_id": int(vehicle.instance_id),
+            "class": vehicle.category,
+            "box_center_m": [float(value) for value in vehicle.box.center_m],
+            "box_size_m": [float(value) for value in vehicle.box.size_m],
+            "box_yaw_deg": float(np.degrees(vehicle.box.yaw_rad)),
+        }
+        _add_node(file, f"{_VEHICLE_PREFIX}{vehicle.instance_id}", vehicle.mesh, extras)
+    data = file.export(file_type="glb")
+    assert isinstance(data, bytes)
+    _write_whole(path, data)
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene that `write_scene` or another program wrote.
+
+    Args:
+        path: A GLB file with the nodes and extras that this module documents.
+
+    Returns:
+        The scene in the ego frame, vehicles in order of instance id.
+
+    Raises:
+        InputError: The file is missing, is no GLB, lacks a node or an extra, or holds a mesh without triangles or with
+            NaN vertices.
+    """
+    import trimesh
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
+    data = path.read_bytes()
+    if data[:4] != b"glTF":
+        raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
+    try:
+        file = trimesh.load_scene(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
+    except Exception as error:
+        raise InputError(f"{path}: the GLB file is damaged: {_one_line(error)}; write it again") from error
+
+    nodes = _mesh_nodes(file, path)
+    for name in (_ENVIRONMENT, _EGO):
+        if name not in nodes:
+            known = ", ".join(sorted(nodes)) or "none"
+            raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
+    vehicles = [
+        _read_vehicle(file, name, extras, f"{path}: node '{name}'")
+        for name, extras in nodes.items()
+        if name.startswith(_VEHICLE_PREFIX)
+    ]
+    ids = [vehicle.instance_id for vehicle in vehicles]
+    for instance_id in ids:
+        if ids.count(instance_id) > 1:
+            raise InputError(f"{path}: instance_id must be unique, got {instance_id} {ids.count(instance_id)} times")
+    metadata: dict[str, Any] = file.metadata or {}
+    return Scene(
+        str(metadata.get("name", path.stem)),
+        _read_mesh(file, _ENVIRONMENT, f"{path}: node '{_ENVIRONMENT}'"),
+        _read_mesh(file, _EGO, f"{path}: node '{_EGO}'"),
+        tuple(sorted(vehicles, key=lambda vehicle: vehicle.instance_id)),
+        Sky(
+            _colour(metadata, "sky_horizon_rgb", BLACK_SKY.horizon_rgb, path),
+            _colour(metadata, "sky_zenith_rgb", BLACK_SKY.zenith_rgb, path),
+        ),
+        str(metadata.get("source", "")),
+    )
+
+
+def _add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
+    import trimesh
+
+    opaque = np.full((len(mesh.vertex_rgb), 1), 255, np.uint8)
+    geometry = trimesh.Trimesh(
+        vertices=mesh.vertex_m,
+        faces=mesh.triangle,
+        vertex_colors=np.concatenate([mesh.vertex_rgb, opaque], axis=1),
+        process=False,
+        validate=False,
+    )
+    file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=_ROOT, metadata=extras)
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """Write a file that is either complete or absent."""
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as stream:
+            temporary = Path(stream.name)
+            stream.write(data)
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot write the scene: {error.strerror}; choose a folder that exists") from error
+
+
+def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:
+    """Extras by name of every node that carries a mesh, in file order."""
+    extras: dict[str, dict[str, Any]] = {}
+    edges = file.graph.transforms.edge_data
+    for (_, name), data in edges.items():
+        if "geometry" in data:
+            extras[str(name)] = data.get("metadata") or {}
+    if not extras:
+        raise InputError(f"{path}: expected mesh nodes '{_ENVIRONMENT}', '{_EGO}' and '{_VEHICLE_PREFIX}1', got none")
+    return extras
+
+
+def _read_mesh(file: trimesh.Scene, name: str, where: str) -> Mesh:
+    matrix, geometry_name = file.graph.get(name)
+    geometry: Any = file.geometry[geometry_name]
+    if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
+        raise InputError(f"{where}: expected a mesh with triangles, got none; export its faces")
+    vertex = np.asarray(geometry.vertices, np.float64)
+    ego_from_node = np.linalg.inv(_GLTF_FROM_EGO) @ np.asarray(matrix, np.float64)
+    if not np.allclose(ego_from_node, np.eye(4), atol=1e-9):
+        vertex = vertex @ ego_from_node[:3, :3].T + ego_from_node[:3, 3]
+    colour = np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3]
+    return Mesh.create(vertex, geometry.faces, colour, name=where)
+
+
+def _read_vehicle(file: trimesh.Scene, name: str, extras: dict[str, Any], where: str) -> Vehicle:
+    instance_id = _extra(extras, "instance_id", where)
+    if isinstance(instance_id, bool) or not isinstance(instance_id, int) or instance_id < 1:
+        raise InputError(f"{where}: extra 'instance_id' must be an integer from 1, got {instance_id!r}")
+    box = Box(
+        _numbers(extras, "box_center_m", where),
+        _numbers(extras, "box_size_m", where),
+        float(np.radians(_numbers(extras, "box_yaw_deg", where, count=1)[0])),
+    )
+    return Vehicle(instance_id, str(_extra(extras, "class", where)), _read_mesh(file, name, where), box)
+
+
+def _extra(extras: dict[str, Any], key: str, where: str) -> object:
+    if key not in extras:
+        raise InputError(f"{where}: extra '{key}' is missing; got {', '.join(sorted(extras)) or 'no extras'}")
+    return extras[key]
+
+
+def _numbers(extras: dict[str, Any], key: str, where: str, count: int = 3) -> np.ndarray:
+    value = _extra(extras, key, where)
+    try:
+        array = np.atleast_1d(np.asarray(value, np.float64))
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        expected = "a number" if count == 1 else f"{count} numbers"
+        raise InputError(f"{where}: extra '{key}' must be {expected}, got {value!r}")
+    return array
+
+
+def _colour(metadata: dict[str, Any], key: str, default: np.ndarray, path: Path) -> np.ndarray:
+    if key not in metadata:
+        return default
+    value = _numbers(metadata, key, f"{path}: scene")
+    if value.min() < 0 or value.max() > 255:
+        raise InputError(f"{path}: scene extra '{key}' must be 0..255, got {metadata[key]!r}")
+    return value.astype(np.uint8)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

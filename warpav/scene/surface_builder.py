@@ -1,0 +1,201 @@
+"""Builds closed, outward-facing surfaces from a few primitives, and gives them smooth vertex normals.
+
+A surface is a union of shells: lofts, boxes, lathes and ellipsoids. Every shell is closed (each edge is used once in
+either direction) and counter-clockwise seen from outside, so a ray from outside never meets the back of a triangle.
+Shells may overlap: a lamp box sinks into the body, the glass house into the deck.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
+CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly
+NORMAL_STEPS = 64  # normals are compared on this grid when vertices are shared
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A finished surface: vertices are shared only where material and shading normal agree.
+
+    Attributes:
+        vertex_m: Positions [m], float64, shape [vertex, 3].
+        normal: Unit shading normals, float64, shape [vertex, 3].
+        material: Material number per vertex, uint8, shape [vertex].
+        triangle: Vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside.
+    """
+
+    vertex_m: np.ndarray
+    normal: np.ndarray
+    material: np.ndarray
+    triangle: np.ndarray
+
+
+class SurfaceBuilder:
+    """Collects shells; `finish` welds them, drops degenerate triangles and computes normals."""
+
+    def __init__(self) -> None:
+        self._vertex: list[np.ndarray] = []
+        self._triangle: list[np.ndarray] = []
+        self._material: list[np.ndarray] = []
+        self._vertex_count = 0
+
+    def add_grid(self, point_m: np.ndarray, material: np.ndarray | int) -> None:
+        """Add a sheet of quads; its outside is where ``d/d(first index) x d/d(second index)`` points.
+
+        Args:
+            point_m: Positions [m], shape [a, b, 3].
+            material: Material of each quad, broadcastable to [a - 1, b - 1].
+        """
+        rows, columns = point_m.shape[:2]
+        first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+        quad = np.stack([first, first + columns, first + columns + 1, first + 1], axis=1)
+        quad_material = np.broadcast_to(np.asarray(material, np.uint8), (rows - 1, columns - 1)).ravel()
+        self._add(
+            point_m.reshape(-1, 3),
+            np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]),
+            np.concatenate([quad_material, quad_material]),
+        )
+
+    def add_mirrored_grid(self, point_m: np.ndarray, material: np.ndarray | int) -> None:
+        """Add a sheet of quads as `add_grid` does, and its mirror image across the plane y = 0."""
+        self.add_grid(point_m, material)
+        material = np.broadcast_to(np.asarray(material), (point_m.shape[0] - 1, point_m.shape[1] - 1))
+        self.add_grid(point_m[:, ::-1] * np.array([1.0, -1.0, 1.0]), material[:, ::-1])
+
+    def add_loft(
+        self, ring_m: np.ndarray, material: np.ndarray, *, crown_m: float, lateral_count: int, top: int, bottom: int
+    ) -> None:
+        """Add a closed body from stacked half outlines, mirrored across y = 0 and capped above and below.
+
+        Args:
+            ring_m: Half outlines [m], shape [row, column, 3]: rows upwards, columns from the front centre (y = 0)
+                along the left side (y > 0) to the rear centre (y = 0).
+            material: Material of each cell of the left half, shape [row - 1, column - 1].
+            crown_m: How far the top cap rises between its sides [m].
+            lateral_count: Quads across the top cap.
+            top: Material of the top cap.
+            bottom: Material of the bottom cap.
+        """
+        self.add_mirrored_grid(ring_m.transpose(1, 0, 2), material.T)
+        self.add_grid(_cap(ring_m[-1], crown_m, lateral_count)[::-1], top)
+        self.add_grid(_cap(ring_m[0], 0.0, 2), bottom)
+
+    def add_box(self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], material: int) -> None:
+        """Add an axis-aligned box between two corners [m]."""
+        corner = np.array([[(low_m, high_m)[bit >> axis & 1][axis] for axis in range(3)] for bit in range(8)])
+        for quad in ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)):
+            self.add_grid(corner[np.array(quad)[[[0, 3], [1, 2]]]], material)
+
+    def add_box_pair(
+        self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], material: int
+    ) -> None:
+        """Add a box and its mirror image across y = 0."""
+        self.add_box(low_m, high_m, material)
+        self.add_box((low_m[0], -high_m[1], low_m[2]), (high_m[0], -low_m[1], high_m[2]), material)
+
+    def add_lathe_pair(self, center_m: tuple[float, float, float], profile_m: np.ndarray, material: np.ndarray) -> None:
+        """Add a solid of revolution about a y axis through `center_m`, and its mirror image across y = 0.
+
+        Args:
+            center_m: A point of the axis [m].
+            profile_m: (radius, y offset) [m], shape [point, 2], from the outer centre to the inner centre (radius 0
+                at both ends), outer meaning larger y.
+            material: Material of each cell, shape [point - 1, segment].
+        """
+        angle = np.linspace(0.0, 2.0 * np.pi, material.shape[1] + 1)
+        radius, offset = profile_m[:, :1], profile_m[:, 1:]
+        point = np.stack(
+            [
+                center_m[0] + radius * np.cos(angle),
+                center_m[1] + np.broadcast_to(offset, (len(profile_m), len(angle))),
+                center_m[2] + radius * np.sin(angle),
+            ],
+            axis=-1,
+        )
+        self.add_mirrored_grid(point[:, ::-1], material[:, ::-1])
+
+    def add_ellipsoid_pair(
+        self, center_m: tuple[float, float, float], radius_m: tuple[float, float, float], material: int
+    ) -> None:
+        """Add an ellipsoid with axes along x, y, z, and its mirror image across y = 0."""
+        polar = np.linspace(0.0, np.pi, 6)[:, None]
+        around = np.linspace(0.0, 2.0 * np.pi, 9)
+        direction = np.stack(
+            [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around], axis=-1
+        )
+        self.add_mirrored_grid(np.array(center_m) + direction * np.array(radius_m), material)
+
+    def finish(self) -> Surface:
+        """Weld all shells and compute shading normals."""
+        vertex, triangle, material = (np.concatenate(parts) for parts in (self._vertex, self._triangle, self._material))
+        key, weld = np.unique(_row_key(np.round(vertex / WELD_GRID_M).astype(np.int64)), return_inverse=True)
+        position = np.empty((len(key), 3))
+        position[weld] = vertex
+        corner = weld[triangle]
+        distinct = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
+        corner, material = corner[distinct], material[distinct]
+        normal = _corner_normals(position, corner)
+
+        normal_key = _row_key(np.round(normal.reshape(-1, 3) * NORMAL_STEPS).astype(np.int64))
+        row = np.stack([corner.ravel(), np.repeat(material, 3).astype(np.int64), normal_key], axis=1)
+        _, first, index = np.unique(_row_key(row), return_index=True, return_inverse=True)
+        # Numbered by first use: neighbours in the list of triangles stay neighbours in memory.
+        order = np.argsort(first, kind="stable")
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        first = first[order]
+        return Surface(
+            position[corner.ravel()[first]],
+            normal.reshape(-1, 3)[first],
+            np.repeat(material, 3)[first].astype(np.uint8),
+            rank[index].reshape(-1, 3).astype(np.int32),
+        )
+
+    def _add(self, vertex: np.ndarray, triangle: np.ndarray, material: np.ndarray) -> None:
+        self._vertex.append(vertex)
+        self._triangle.append(triangle + self._vertex_count)
+        self._material.append(material)
+        self._vertex_count += len(vertex)
+
+
+def _cap(rim_m: np.ndarray, crown_m: float, lateral_count: int) -> np.ndarray:
+    """Sheet that spans a half outline and its mirror image, shape [column, lateral_count + 1, 3]."""
+    across = np.linspace(-1.0, 1.0, lateral_count + 1)
+    rise = crown_m * (1.0 - across**2) * np.minimum(1.0, rim_m[:, 1:2] / (0.6 * rim_m[:, 1].max()))
+    return np.stack([np.repeat(rim_m[:, :1], len(across), 1), rim_m[:, 1:2] * across, rim_m[:, 2:] + rise], axis=-1)
+
+
+def _row_key(row: np.ndarray) -> np.ndarray:
+    """One int64 per row of integers, equal exactly where the rows are equal."""
+    key = np.zeros(len(row), np.int64)
+    for column in row.T:
+        value, index = np.unique(column, return_inverse=True)
+        key = np.unique(key * len(value) + index, return_inverse=True)[1].astype(np.int64)
+    return key
+
+
+def _corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Unit normal of every triangle corner, averaged over the neighbours within the crease angle."""
+    edge = position_m[triangle[:, 1:]] - position_m[triangle[:, :1]]
+    area_normal = np.cross(edge[:, 0], edge[:, 1])
+    unit = area_normal / (np.linalg.norm(area_normal, axis=1, keepdims=True) + 1e-15)
+
+    order = np.argsort(triangle.ravel(), kind="stable")
+    count = np.bincount(triangle.ravel())
+    start = np.cumsum(count) - count
+    # Every ordered pair of corners that meet in one vertex.
+    valence = count[triangle.ravel()]
+    left = np.repeat(np.arange(triangle.size), valence)
+    within = np.arange(len(left)) - np.repeat(np.cumsum(valence) - valence, valence)
+    right = order[np.repeat(start[triangle.ravel()], valence) + within]
+    smooth = np.einsum("ij,ij->i", unit[left // 3], unit[right // 3]) > CREASE_COSINE
+    left, right = left[smooth], right[smooth]
+    total = np.stack(
+        [np.bincount(left, area_normal[right // 3, axis], minlength=triangle.size) for axis in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    total = np.where(length > 1e-12, total / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    return total.reshape(-1, 3, 3)
