@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.size": 10.0,
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",

@@ -36,11 +36,10 @@ def opengl_problem() -> str | None:
     )
 
 
-def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run time; checkers see little of it)
-    """The module ``pyvista``, imported in a way that draws with or without a display.
+def tell_vtk_where_to_draw() -> None:
+    """Without a display, choose VTK's window class by ``VTK_DEFAULT_OPENGL_WINDOW``, unless it is set already.
 
-    Without a display, VTK is told to use EGL before it is first imported, unless ``VTK_DEFAULT_OPENGL_WINDOW`` already
-    says otherwise: left to itself it asks an X server first and can crash.
+    To be called before VTK is first imported: left to itself it asks an X server first and can crash.
 
     Raises:
         InputError: There is no display and no library that draws without one.
@@ -51,6 +50,15 @@ def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run
     if not has_display():
         window = "vtkEGLRenderWindow" if _loads("libEGL.so.1") else "vtkOSOpenGLRenderWindow"
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
+
+
+def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run time; checkers see little of it)
+    """The module ``pyvista``, imported in a way that draws with or without a display.
+
+    Raises:
+        InputError: There is no display and no library that draws without one.
+    """
+    tell_vtk_where_to_draw()
     import pyvista
 
     return pyvista

@@ -366,46 +366,66 @@ def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) 
 
 
 def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, name: str) -> None:
-    """Names above the frustums, moved up until none hides another from where the plotter looks now."""
+    """Names above the frustums, placed so that none hides another from where the plotter looks now."""
     point = [frustum_points(camera, depth_m=depth_m) for camera in cameras]
     anchor = np.array([corner[1:].mean(axis=0) for corner in point])
     anchor[:, 2] = [corner[:, 2].max() + 0.12 for corner in point]
-    width_px = np.array([11.0 * len(camera.name) + 30.0 for camera in cameras])
-    anchor = _without_overlap(plotter, anchor, width_px)
+    scale = min(1.0, max(0.5, plotter.window_size[0] / WINDOW_PX[0]))
+    size_px = scale * np.array([[9.5 * len(camera.name) + 14.0, 28.0] for camera in cameras])
+    anchor = label_anchors_m(plotter, anchor, size_px)
     for index, camera in enumerate(cameras):
         plotter.add_point_labels(
             anchor[index][None],
             [f" {camera.name} "],
             name=f"{name}/{camera.name}/label",
-            font_size=17,
+            font_size=round(17 * scale),
             bold=True,
             text_color="white",
             shape="rounded_rect",
             shape_color=camera_rgb(index),
             shape_opacity=1.0,
-            margin=4,
+            margin=round(4 * scale),
             show_points=False,
             always_visible=True,
         )
 
 
-def _without_overlap(plotter: Plotter, anchor_m: np.ndarray, width_px: np.ndarray) -> np.ndarray:
-    """Anchors raised in steps until labels of this width no longer overlap; [label, 3] and [label]."""
-    step_m, height_px = 0.12, 32.0
-    placed_px: list[np.ndarray] = []
-    raised_m = anchor_m.copy()
-    for index in np.argsort(-project_px(plotter, anchor_m)[:, 1]):  # lowest in the picture first
-        for _ in range(40):
-            here_px = project_px(plotter, raised_m[index][None])[0]
-            clear = all(
-                abs(here_px[0] - other[0]) > (width_px[index] + other[2]) / 2 or abs(here_px[1] - other[1]) > height_px
-                for other in placed_px
-            )
-            if clear:
-                break
-            raised_m[index, 2] += step_m
-        placed_px.append(np.array([*project_px(plotter, raised_m[index][None])[0], width_px[index]]))
-    return raised_m
+def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray) -> np.ndarray:
+    """Where to anchor labels so that none overlaps another or leaves the picture, each as near its wish as possible.
+
+    Args:
+        plotter: The picture, with its view set.
+        wanted_m: Where the middles of the labels would like to be [m], shape [label, 3].
+        size_px: Width and height of each label [px], shape [label, 2].
+
+    Returns:
+        Points at which the lower left corners of the labels belong [m], float64, shape [label, 3].
+    """
+    viewer = plotter.camera
+    ahead = np.asarray(viewer.direction, dtype=np.float64)
+    right = np.cross(ahead, np.asarray(viewer.up, dtype=np.float64))
+    right /= np.linalg.norm(right)
+    above = np.cross(right, ahead)
+    middle_px = project_px(plotter, wanted_m)
+    px_per_m = np.linalg.norm(project_px(plotter, wanted_m + above) - middle_px, axis=1)
+    picture_px = np.asarray(plotter.window_size, dtype=np.float64)
+    step = np.stack(np.meshgrid(np.arange(-60, 61) * 8.0, np.arange(-60, 61) * 5.0), axis=-1).reshape(-1, 2)
+    step = step[np.argsort(np.hypot(step[:, 0], step[:, 1]), kind="stable")]
+    placed_px = np.zeros((0, 2))
+    placed: list[int] = []
+    corner_m = np.asarray(wanted_m, dtype=np.float64).copy()
+    for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the picture first
+        candidate = middle_px[index] + step
+        room = size_px[index] / 2.0
+        clear = ((candidate >= room) & (candidate <= picture_px - room)).all(axis=1)
+        for other, other_px in zip(placed, placed_px, strict=True):
+            clear &= (np.abs(candidate - other_px) >= room + size_px[other] / 2.0).any(axis=1)
+        chosen = int(np.argmax(clear))  # the first, its wish, should none be clear
+        right_px, down_px = step[chosen] + room * np.array([-1.0, 1.0])
+        corner_m[index] += (right_px * right - down_px * above) / px_per_m[index]
+        placed.append(int(index))
+        placed_px = np.vstack([placed_px, candidate[chosen]])
+    return corner_m
 
 
 def _polar_grid(centre_m: np.ndarray, radius_m: np.ndarray, bearing_rad: np.ndarray, *, height_m: float) -> PolyData:
@@ -419,8 +439,9 @@ def _polar_grid(centre_m: np.ndarray, radius_m: np.ndarray, bearing_rad: np.ndar
 
 def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     """The low part of the environment near the ego vehicle, cut small enough to carry a fade; None if there is none."""
-    height = environment.vertex_m[:, 2][environment.triangle]
-    low = environment.triangle[height.max(axis=1) < GROUND_CUT_M]
+    corner = environment.vertex_m[environment.triangle]
+    upward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > -1e-6
+    low = environment.triangle[upward & (corner[:, :, 2].max(axis=1) < GROUND_CUT_M)]
     if len(low) == 0:
         return None
     from warpav.geometry.mesh import Mesh

@@ -1,0 +1,58 @@
+"""Frustums and sectors against their closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from warpav.rig.camera import CameraModel
+from warpav.rig.rig import RigCamera
+from warpav.view.frustum import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
+
+
+def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200):
+    model = CameraModel(width_px=width_px, height_px=height_px, fov_rad=math.radians(fov_deg))
+    angles = (math.radians(angle) for angle in (yaw_deg, pitch_deg, roll_deg))
+    return RigCamera("cam", np.array([1.5, 0.4, 1.7]), *angles, model)
+
+
+@pytest.mark.parametrize("fov_deg", [20.0, 90.0, 150.0])
+@pytest.mark.parametrize("depth_m", [0.5, 3.0])
+def test_half_width_and_half_height_are_the_closed_form(fov_deg, depth_m):
+    model = camera(fov_deg=fov_deg).model
+    half_width = depth_m * math.tan(math.radians(fov_deg) / 2)
+    half_height = half_width * 200 / 320
+    expected = [[-1, -1], [1, -1], [1, 1], [-1, 1]] * np.array([half_width, half_height])
+    corner = image_corners(model, depth_m=depth_m)
+    np.testing.assert_allclose(corner[:, :2], expected, rtol=1e-12)
+    np.testing.assert_allclose(corner[:, 2], depth_m, rtol=1e-12)
+
+
+def test_frustum_of_a_camera_that_looks_left_opens_to_the_left():
+    point = frustum_points(camera(yaw_deg=90.0), depth_m=2.0)
+    np.testing.assert_allclose(point[0], [1.5, 0.4, 1.7])
+    # Top left of an image taken looking left lies ahead of the vehicle's middle: image left is x forward... backward.
+    np.testing.assert_allclose(point[1], [1.5 - 2.0, 0.4 + 2.0, 1.7 + 1.25], atol=1e-12)
+    np.testing.assert_allclose(point[3], [1.5 + 2.0, 0.4 + 2.0, 1.7 - 1.25], atol=1e-12)
+
+
+@pytest.mark.parametrize(("yaw_deg", "fov_deg"), [(0.0, 90.0), (170.0, 60.0), (-170.0, 120.0), (45.0, 20.0)])
+@pytest.mark.parametrize("pitch_deg", [0.0])
+def test_sector_of_a_level_camera_is_its_yaw_and_field_of_view(yaw_deg, fov_deg, pitch_deg):
+    right_rad, left_rad = bearing_sector_rad(camera(yaw_deg=yaw_deg, fov_deg=fov_deg, pitch_deg=pitch_deg))
+    assert left_rad - right_rad == pytest.approx(math.radians(fov_deg))
+    middle = (left_rad + right_rad) / 2 - math.radians(yaw_deg)
+    assert math.remainder(middle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_sector_widens_when_the_camera_looks_down():
+    right_rad, left_rad = bearing_sector_rad(camera(pitch_deg=40.0))
+    assert (left_rad - right_rad) / 2 == pytest.approx(math.atan(1.0 / math.cos(math.radians(40.0))))
+
+
+def test_sector_polygon_has_the_area_of_a_sector():
+    polygon = sector_polygon_m(camera(yaw_deg=30.0, fov_deg=80.0), radius_m=3.0)
+    x, y = polygon.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)  # positive: counter-clockwise
+    assert area == pytest.approx(0.5 * math.radians(80.0) * 3.0**2, rel=1e-3)
+    np.testing.assert_allclose(polygon[0], [1.5, 0.4])
