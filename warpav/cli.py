@@ -93,11 +93,12 @@ def evaluate(
 ) -> None:
     """Measure a rig on the test scenes."""
     from warpav.console import RunDisplay
-    from warpav.run import config_for, evaluate_rig
+    from warpav.run import measure_rig
+    from warpav.sources import config_for
 
     settings = config_for(rig, config, overrides, default=DEFAULT_CONFIG)
     with RunDisplay() as display:
-        evaluate_rig(rig, settings, json_file=json, display=display)
+        measure_rig(rig, settings, json_file=json, display=display)
 
 
 @app.command
@@ -109,7 +110,8 @@ def render(
     out: Annotated[Path, Parameter(help="Folder for the images.")],
 ) -> None:
     """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
-    from warpav.run import config_for, render_rig
+    from warpav.gallery import render_rig
+    from warpav.sources import config_for
 
     folder = render_rig(scene, rig, config_for(rig, None, overrides, default=DEFAULT_CONFIG), out, overrides)
     _say(f"wrote {folder}")
@@ -123,7 +125,8 @@ def inspect(
     out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
 ) -> None:
     """Show a rig on its vehicle, in a window when there is a display, else in a file."""
-    from warpav.run import config_for, inspect_rig
+    from warpav.gallery import inspect_rig
+    from warpav.sources import config_for
 
     file = inspect_rig(run_or_rig, config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG), out)
     if file is not None:
@@ -156,7 +159,7 @@ def scenes_make(
     """Build embedded street scenes and write each as a GLB file."""
     from warpav.config import read_seeds
     from warpav.console import RunDisplay
-    from warpav.run import make_scenes
+    from warpav.gallery import make_scenes
 
     numbers = read_seeds(seeds, place="command line (--seeds)")
     with RunDisplay() as display:
@@ -172,9 +175,10 @@ def scenes_show(
     out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
 ) -> None:
     """Show a scene and list its vehicles."""
-    from warpav.run import show_scene
+    from warpav.gallery import show_scene
 
-    _say(show_scene(scene, out))
+    for line in show_scene(scene, out):
+        _say(line)
 
 
 @config_app.command(name="show")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from warpav.results import ARM_COLUMNS
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -44,8 +46,6 @@ class RunDisplay:
         self._live = Live(console=self.console, refresh_per_second=REFRESH_PER_SECOND, get_renderable=self._render)
         self._numbers: Table | None = None
         self._task: TaskID | None = None
-        self._best = math.inf
-        self._best_iteration = 0
 
     def __enter__(self) -> RunDisplay:
         if self.console.is_terminal:
@@ -80,21 +80,16 @@ class RunDisplay:
             min_spacing_m: Least allowed distance between cameras [m], shown beside the actual one.
         """
         self._start("optimising", count)
-        self._best = math.inf
         every = max(1, count // PLAIN_LINES_PER_STAGE)
         began = time.perf_counter()
         for number, record in enumerate(records, start=1):
-            loss = float(getattr(record, "loss", math.nan))
-            if loss < self._best:
-                self._best, self._best_iteration = loss, number
             speed = (time.perf_counter() - began) / number
             rows = iteration_rows(record, min_spacing_m=min_spacing_m)
-            rows["best loss"] = f"{self._best:.4f} in iteration {self._best_iteration}"
             self._numbers = _grid(rows)
             self._advance(number, began)
             if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
                 left_s = speed * (count - number)
-                text = "  ".join(f"{name} {value}" for name, value in rows.items() if name != "best loss")
+                text = "  ".join(f"{name} {value}" for name, value in rows.items())
                 self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
             yield record
         self._numbers = None
@@ -118,36 +113,15 @@ class RunDisplay:
 
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
     """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
-    spacing_m = min_distance_m(getattr(record, "positions_m", ()))
+    spacing_m = getattr(record, "min_camera_distance_m", None)
     return {
         "loss": _number(getattr(record, "loss", None)),
         **{name: _number(value) for name, value in getattr(record, "terms", {}).items()},
         **{f"multiplier {name}": _number(value) for name, value in getattr(record, "multipliers", {}).items()},
         **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
-        "closest cameras": f"{spacing_m:.2f} m (at least {min_spacing_m:.2f} m)",
+        "closest cameras": f"{_number(spacing_m)} m (at least {min_spacing_m:g} m)",
+        "training objective": f"{_number(getattr(record, 'best_training_objective', None))} (best so far)",
     }
-
-
-def min_distance_m(positions_m: Sequence[Sequence[float]]) -> float:
-    """Least distance between two of the positions [m]; inf for fewer than two."""
-    positions = [tuple(float(value) for value in position) for position in positions_m]
-    pairs = ((a, b) for i, a in enumerate(positions) for b in positions[:i])
-    return min((math.dist(a, b) for a, b in pairs), default=math.inf)
-
-
-ARM_COLUMNS = {
-    "map50_average": "AP50 mean",
-    "map50_min_camera": "worst camera",
-    "map50_max_camera": "best camera",
-    "ap50_pooled": "AP50 pooled",
-    "tp_detection_rate": "detected",
-    "tp_in_frame_rate": "in frame",
-    "detection_confidence": "confidence",
-    "objective": "objective",
-    "constraint_violation": "violation",
-    "min_camera_distance_m": "closest [m]",
-}
-"""Fields of an arm's metrics and the headings they are shown under."""
 
 
 def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
@@ -160,6 +134,33 @@ def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Tabl
         style = "bold" if name == "optimised" else None
         table.add_row(name, *(_metric(metrics.get(field)) for field in ARM_COLUMNS), style=style)
     return table
+
+
+def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
+    """Print the arms' metrics, whether the constraints are met, and what the run has changed.
+
+    Args:
+        console: Where to.
+        evaluation: The content of ``evaluation.json``.
+    """
+    arms = evaluation["arms"]
+    console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
+    name, metrics = next(iter(arms.items()))
+    violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
+    met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
+    console.print(met if violation == 0.0 else f"[red]constraints broken[/] by {_number(violation)} m")
+    training = evaluation.get("training_objective")
+    if training:
+        start, end = training["start"], training["optimised"]
+        change = f" ({(end - start) / start:+.1%})" if start else ""
+        console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
+    for other, differences in evaluation.get("paired", {}).items():
+        found = differences["tp_detection_rate"]
+        if found["low"] is not None:
+            console.print(
+                f"vehicles detected, {name} - {other}: {found['mean']:+.4f} "
+                f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
+            )
 
 
 def _grid(rows: Mapping[str, str]) -> Table:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from warpav.errors import InputError
 from warpav.results import package_versions
+from warpav.sources import load_warp
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120
@@ -74,15 +75,6 @@ def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
         return check()
     except Exception as error:
         return Finding(name, "failed", f"{type(error).__name__}: {' '.join(str(error).split())}")
-
-
-def load_warp() -> Any:  # noqa: ANN401 (the module)
-    """The module ``warp``, told to keep its start-up messages to itself."""
-    import warp
-
-    warp.config.log_level = warp.LOG_ERROR
-    warp.init()
-    return warp
 
 
 def check_versions() -> Finding:

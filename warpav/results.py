@@ -39,6 +39,19 @@ if TYPE_CHECKING:
 RigRole = Literal["initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
+ARM_COLUMNS = {
+    "map50_average": "AP50 mean",
+    "map50_min_camera": "worst camera",
+    "map50_max_camera": "best camera",
+    "ap50_pooled": "AP50 pooled",
+    "tp_detection_rate": "detected",
+    "tp_in_frame_rate": "in frame",
+    "detection_confidence": "confidence",
+    "objective": "objective",
+    "constraint_violation": "violation",
+    "min_camera_distance_m": "closest [m]",
+}
+"""Fields of an arm's metrics and the headings they are shown under."""
 _PACKAGES = (
     "warp-lang",
     "numpy",
@@ -93,8 +106,8 @@ class RunFolder:
             raise InputError(
                 f"run.out: expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
-        folder._write_text("config.yaml", dump_config(config))
-        folder._write_json("env.json", environment(config, device))
+        _write_text(path / "config.yaml", dump_config(config))
+        write_json(path / "env.json", environment(config, device))
         return folder
 
     @classmethod
@@ -117,8 +130,7 @@ class RunFolder:
         """Write ``rig_<role>.yaml``."""
         from warpav.rig.rig import write_rig
 
-        with self._replacing(f"rig_{role}.yaml") as file:
-            write_rig(rig, file)
+        write_rig(rig, self.path / f"rig_{role}.yaml")
 
     def append_event(self, record: object) -> None:
         """Append one iteration to ``events.jsonl`` and ``metrics.csv``.
@@ -141,22 +153,20 @@ class RunFolder:
         """Write the state from which the run can go on to ``checkpoints/last.npz``."""
         import numpy as np
 
-        with self._replacing("checkpoints/last.npz") as file, file.open("wb") as stream:
+        with _replacing(self.path / "checkpoints" / "last.npz") as draft, draft.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
 
     def write_evaluation(self, evaluation: Mapping[str, Any]) -> None:
         """Write ``evaluation.json``; NaN becomes null."""
-        self._write_json("evaluation.json", {"schema": EVALUATION_SCHEMA, **evaluation})
+        write_json(self.path / "evaluation.json", {"schema": EVALUATION_SCHEMA, **evaluation})
 
-    def write_figure(self, name: str, png: bytes) -> Path:
-        """Write ``figures/<name>.png`` and return its path."""
-        with self._replacing(f"figures/{name}.png") as file:
-            file.write_bytes(png)
+    def figure_path(self, name: str) -> Path:
+        """Where the figure of this name belongs: ``figures/<name>.png``."""
         return self.path / "figures" / f"{name}.png"
 
     def write_report(self, html: str) -> Path:
         """Write ``report.html`` and return its path."""
-        self._write_text("report.html", html)
+        _write_text(self.path / "report.html", html)
         return self.path / "report.html"
 
     def config(self) -> Config:
@@ -217,24 +227,6 @@ class RunFolder:
                 return read_rig(file)
         raise InputError(f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none; the run has none yet")
 
-    @contextlib.contextmanager
-    def _replacing(self, name: str) -> Iterator[Path]:
-        """A path to write to; the file takes its place in one step when the block ends well."""
-        file = self.path / name
-        draft = file.with_name(f".draft-{os.getpid()}-{file.name}")
-        try:
-            yield draft
-            os.replace(draft, file)
-        finally:
-            draft.unlink(missing_ok=True)
-
-    def _write_text(self, name: str, text: str) -> None:
-        with self._replacing(name) as file:
-            file.write_text(text, encoding="utf-8")
-
-    def _write_json(self, name: str, data: object) -> None:
-        self._write_text(name, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
-
     def _append(self, name: str, line: str) -> None:
         with (self.path / name).open("ab", buffering=0) as file:
             file.write(line.encode())
@@ -247,6 +239,18 @@ class RunFolder:
             return None
         except ValueError as error:
             raise InputError(f"{file}: expected JSON, got: {error}") from None
+
+
+def write_json(file: Path, data: object) -> None:
+    """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        _write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
+    except OSError as error:
+        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
 
 
 def check_new_run(config: Config) -> None:
@@ -319,6 +323,22 @@ def _numbered_folder(name: str) -> Path:
             number += 1
         else:
             return path
+
+
+@contextlib.contextmanager
+def _replacing(file: Path) -> Iterator[Path]:
+    """A path to write to; the file takes its place in one step when the block ends well."""
+    draft = file.with_name(f".draft-{os.getpid()}-{file.name}")
+    try:
+        yield draft
+        os.replace(draft, file)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _write_text(file: Path, text: str) -> None:
+    with _replacing(file) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def _json_ready(value: object) -> Any:  # noqa: ANN401

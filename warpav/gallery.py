@@ -1,0 +1,249 @@
+"""What a user looks at: rendered images on disk, pictures of scenes, rigs and runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.config import Config
+from warpav.errors import InputError
+from warpav.results import RunFolder
+from warpav.rig.rig import Rig, RigCamera
+from warpav.sources import checked_device, find_rig, load_scene, load_scenes
+
+if TYPE_CHECKING:
+    from warpav.figures import DetectionPanel
+    from warpav.objective.objective import AssignedScene, ThesisObjective
+    from warpav.render.images import CameraImage
+    from warpav.scene.scene import Scene
+
+OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
+"""Values of object images; vehicles are their instance ids."""
+
+
+def render_rig(source: str, rig_source: str, config: Config, out: Path, overrides: Sequence[str] = ()) -> Path:
+    """Render a scene through every camera of a rig into files.
+
+    Writes per camera ``<camera>_rgb.png``, ``<camera>_object.png`` (16 bit: 0 background and environment, 65535 ego,
+    else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing), and ``views.json``. The files
+    appear once all images are rendered.
+
+    Args:
+        source: GLB file, or the seed of an embedded scene.
+        rig_source: Rig YAML, preset, run folder, or ``highest``.
+        config: Device, supersampling, near plane, and the cameras of ``highest``.
+        out: Folder to write to; made when it does not exist.
+        overrides: The overrides that the user gave; those of ``camera`` replace what the rig's file says.
+
+    Raises:
+        InputError: The scene, the rig, the device or the folder cannot be used.
+    """
+    from warpav.render.images import render_images
+
+    _check_folder(out, "--out")
+    scene = load_scene(source)
+    device = checked_device(config.device)
+    cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
+    images = render_images(scene, cameras, supersampling=config.camera.supersampling, device=device)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".draft-") as draft:
+            for camera, image in zip(cameras, images, strict=True):
+                _write_image(Path(draft), camera, image, scene)
+            views = json.dumps([_view(camera) for camera in cameras], indent=2)
+            (Path(draft) / "views.json").write_text(views + "\n", encoding="utf-8")
+            for file in sorted(Path(draft).iterdir()):
+                os.replace(file, out / file.name)
+    except OSError as error:
+        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
+    return out
+
+
+def make_scenes(seeds: Sequence[int], out: Path) -> Iterator[Path]:
+    """Build embedded scenes one after the other and write each as ``scene_<seed>.glb``; yields the files.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    from warpav.scene.glb import write_scene
+    from warpav.scene.town import town_scene
+
+    _check_folder(out, "--out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
+    for seed in seeds:
+        file = out / f"scene_{seed}.glb"
+        write_scene(town_scene(seed), file)
+        yield file
+
+
+def inspect_rig(source: str, config: Config, out: Path | None) -> Path | None:
+    """Show a rig on its vehicle in traffic, in a window when there is a display, else in a file.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives the scene: the first test scene.
+        out: PNG, HTML or GIF to write; None opens a window.
+
+    Returns:
+        The file that was written, if one was.
+
+    Raises:
+        InputError: The rig or the file cannot be used, or this machine cannot draw.
+    """
+    from warpav.view.picture import inspect_rig as show
+
+    trajectory_m, fallback = None, Path("rig.png")
+    if Path(source).is_dir():
+        folder = RunFolder.open(source)
+        trajectory_m, fallback = trajectory(folder.events()), folder.path / "inspect.png"
+    scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
+    rig = find_rig(source, config, scene.ego)
+    return show(rig, ego=scene.ego, scene=scene, trajectory_m=trajectory_m, out=out, out_without_display=fallback)
+
+
+def show_scene(source: str, out: Path | None) -> Iterator[str]:
+    """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
+
+    Raises:
+        InputError: The scene or the file cannot be used, or this machine cannot draw.
+    """
+    from warpav.view.picture import inspect_rig as show
+
+    scene = load_scene(source)
+    meshes = [scene.environment, scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+    triangle_count = sum(len(mesh.triangle) for mesh in meshes)
+    yield f"{scene.name}: {len(scene.vehicles)} vehicles, {triangle_count} triangles"
+    for vehicle in scene.vehicles:
+        x, y = vehicle.box.center_m[:2]
+        length, width, height = vehicle.box.size_m
+        yield (
+            f"  {vehicle.instance_id:3}  {vehicle.category:10} {math.hypot(x, y):5.1f} m away at "
+            f"{math.degrees(math.atan2(y, x)):+6.1f} deg, {length:.1f} x {width:.1f} x {height:.1f} m"
+        )
+    no_cameras = Rig(())
+    fallback = Path(f"{scene.name}.png")
+    file = show(no_cameras, ego=scene.ego, scene=scene, title=scene.name, out=out, out_without_display=fallback)
+    if file is not None:
+        yield f"wrote {file}"
+
+
+def draw_run(
+    folder: RunFolder,
+    rigs: Mapping[str, Rig],
+    *,
+    objective: ThesisObjective,
+    scene: Scene,
+    assigned: AssignedScene,
+    say: Callable[[str], None],
+) -> None:
+    """Draw the figures of a run into its folder.
+
+    Args:
+        folder: The run folder; its events are drawn too.
+        rigs: The start and the result, in this order, by their headings.
+        objective: Looks at the scene through the rigs.
+        scene: A test scene.
+        assigned: The same scene on the device.
+        say: Told when this machine cannot draw.
+    """
+    from warpav import figures
+    from warpav.view.opengl import opengl_problem
+    from warpav.view.picture import inspect_rig as show
+
+    start, result = rigs.values()
+    path_m, surface = trajectory(folder.events()), objective.mount.surface
+    spacing_m = objective.settings.min_spacing_m
+    figures.loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
+    figures.rig_top_view(
+        folder.figure_path("rig_top_view"),
+        rig=result,
+        ego=scene.ego,
+        mount_surface=surface,
+        rig_initial=start,
+        trajectory_m=path_m,
+    )
+    figures.height_map_figure(surface, scene.ego, folder.figure_path("height_map"))
+    sheet = {heading: _panels(rig, objective, assigned) for heading, rig in rigs.items()}
+    figures.detections_sheet(sheet, folder.figure_path("detections"))
+    problem = opengl_problem()
+    if problem:
+        say(f"no picture of the rig: {problem}")
+        return
+    show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+
+
+def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
+    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations."""
+    return np.array([event["positions_m"] for event in events]) if len(events) > 1 else None
+
+
+def _check_folder(folder: Path, option: str) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file")
+
+
+def _panels(rig: Rig, objective: ThesisObjective, assigned: AssignedScene) -> list[DetectionPanel]:
+    from warpav.figures import DetectionPanel
+
+    seen, _, _ = objective.observe_rig(rig, assigned)
+    return [
+        DetectionPanel(
+            title=camera.name,
+            image_rgb=seen.image_rgb[k],
+            truth_box_px=seen.truth_box_px[k],
+            detection_box_px=seen.detections[k].box_px,
+            detection_of_truth=seen.match[k],
+        )
+        for k, camera in enumerate(rig.cameras)
+    ]
+
+
+def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> RigCamera:
+    """The camera with the image size and field of view that the user asked for on the command line."""
+    given = {override.partition("=")[0].strip() for override in overrides}
+    wanted = {
+        "camera.width_px": ("width_px", config.camera.width_px),
+        "camera.height_px": ("height_px", config.camera.height_px),
+        "camera.fov_deg": ("fov_rad", math.radians(config.camera.fov_deg)),
+    }
+    changes = {name: value for option, (name, value) in wanted.items() if option in given}
+    return dataclasses.replace(camera, model=dataclasses.replace(camera.model, **changes))
+
+
+def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Scene) -> None:
+    import cv2
+
+    from warpav.render.device_scene import EGO, FIRST_VEHICLE
+
+    value_of_object = np.full(FIRST_VEHICLE + len(scene.vehicles) + 1, OBJECT_BACKGROUND, np.uint16)  # last: nothing
+    value_of_object[EGO] = OBJECT_EGO
+    value_of_object[FIRST_VEHICLE:-1] = [vehicle.instance_id for vehicle in scene.vehicles]
+    files = {
+        f"{camera.name}_rgb.png": np.ascontiguousarray(image.rgb[:, :, ::-1]),
+        f"{camera.name}_object.png": value_of_object[image.object_index],
+    }
+    for name, pixels in files.items():
+        if not cv2.imwrite(str(folder / name), pixels):
+            raise OSError(0, f"{name} could not be written")
+    np.save(folder / f"{camera.name}_depth_m.npy", image.depth_m.astype(np.float32))
+
+
+def _view(camera: RigCamera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "width_px": camera.model.width_px,
+        "height_px": camera.model.height_px,
+        "intrinsics": camera.model.intrinsics.tolist(),
+        "ego_from_camera": camera.ego_from_camera.tolist(),
+    }

@@ -1,0 +1,328 @@
+"""The main job: a configuration becomes an optimised rig beside its baselines, in a run folder."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.config import Config
+from warpav.console import show_verdict
+from warpav.detection.onnx_detector import OnnxDetector
+from warpav.errors import InputError
+from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
+from warpav.gallery import draw_run
+from warpav.geometry.mesh import Mesh
+from warpav.objective.losses import LossSettings
+from warpav.objective.mount import mount_pose_of_rig
+from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.optimise.baselines import highest_mount_pose, random_mount_pose, random_search
+from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.optimise.segregation import Segregation, assign_vehicles, segregate
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Occlusion
+from warpav.report import write_report
+from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
+from warpav.rig.rig import Rig, read_rig
+from warpav.scene.scene import Scene
+from warpav.sources import arm_name, camera_mount, check_rig_source, checked_device, device_name, find_rig, load_scenes
+
+if TYPE_CHECKING:
+    from warpav.console import RunDisplay
+
+# streams of random numbers: one more draw in one place moves nothing elsewhere
+_SEGREGATION, _START, _BATCHES, _RANDOM_ARM = range(4)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that a rig is measured against.
+
+    Attributes:
+        config: The configuration.
+        objective: The training objective; it knows the mount surface and the detector.
+        segregation: Orientations that share the vehicles among the cameras.
+        train: Training scenes, each vehicle assigned to an orientation.
+        test: Test scenes, likewise.
+        ego: The vehicle that carries the cameras.
+        shown: The first test scene, for pictures.
+    """
+
+    config: Config
+    objective: ThesisObjective
+    segregation: Segregation
+    train: list[AssignedScene]
+    test: list[AssignedScene]
+    ego: Mesh
+    shown: Scene
+
+    def random_numbers(self, stream: int) -> np.random.Generator:
+        """Random numbers for one purpose, from ``run.seed``."""
+        return np.random.default_rng([self.config.run.seed, stream])
+
+    def assigned(self, scenes: list[AssignedScene], rig: Rig, *, in_order: bool) -> list[AssignedScene]:
+        """The scenes with vehicles assigned to the cameras of a rig.
+
+        Args:
+            scenes: Some of the problem's scenes.
+            rig: The rig.
+            in_order: Whether camera k took orientation k from the start; otherwise cameras and orientations are paired
+                by their directions.
+        """
+        if in_order or len(rig.cameras) != len(self.segregation.yaw_rad):
+            return scenes
+        return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
+
+
+def load_problem(config: Config, display: RunDisplay) -> Problem:
+    """Load the detector, build or read the scenes, and share their vehicles among the cameras.
+
+    Raises:
+        InputError: The device, the detector or a scene cannot be used.
+    """
+    device = checked_device(config.device)
+    detector = OnnxDetector(
+        config.detector.model,
+        confidence_min=config.detector.confidence_min,
+        nms_iou_max=config.detector.nms_iou_max,
+        vehicle_names=config.detector.vehicle_names,
+        input_px=config.detector.input_px,
+    )
+    train_count = len(config.scenes.train_seeds)
+    seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)
+    packed: list[DeviceScene] = []
+    ego = shown = None
+    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds), count=len(seeds))):
+        ego = scene.ego if ego is None else ego
+        if scene.ego.vertex_m.shape != ego.vertex_m.shape or not np.allclose(scene.ego.vertex_m, ego.vertex_m):
+            raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+        shown = scene if k == train_count else shown
+        packed.append(DeviceScene.pack(scene, device=device))
+    assert ego is not None
+    assert shown is not None
+    mount = camera_mount(config, ego)
+    middle_m = np.append(ego.bounds_m()[:, :2].mean(axis=0), 0.0)
+    segregation = segregate(
+        packed[:train_count],
+        camera=mount.camera,
+        camera_count=config.rig.cameras,
+        rotation_count=config.segregation.rotations,
+        viewpoint_ego_m=middle_m,
+        rng=np.random.default_rng([config.run.seed, _SEGREGATION]),
+        device=device,
+    )
+    assigned = assign_vehicles(packed, segregation, camera=mount.camera, viewpoint_ego_m=middle_m, device=device)
+    objective = ThesisObjective(
+        mount,
+        detector,
+        camera_count=config.rig.cameras,
+        settings=LossSettings(
+            in_frame_rotation=config.losses.in_frame_rotation,
+            detected_area=config.losses.detected_area,
+            min_detected_area=config.losses.min_detected_area,
+            epsilon=config.losses.epsilon,
+            min_spacing_m=config.rig.min_spacing_m,
+            multiplier_damping=config.optimiser.multiplier_damping,
+        ),
+        confidence_min=config.detector.confidence_min,
+        iou_min=config.detector.iou_min,
+        occlusion=Occlusion(config.visibility.occlusion),
+        supersampling=config.camera.supersampling,
+    )
+    return Problem(config, objective, segregation, assigned[:train_count], assigned[train_count:], ego, shown)
+
+
+def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:
+    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
+
+    Args:
+        config: What to do.
+        name: Name of the run when ``run.out`` gives none.
+        display: Where to show it.
+
+    Returns:
+        The run folder.
+
+    Raises:
+        InputError: Something in the input is wrong.
+        KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
+    """
+    began = time.perf_counter()
+    check_new_run(config)
+    start_rig = None if config.rig.start in ("random", "highest") else read_start(config)
+    problem = load_problem(config, display)
+    mount = problem.objective.mount
+    start = start_pose(problem, start_rig)
+    in_order = config.rig.start == "random"
+    train = problem.assigned(problem.train, mount.rig(start), in_order=in_order)
+    descent = Descent(problem.objective, train, optimiser_settings(config), start, problem.random_numbers(_BATCHES))
+
+    folder = RunFolder.create(config, name=name, device=device_name(config.device))
+    display.say(f"run folder: {folder.path}")
+    folder.write_rig("initial", mount.rig(start))
+    try:
+        descend(descent, folder, display)
+    except KeyboardInterrupt:
+        display.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
+        raise
+    result = descent.finish()
+    folder.write_rig("best", mount.rig(descent.best.mount_pose))
+    folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+
+    arms = compare(problem, {"optimised": result.mount_pose, "start": start}, in_order=in_order, display=display)
+    evaluation = {
+        **evaluation_of(arms),
+        "training_objective": {
+            "start": descent.candidates[0].training_objective,
+            "optimised": result.training_objective,
+        },
+        "seconds": {"total": time.perf_counter() - began},
+    }
+    folder.write_evaluation(evaluation)
+    draw_run(
+        folder,
+        {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
+        objective=problem.objective,
+        scene=problem.shown,
+        assigned=problem.test[0],
+        say=display.say,
+    )
+    report = write_report(folder)
+    show_verdict(display.console, evaluation)
+    display.say(f"report: {report}   took {time.perf_counter() - began:.0f} s")
+    return folder
+
+
+def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
+    """Take all steps, each shown and written before the next."""
+    config = folder.config()
+    mount = descent.objective.mount
+    steps = (descent.step() for _ in range(config.run.iterations))
+    for record in display.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
+        state = descent.state()
+        folder.append_event(record)
+        folder.write_checkpoint(state)
+        folder.write_rig("final", mount.rig(state["pose_value"]))
+        if record.training_objective is not None:
+            folder.write_rig("best", mount.rig(descent.best.mount_pose))
+
+
+def compare(
+    problem: Problem, mount_poses: Mapping[str, np.ndarray], *, in_order: bool, display: RunDisplay
+) -> dict[str, ArmMetrics]:
+    """Metrics on the test scenes of some rigs on the mount surface, of the highest point, and of the best random rig.
+
+    Args:
+        problem: What to measure against.
+        mount_poses: Mount poses by the name of the arm, [camera, 5].
+        in_order: Whether camera k of these took orientation k.
+        display: Where to show it.
+    """
+    config, mount = problem.config, problem.objective.mount
+    highest = highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
+    samples, rng = config.baselines.random_samples, problem.random_numbers(_RANDOM_ARM)
+    chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
+    display.say(f"random arm: the best of {samples} rigs on {len(chosen)} training scenes")
+    found = random_search(
+        problem.objective, [problem.train[k] for k in chosen], problem.segregation.yaw_rad, samples=samples, rng=rng
+    )
+    poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
+    ordered = {**dict.fromkeys(mount_poses, in_order), "highest": False, "random": True}
+    arms = {}
+    for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
+        rig = mount.rig(pose)
+        arms[arm] = evaluate_rig(rig, problem.assigned(problem.test, rig, in_order=ordered[arm]), problem.objective)
+    return arms
+
+
+def measure_rig(source: str, config: Config, *, json_file: Path | None, display: RunDisplay) -> dict[str, Any]:
+    """Metrics of one rig on the test scenes: shown, and written to a file.
+
+    Args:
+        source: Rig YAML, preset, run folder, or ``highest``.
+        config: The scenes, the detector and the objective.
+        json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
+        display: Where to show it.
+
+    Raises:
+        InputError: The rig, the file or something in the configuration cannot be used.
+    """
+    check_rig_source(source)
+    if json_file is not None and not json_file.absolute().parent.is_dir():
+        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
+    problem = load_problem(config, display)
+    rig = find_rig(source, config, problem.ego)
+    in_order = Path(source).is_dir() and config.rig.start == "random"
+    metrics = evaluate_rig(rig, problem.assigned(problem.test, rig, in_order=in_order), problem.objective)
+    evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
+    show_verdict(display.console, evaluation)
+    if json_file is not None:
+        write_json(json_file, evaluation)
+        display.say(f"wrote {json_file}")
+    return evaluation
+
+
+def evaluation_of(arms: Mapping[str, ArmMetrics]) -> dict[str, Any]:
+    """The content of ``evaluation.json``: metrics by arm, and how the first arm differs from every other."""
+    first, *others = arms
+    return {
+        "scenes": {"test": len(arms[first].per_scene["tp_detection_rate"])},
+        "arms": {name: asdict(metrics) for name, metrics in arms.items()},
+        "paired": {name: paired_differences(arms[first], arms[name]) for name in others},
+    }
+
+
+def read_start(config: Config) -> Rig:
+    """The rig of the file that ``rig.start`` names.
+
+    Raises:
+        InputError: It cannot be read, or has another number of cameras than ``rig.cameras``.
+    """
+    rig = read_rig(config.rig.start)
+    if len(rig.cameras) != config.rig.cameras:
+        raise InputError(
+            f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
+            f"set rig.cameras={len(rig.cameras)}"
+        )
+    return rig
+
+
+def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
+    """Mount poses that the optimiser starts from, [camera, 5]: those of ``rig``, or as ``rig.start`` says.
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+    """
+    config, mount = problem.config, problem.objective.mount
+    if rig is not None:
+        return mount_pose_of_rig(rig)
+    if config.rig.start == "highest":
+        return highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
+    return random_mount_pose(
+        mount,
+        problem.segregation.yaw_rad,
+        min_spacing_m=config.rig.min_spacing_m,
+        rng=problem.random_numbers(_START),
+    )
+
+
+def optimiser_settings(config: Config) -> OptimiserSettings:
+    """The optimiser's settings, angles in radians."""
+    optimiser = config.optimiser
+    return OptimiserSettings(
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
+        learning_rate_position_m=optimiser.learning_rate_position_m,
+        learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
+        schedule=optimiser.schedule,
+        weight_decay=optimiser.weight_decay,
+        multiplier_learning_rate=optimiser.multiplier_learning_rate,
+        multiplier_weight_decay=optimiser.multiplier_weight_decay,
+        keep=optimiser.keep,
+        check_every=optimiser.check_every,
+    )

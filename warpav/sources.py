@@ -1,0 +1,200 @@
+"""What the words of a command or a configuration mean: devices, scenes, rigs, mount surfaces."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.config import Config, load_config
+from warpav.errors import InputError
+from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.results import RunFolder
+from warpav.rig.camera import CameraModel
+from warpav.rig.presets import preset_names, preset_rig
+from warpav.rig.rig import Rig, read_rig
+
+if TYPE_CHECKING:
+    from warpav.geometry.mesh import Mesh
+    from warpav.objective.mount import CameraMount
+    from warpav.scene.scene import Scene
+
+HIGHEST = "highest"
+SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
+
+
+def load_warp() -> Any:  # noqa: ANN401 (the module)
+    """The module ``warp``, told to keep its start-up messages to itself."""
+    import warp
+
+    warp.config.log_level = warp.LOG_ERROR
+    warp.init()
+    return warp
+
+
+def checked_device(device: str) -> str:
+    """The name of a Warp device that this machine has.
+
+    Raises:
+        InputError: It has none of that name.
+    """
+    warp = load_warp()
+    names = [each.alias for each in warp.get_devices()]
+    if device not in names:
+        raise InputError(f"device: expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")
+    return device
+
+
+def device_name(device: str) -> str:
+    """Alias and name of a Warp device, such as ``cuda:0 (NVIDIA H100)``."""
+    found = load_warp().get_device(device)
+    return f"{found.alias} ({found.name})"
+
+
+def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
+    """The scenes of ``seeds``, one after the other, built or read.
+
+    Raises:
+        InputError: A file is missing or cannot be used.
+    """
+    from warpav.scene.glb import read_scene
+    from warpav.scene.town import town_scene
+
+    if config.scenes.source == "town":
+        yield from map(town_scene, seeds)
+        return
+    assert config.scenes.folder is not None
+    files = [config.scenes.folder / f"scene_{seed}.glb" for seed in seeds]
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise InputError(
+            f"scenes.folder: expected {missing[0].name} in {str(config.scenes.folder)!r}, got no such file "
+            f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds"
+        )
+    yield from map(read_scene, files)
+
+
+def load_scene(source: str) -> Scene:
+    """The scene that ``source`` means: a GLB file, or the embedded scene of a seed.
+
+    Raises:
+        InputError: It is neither.
+    """
+    from warpav.scene.glb import read_scene
+    from warpav.scene.town import town_scene
+
+    if source.isdecimal() and not Path(source).exists():
+        return town_scene(int(source))
+    if not Path(source).is_file():
+        raise InputError(f"{source}: scene: expected a GLB file or the seed of an embedded scene, got {source!r}")
+    return read_scene(source)
+
+
+def mount_surface(config: Config, ego: Mesh) -> MountSurface:
+    """Where cameras may stand on the ego vehicle.
+
+    Raises:
+        InputError: Nothing on it faces upwards enough.
+    """
+    return mount_surface_from_mesh(
+        ego,
+        cell_m=config.mount.cell_m,
+        min_upward_normal=config.mount.min_upward_normal,
+        smoothing_tolerance_m=config.mount.smoothing_tolerance_m,
+    )
+
+
+def camera_model(config: Config) -> CameraModel:
+    """The camera model that all cameras of a run share."""
+    return CameraModel(
+        config.camera.width_px, config.camera.height_px, math.radians(config.camera.fov_deg), config.camera.near_m
+    )
+
+
+def camera_mount(config: Config, ego: Mesh) -> CameraMount:
+    """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
+    from warpav.objective.mount import CameraMount
+
+    return CameraMount(
+        mount_surface(config, ego),
+        camera=camera_model(config),
+        height_offset_m=config.rig.height_offset_m,
+        device=checked_device(config.device),
+    )
+
+
+def check_rig_source(source: str) -> None:
+    """Refuse early what :func:`find_rig` would refuse after the scenes have been built.
+
+    Raises:
+        InputError: ``source`` means no rig.
+    """
+    if source != HIGHEST:
+        _find_file_rig(source)
+
+
+def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
+    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``.
+
+    Args:
+        source: What the user wrote.
+        config: Gives the near plane of all cameras, and everything about the cameras of ``highest``.
+        ego: The vehicle on whose highest point ``highest`` stands.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    if source == HIGHEST:
+        from warpav.optimise.baselines import highest_mount_pose
+
+        mount = camera_mount(config, ego)
+        return mount.rig(highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m))
+    shared = camera_model(config)
+    return Rig.create(
+        [
+            dataclasses.replace(camera, model=_completed(camera.model, shared))
+            for camera in _find_file_rig(source).cameras
+        ],
+        name=source,
+    )
+
+
+def config_for(source: str, config: str | None, overrides: Sequence[str], *, default: str) -> Config:
+    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``."""
+    if config is None and Path(source).is_dir():
+        config = str(RunFolder.open(source).path / "config.yaml")
+    return load_config(config or default, overrides)
+
+
+def arm_name(source: str) -> str:
+    """What the rig of ``source`` is called in results."""
+    return "optimised" if Path(source).is_dir() else Path(source).stem
+
+
+def _find_file_rig(source: str) -> Rig:
+    if Path(source).is_dir():
+        return RunFolder.open(source).rig()
+    if Path(source).is_file():
+        return read_rig(source)
+    names = preset_names()
+    if source in names:
+        return preset_rig(source)
+    near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise InputError(
+        f"{source}: rig: expected a rig YAML, a run folder, a preset ({', '.join(names)}) or {HIGHEST}, "
+        f"got no file of that name{hint}"
+    )
+
+
+def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
+    """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
+    model = dataclasses.replace(model, near_m=shared.near_m)
+    same_size = (model.width_px, model.height_px) == (shared.width_px, shared.height_px)
+    is_shared = same_size and np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    return shared if is_shared else model
