@@ -1,0 +1,85 @@
+"""What a pinhole camera sees, by embree rays through the sample centres. Shares no code with the rasteriser."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from warpav.geometry.mesh import merge
+
+
+@dataclass
+class RayImage:
+    """Per sample: triangle (-1: none), object, depth along the optical axis [m], interpolated colour 0..1."""
+
+    triangle: np.ndarray
+    object_index: np.ndarray
+    depth_m: np.ndarray
+    rgb: np.ndarray
+
+
+class RayCaster:
+    """Embree over some meshes; mesh k is object ``first_object + k``."""
+
+    def __init__(self, meshes, *, first_object=0, sky=None):
+        whole = merge(meshes)
+        self.vertex_m = whole.vertex_m.astype(np.float64)
+        self.triangle = whole.triangle
+        self.vertex_rgb = whole.vertex_rgb / 255.0
+        self.object_of_triangle = np.repeat(
+            np.arange(len(meshes)) + first_object, [len(mesh.triangle) for mesh in meshes]
+        )
+        self.sky = sky
+        mesh = trimesh.Trimesh(self.vertex_m, self.triangle, process=False)
+        self._embree = RayMeshIntersector(mesh, scale_to_box=False)
+
+    def look(self, ego_from_camera, model, supersampling=1):
+        """The image; surfaces with a depth below the near plane are cut away by starting the rays there."""
+        width, height = model.width_px * supersampling, model.height_px * supersampling
+        focal = 0.5 * width / np.tan(0.5 * model.fov_rad)
+        column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        ray = np.stack(
+            [(column - 0.5 * width) / focal, (row - 0.5 * height) / focal, np.ones_like(column)], axis=-1
+        ).reshape(-1, 3)
+        direction = ray @ ego_from_camera[:3, :3].T
+        origin = ego_from_camera[:3, 3] + model.near_m * direction
+        hit = self._embree.intersects_first(origin, direction)
+        seen = hit >= 0
+        depth = np.full(len(ray), np.inf)
+        index = np.full(len(ray), -1)
+        rgb = self._sky_rgb(direction)
+        index[seen] = self.object_of_triangle[hit[seen]]
+        corner = self.vertex_m[self.triangle[hit[seen]]]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        to_plane = np.einsum("ij,ij->i", normal, corner[:, 0] - ego_from_camera[:3, 3])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # rays have depth 1, so their parameter is the depth
+            depth[seen] = to_plane / np.einsum("ij,ij->i", normal, direction[seen])
+        point = ego_from_camera[:3, 3] + depth[seen, None] * direction[seen]
+        share = trimesh.triangles.points_to_barycentric(corner, point)
+        rgb[seen] = np.einsum("ij,ijk->ik", share, self.vertex_rgb[self.triangle[hit[seen]]])
+        return RayImage(
+            hit.reshape(height, width),
+            index.reshape(height, width),
+            depth.reshape(height, width),
+            rgb.reshape(height, width, 3),
+        )
+
+    def _sky_rgb(self, direction):
+        if self.sky is None:
+            return np.zeros((len(direction), 3))
+        sine = np.clip(direction[:, 2] / np.linalg.norm(direction, axis=1), 0.0, 1.0)[:, None]
+        share = 1.0 - (1.0 - sine) ** 2
+        return ((1.0 - share) * self.sky.horizon_rgb + share * self.sky.zenith_rgb) / 255.0
+
+
+def cast_scene(scene):
+    """A caster over the whole scene: object 0 is the environment, 1 the ego vehicle, 2 + k vehicle k."""
+    return RayCaster([scene.environment, scene.ego, *(v.mesh for v in scene.vehicles)], sky=scene.sky)
+
+
+def silhouettes(scene, ego_from_camera, model, supersampling=1):
+    """Depth of every vehicle alone, inf outside, float [vehicle, row, column]; and the ego vehicle's, [row, column]."""
+    alone = [RayCaster([v.mesh]).look(ego_from_camera, model, supersampling).depth_m for v in scene.vehicles]
+    return np.array(alone), RayCaster([scene.ego]).look(ego_from_camera, model, supersampling).depth_m
