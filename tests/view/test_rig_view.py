@@ -7,6 +7,7 @@ import pytest
 
 from tests.view.stand_ins import ego, rig, scene, vehicle
 from warpav.errors import InputError
+from warpav.rig.rig import Rig
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista, opengl_problem
@@ -169,3 +170,8 @@ def test_mount_surface_is_draped_at_its_height(draw):
     assert grid.bounds[:4] == pytest.approx((0.0, 2.0, -0.5, 0.5))
     for point, height in zip(grid.points, grid.point_data["height_m"], strict=True):
         assert height == pytest.approx(1.5 + 0.1 * point[0])
+
+
+def test_scene_without_cameras_is_drawn(draw):
+    plotter = draw(Rig(()), ego=ego(), scene=scene(vehicle(1, 8.0, 3.4)))
+    assert set(plotter.actors) == {"ego", "ground", "scene/ground", "scene/vehicles"}

@@ -236,7 +236,7 @@ def add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: st
     row, column = np.indices(height.shape)
     origin = np.asarray(mount_surface.origin_m, dtype=np.float64)
     grid = pyvista.StructuredGrid(
-        origin[0] + row * mount_surface.cell_m, origin[1] + column * mount_surface.cell_m, height + 0.015
+        origin[0] + row * mount_surface.cell_m, origin[1] + column * mount_surface.cell_m, height + 0.035
     )
     grid.point_data["height_m"] = height.ravel(order="F")
     plotter.add_mesh(
@@ -269,7 +269,7 @@ def add_rig(
         _add_camera_body(plotter, camera, colour, name=f"{name}/{camera.name}")
         if sectors:
             _add_sector(plotter, camera, colour, name=f"{name}/{camera.name}")
-    if labels:
+    if labels and rig.cameras:
         _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name)
 
 
