@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Record = TypeVar("Record")
 
+_ONLY_LIVE = ("multiplier ", "gradient ")  # rows that plain lines leave out; events.jsonl has them
 REFRESH_PER_SECOND = 4
 PLAIN_LINES_PER_STAGE = 10
 
@@ -43,9 +44,9 @@ class RunDisplay:
             TimeRemainingColumn(),
             console=self.console,
         )
-        self._live = Live(console=self.console, refresh_per_second=REFRESH_PER_SECOND, get_renderable=self._render)
         self._numbers: Table | None = None
         self._task: TaskID | None = None
+        self._live = Live(console=self.console, refresh_per_second=REFRESH_PER_SECOND, get_renderable=self._render)
 
     def __enter__(self) -> RunDisplay:
         if self.console.is_terminal:
@@ -89,7 +90,7 @@ class RunDisplay:
             self._advance(number, began)
             if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
                 left_s = speed * (count - number)
-                text = "  ".join(f"{name} {value}" for name, value in rows.items())
+                text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
                 self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
             yield record
         self._numbers = None
@@ -119,20 +120,19 @@ def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
         **{name: _number(value) for name, value in getattr(record, "terms", {}).items()},
         **{f"multiplier {name}": _number(value) for name, value in getattr(record, "multipliers", {}).items()},
         **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
-        "closest cameras": f"{_number(spacing_m)} m (at least {min_spacing_m:g} m)",
-        "training objective": f"{_number(getattr(record, 'best_training_objective', None))} (best so far)",
+        "closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)",
+        "best on all scenes": _number(getattr(record, "best_training_objective", None)),
     }
 
 
 def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
-    """A table with one row per arm and one column per metric."""
+    """A table with one row per metric and one column per arm."""
     table = Table(title=title or None, title_justify="left", header_style="bold")
-    table.add_column("arm", no_wrap=True)
-    for heading in ARM_COLUMNS.values():
-        table.add_column(heading, justify="right")
-    for name, metrics in arms.items():
-        style = "bold" if name == "optimised" else None
-        table.add_row(name, *(_metric(metrics.get(field)) for field in ARM_COLUMNS), style=style)
+    table.add_column("", no_wrap=True)
+    for name in arms:
+        table.add_column(name, justify="right", style="bold" if name == "optimised" else None)
+    for field, heading in ARM_COLUMNS.items():
+        table.add_row(heading, *(_metric(metrics.get(field)) for metrics in arms.values()))
     return table
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import math
+import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,12 +32,28 @@ SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 
 
 def load_warp() -> Any:  # noqa: ANN401 (the module)
-    """The module ``warp``, told to keep its start-up messages to itself."""
+    """The module ``warp``, initialised without its start-up messages."""
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
-    warp.init()
+    with _muted_stderr():  # without a GPU its native library complains whatever the log level
+        warp.init()
     return warp
+
+
+@contextlib.contextmanager
+def _muted_stderr() -> Iterator[None]:
+    """Nothing that this process writes to file 2 comes through, not even from C."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(nowhere)
+        os.close(kept)
 
 
 def checked_device(device: str) -> str:
