@@ -1,5 +1,6 @@
 """Files that pictures are written to."""
 
+import functools
 import importlib.util
 
 import numpy as np
@@ -33,12 +34,12 @@ def test_png_is_written_whole_in_a_new_folder(plotter, tmp_path):
 
 @needs_opengl
 def test_supersampling_keeps_the_size_of_everything_text_included():
-    made = rig_plotter(rig(), ego=ego(), off_screen=True, window_size=(480, 300), title="a title")
+    made = rig_plotter(rig(), ego=ego(), off_screen=True, window_size=(320, 200), title="a title")
     once = picture.picture_rgb(made, supersampling=1).astype(float)
     often = picture.picture_rgb(made, supersampling=3).astype(float)
     again = picture.picture_rgb(made, supersampling=1).astype(float)
     made.close()
-    assert once.shape == often.shape == (300, 480, 3)
+    assert once.shape == often.shape == (200, 320, 3)
     assert np.abs(once - often).mean() < 4.0
     assert np.abs(once - again).max() == 0.0
 
@@ -80,6 +81,7 @@ def test_place_that_cannot_be_written_is_refused(plotter, tmp_path):
 @needs_opengl
 def test_without_a_display_and_without_a_name_a_file_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(picture, "has_display", lambda: False)
+    monkeypatch.setattr(picture, "rig_plotter", functools.partial(rig_plotter, window_size=(320, 200)))
     path = picture.inspect_rig(
         rig(), ego=ego(), scene=scene(vehicle(1, 9.0, 3.4)), out_without_display=tmp_path / "here.png"
     )
