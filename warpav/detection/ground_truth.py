@@ -49,6 +49,8 @@ def visible_boxes(object_index: np.ndarray, vehicle_count: int, *, min_area_px: 
     from scipy.ndimage import find_objects
 
     box_px = np.full((vehicle_count, 4), np.nan, np.float32)
+    if vehicle_count == 0:
+        return box_px
     # One sweep finds the rectangle that holds each vehicle, so that components are sought in small crops only.
     label = np.asarray(object_index, np.int32) - (FIRST_VEHICLE_INDEX - 1)
     for vehicle, region in enumerate(find_objects(np.maximum(label, 0), max_label=vehicle_count)):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from warpav.detection.ground_truth import visible_boxes
-from warpav.detection.training.network import CLASS_NAMES
+from warpav.detection.training import CLASS_NAMES
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
@@ -187,7 +187,9 @@ def load_pictures(folder: Path) -> dict[int, Pictures]:
     for side_px in VIEWS_PER_SCENE:
         with np.load(folder / f"labels_{side_px}.npz") as arrays:
             labels = Labels(**{field.name: arrays[field.name] for field in fields(Labels)})
-        pictures[side_px] = Pictures(np.load(folder / f"images_{side_px}.npy", mmap_mode="r"), labels)
+        images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r")
+        # Where time ran out, the end of the file is empty.
+        pictures[side_px] = Pictures(images_rgb[: len(labels.class_index)], labels)
     return pictures
 
 
@@ -214,7 +216,9 @@ def _write_job(job: tuple[int, int, Path, str]) -> dict[int, Labels]:
     return _write_scene(seed, index=index, folder=folder, device=device)
 
 
-def write_pictures(seeds: Sequence[int], folder: Path, *, device: str, processes: int) -> None:
+def write_pictures(
+    seeds: Sequence[int], folder: Path, *, device: str, processes: int, minutes: float = math.inf
+) -> None:
     """Render town scenes and save their pictures: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
     Args:
@@ -222,6 +226,7 @@ def write_pictures(seeds: Sequence[int], folder: Path, *, device: str, processes
         folder: Where to; made if it does not exist.
         device: Warp device.
         processes: That share the scenes.
+        minutes: Leave the other scenes out after so long [min].
     """
     folder.mkdir(parents=True, exist_ok=True)
     for side_px, count in VIEWS_PER_SCENE.items():
@@ -235,8 +240,12 @@ def write_pictures(seeds: Sequence[int], folder: Path, *, device: str, processes
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         for done in pool.imap(_write_job, jobs[1:], chunksize=4):
             labels.append(done)
+            passed_s = time.perf_counter() - start_s
             if len(labels) % 100 == 0:
-                _logger.info("%d of %d scenes, %.0f s", len(labels), len(jobs), time.perf_counter() - start_s)
+                _logger.info("%d of %d scenes, %.0f s", len(labels), len(jobs), passed_s)
+            if passed_s > 60.0 * minutes:
+                _logger.info("the time is up after %d of %d scenes", len(labels), len(jobs))
+                break
     for side_px in VIEWS_PER_SCENE:
         arrays: dict[str, Any] = {
             field.name: np.concatenate([getattr(each[side_px], field.name) for each in labels])
@@ -260,9 +269,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--device", default="cpu", help="Warp device: cpu or cuda:0")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="leave the other scenes out after so long")
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    write_pictures(options.seeds, options.out, device=options.device, processes=options.processes)
+    write_pictures(
+        options.seeds, options.out, device=options.device, processes=options.processes, minutes=options.minutes
+    )
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from warpav.detection.training.network import CLASS_NAMES, STRIDES_PX, ExportedNetwork, TownNetwork
+from warpav.detection.training import CLASS_NAMES
+from warpav.detection.training.network import STRIDES_PX, ExportedNetwork, TownNetwork
 
 OPSET = 17
 MAX_ERROR = 1e-3

@@ -66,14 +66,14 @@ def pairwise_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
 
 
 def generalised_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
-    """Generalised IoU in -1..1 of boxes [box, 4] and [box, 4], shape [box]."""
-    size = (torch.minimum(first_px[:, 2:], second_px[:, 2:]) - torch.maximum(first_px[:, :2], second_px[:, :2])).clamp(
-        0
-    )
-    hull = torch.maximum(first_px[:, 2:], second_px[:, 2:]) - torch.minimum(first_px[:, :2], second_px[:, :2])
-    intersection = size.prod(dim=1)
-    union = (first_px[:, 2:] - first_px[:, :2]).prod(1) + (second_px[:, 2:] - second_px[:, :2]).prod(1) - intersection
-    hull_area = hull.prod(dim=1).clamp(min=_EPSILON)
+    """Generalised IoU in -1..1 of each box with its partner, [..., 4] and [..., 4], shape [...]."""
+    first_low, first_high = first_px[..., :2], first_px[..., 2:]
+    second_low, second_high = second_px[..., :2], second_px[..., 2:]
+    overlap = torch.minimum(first_high, second_high) - torch.maximum(first_low, second_low)
+    hull = torch.maximum(first_high, second_high) - torch.minimum(first_low, second_low)
+    intersection = overlap.clamp(0).prod(dim=-1)
+    union = (first_high - first_low).prod(dim=-1) + (second_high - second_low).prod(dim=-1) - intersection
+    hull_area = hull.prod(dim=-1).clamp(min=_EPSILON)
     return intersection / union.clamp(min=_EPSILON) - (hull_area - union) / hull_area
 
 
@@ -138,7 +138,6 @@ def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth
     weight = weight * assignment.counts[..., None]
     score_loss = (functional.binary_cross_entropy_with_logits(score_logit, target, reduction="none") * weight).sum()
 
-    image, cell = torch.nonzero(assignment.target > 0.0, as_tuple=True)
-    truth_px = truth.box_px[image, assignment.object_index[image, cell]]
-    box_loss = ((1.0 - generalised_iou(box_px[image, cell], truth_px)) * assignment.target[image, cell]).sum()
+    truth_px = truth.box_px.gather(1, assignment.object_index[..., None].expand(-1, -1, 4))
+    box_loss = ((1.0 - generalised_iou(box_px, truth_px)) * assignment.target).sum()
     return score_loss / norm, _BOX_WEIGHT * box_loss / norm

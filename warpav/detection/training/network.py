@@ -14,8 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from warpav.detection.training import CLASS_NAMES
+
 STRIDES_PX = (4, 8, 16, 32)
-CLASS_NAMES = ("car", "van", "lorry", "bus")
 
 # exp of the network's distance output, in strides: from a fiftieth of a pixel to 150 cells.
 _LOG_DISTANCE_MIN, _LOG_DISTANCE_MAX = -5.0, 5.0

@@ -56,7 +56,7 @@ class DeviceData:
         labels = pictures.labels
         images_rgb = torch.empty(pictures.images_rgb.shape, dtype=torch.uint8, device=device)
         for start in range(0, len(images_rgb), 1024):
-            block = np.ascontiguousarray(pictures.images_rgb[start : start + 1024])
+            block = np.array(pictures.images_rgb[start : start + 1024])
             images_rgb[start : start + 1024] = torch.from_numpy(block).to(device)
         side_px = (labels.box_px[..., 2:] - labels.box_px[..., :2]).min(axis=-1)
         return cls(
@@ -87,7 +87,11 @@ class Training:
         torch.manual_seed(seed)
         self.device = device
         self.network = TownNetwork().to(device)
+        self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue] - the stub lacks it
         self.average = copy.deepcopy(self.network).eval().requires_grad_(False)
+        average, current = self.average.state_dict(), self.network.state_dict()
+        floating = [name for name, value in current.items() if value.is_floating_point()]
+        self._averages, self._currents = [average[name] for name in floating], [current[name] for name in floating]
         self.learning_rate = learning_rate
         self.optimiser = torch.optim.AdamW(_parameter_groups(self.network), lr=learning_rate)
         self.random = np.random.default_rng(seed)
@@ -157,11 +161,8 @@ class Training:
     def _update_average(self) -> None:
         # The first steps are forgotten sooner.
         decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
-        average, current = self.average.state_dict(), self.network.state_dict()
-        floating = [name for name, value in current.items() if value.is_floating_point()]
-        torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage] - public documentation is promised, not there yet
-            [average[name] for name in floating], [current[name] for name in floating], 1.0 - decay
-        )
+        # PyTorch documents the function, its stub hides it.
+        torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
 
 
 def _parameter_groups(network: nn.Module) -> list[dict[str, object]]:

@@ -1,0 +1,200 @@
+"""Training of the shipped detector, on a scale that fits a test; collected where PyTorch is installed."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.driving_scene import roof, street
+from warpav.detection.onnx_detector import OnnxDetector
+from warpav.detection.training import CLASS_NAMES, data
+from warpav.detection.training.augmentation import _move, _warp
+from warpav.detection.training.evaluate import evaluate
+from warpav.detection.training.export import export_network
+from warpav.detection.training.loss import Truth, assign_cells, detection_loss, generalised_iou, pairwise_iou
+from warpav.detection.training.network import TownNetwork
+from warpav.detection.training.train import DeviceData, Training
+
+SIDE_PX = 64
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def _pictures(rng, count=4):
+    """Grey images with one coloured rectangle of each of two classes."""
+    labels = data.Labels.empty(count)
+    images_rgb = np.full((count, SIDE_PX, SIDE_PX, 3), 90, np.uint8)
+    for image in range(count):
+        for k, channel in enumerate((0, 2)):
+            x0, y0 = rng.integers(2, 14, 2) + np.array([30 * k, 20 * k])
+            width, height = rng.integers(12, 18, 2)
+            images_rgb[image, y0 : y0 + height, x0 : x0 + width, channel] = 230
+            labels.box_px[image, k] = [x0, y0, x0 + width, y0 + height]
+            labels.class_index[image, k] = k
+            labels.visible_fraction[image, k] = 1.0
+            labels.distance_m[image, k] = 10.0
+    return data.Pictures(images_rgb, labels)
+
+
+def _truth(box_px, class_index, ignored=None):
+    class_index = torch.tensor([class_index])
+    none = torch.zeros_like(class_index, dtype=torch.bool)
+    return Truth(torch.tensor([box_px], dtype=torch.float32), class_index, none if ignored is None else ignored)
+
+
+def _grid(stride_px=4):
+    line = torch.arange(SIDE_PX // stride_px) * stride_px + stride_px / 2
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    return torch.stack([x, y], dim=-1).reshape(-1, 2)
+
+
+def test_iou_of_known_boxes():
+    first = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 10], [0, 0, 10, 10]])
+    second = torch.tensor([[0.0, 0, 10, 10], [5, 0, 15, 10], [20, 0, 30, 10]])
+    np.testing.assert_allclose(pairwise_iou(first[:1], second)[0], [1.0, 1 / 3, 0.0], atol=1e-6)
+    # Hull 30 x 10 with 20 x 10 in it: a third of the hull is empty.
+    np.testing.assert_allclose(generalised_iou(first, second), [1.0, 1 / 3, -1 / 3], atol=1e-6)
+
+
+def test_cells_answer_for_the_object_that_they_lie_in():
+    center_px = _grid()
+    truth = _truth([[8, 8, 28, 24], [34, 30, 37, 33], [40, 40, 60, 60], [0, 0, 0, 0]], [0, 1, 1, -1])
+    truth.ignored[0, 2] = True
+    box_px = torch.cat([center_px - 8, center_px + 8], dim=-1)[None]
+    score_logit = torch.zeros(1, len(center_px), 2)
+    assignment = assign_cells(score_logit, box_px, center_px, truth)
+    answers = assignment.target[0] > 0
+    for index in (0, 1):
+        mine = answers & (assignment.object_index[0] == index)
+        assert 1 <= int(mine.sum()) <= 10
+        middle_px = 0.5 * (truth.box_px[0, index, :2] + truth.box_px[0, index, 2:])
+        half_px = (0.5 * (truth.box_px[0, index, 2:] - truth.box_px[0, index, :2])).clamp(min=4.0)
+        assert ((center_px[mine] - middle_px).abs() < half_px).all()
+    # The best cell is to score the best IoU that any chosen cell reaches.
+    iou = pairwise_iou(truth.box_px, box_px)[0, 0]
+    assert assignment.target[0][assignment.object_index[0] == 0].max() == pytest.approx(float(iou.max()))
+    in_ignored = ((center_px > 40) & (center_px < 60)).all(dim=1)
+    assert not assignment.counts[0][in_ignored].any()
+    assert assignment.counts[0][~in_ignored].all()
+
+
+def test_the_loss_falls_towards_the_truth():
+    center_px = _grid()
+    truth = _truth([[8, 8, 28, 24]], [1])
+    inside = ((center_px > torch.tensor([8, 8])) & (center_px < torch.tensor([28, 24]))).all(dim=1)
+    good_box = torch.tensor([8.0, 8, 28, 24]).expand(1, len(center_px), 4)
+    good_score = torch.full((1, len(center_px), 2), -8.0)
+    good_score[0, inside, 1] = 8.0
+    good = sum(detection_loss(good_score, good_box, center_px, truth))
+    for score, box in ((-good_score, good_box), (good_score.flip(2), good_box), (good_score, good_box + 5.0)):
+        assert sum(detection_loss(score, box, center_px, truth)) > good + 0.1
+    nothing = detection_loss(torch.full_like(good_score, -8.0), good_box, center_px, _truth([[0, 0, 0, 0]], [-1]))
+    assert sum(nothing) < 1e-3
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize(("zoom", "shift"), [(1.0, 0.0), (0.5, 0.3), (1.6, -0.4)])
+def test_boxes_move_with_the_pixels(flipped, zoom, shift):
+    box = [12, 20, 36, 44]
+    image = torch.zeros(1, 3, SIDE_PX, SIDE_PX)
+    image[:, :, box[1] : box[3], box[0] : box[2]] = 1.0
+    size_px = torch.tensor([SIDE_PX, SIDE_PX], dtype=torch.float32)
+    zooms, shifts, flips = torch.tensor([zoom]), torch.tensor([[shift, shift / 2]]), torch.tensor([flipped])
+    moved = _move(_truth([box], [0]), zooms, shifts * size_px, flips, size_px)
+    row, column = np.nonzero(_warp(image, zooms, shifts, flips)[0, 0].numpy() > 0.5)
+    seen_px = [column.min(), row.min(), column.max() + 1, row.max() + 1]
+    np.testing.assert_allclose(moved.box_px[0, 0], seen_px, atol=0.51)
+
+
+def test_a_box_that_leaves_the_image_is_dropped_or_ignored():
+    truth = _truth([[0, 0, 20, 20], [50, 50, 60, 60], [20, 20, 40, 40]], [0, 1, 2])
+    size_px = torch.tensor([SIDE_PX, SIDE_PX], dtype=torch.float32)
+    moved = _move(truth, torch.tensor([1.0]), torch.tensor([[-17.0, 0.0]]), torch.tensor([False]), size_px)
+    assert moved.class_index.tolist() == [[0, 1, 2]]
+    assert moved.ignored.tolist() == [[True, False, False]]
+    moved = _move(truth, torch.tensor([1.0]), torch.tensor([[-30.0, 0.0]]), torch.tensor([False]), size_px)
+    assert moved.class_index.tolist() == [[-1, 1, 2]]
+
+
+def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
+    torch_data = DeviceData.load(_pictures(rng), torch.device("cpu"))
+    training = Training(torch.device("cpu"), learning_rate=4e-3)
+    training.step_count = 16
+    losses = [float(sum(training.train_step(torch_data, 4))) for _ in range(10)]
+    assert np.mean(losses[-3:]) < 0.95 * np.mean(losses[:3])
+    training.save(tmp_path / "checkpoint.pt")
+
+    other = Training(torch.device("cpu"), seed=1)
+    other.load(tmp_path / "checkpoint.pt")
+    assert (other.step, other.step_count) == (10, 16)
+    for name, value in training.average.state_dict().items():
+        torch.testing.assert_close(other.average.state_dict()[name], value)
+    assert math.isfinite(float(sum(other.train_step(torch_data, 4))))
+
+
+def test_the_exported_network_is_the_network(rng, tmp_path):
+    network = TownNetwork()
+    assert sum(value.numel() for value in network.parameters()) <= 1.5e6
+    with torch.no_grad():
+        for value in network.parameters():
+            value.add_(0.02 * torch.randn_like(value))
+    path = tmp_path / "network.onnx"
+    assert export_network(network, path) < 1e-3
+    assert path.stat().st_size < 8e6
+    detector = OnnxDetector(path, confidence_min=0.0)
+    assert detector.names == CLASS_NAMES
+    pictures = _pictures(rng, 2)
+    assert all(len(found) for found in detector.detect(pictures.images_rgb))
+    report = evaluate(detector, pictures)
+    assert (report["images"], report["objects"]) == (2, 4)
+    assert 0.0 <= report["ap50"] <= 1.0
+
+
+def test_cameras_stand_around_the_ego_vehicle(rng):
+    scene = street(3)
+    low_m, high_m = scene.ego.bounds_m()
+    surface = roof()
+    cameras = data.sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=64, count=60)
+    for camera in cameras:
+        position_m = camera.position_m
+        beside = (position_m[:2] < low_m[:2]) | (position_m[:2] > high_m[:2])
+        assert beside.any() or position_m[2] > surface.height_at_m(position_m[:2]) + 0.04
+        assert (position_m > low_m - 0.31).all()
+        assert (position_m[:2] < high_m[:2] + 0.31).all()
+        assert math.radians(60) <= camera.model.fov_rad <= math.radians(110)
+
+
+def test_labels_are_those_of_the_rendered_objects(monkeypatch):
+    monkeypatch.setattr(data, "VIEWS_PER_SCENE", {64: 6})
+    scene = street()
+    first = data.render_scene(scene, roof(), 3)[64]
+    again = data.render_scene(scene, roof(), 3)[64]
+    np.testing.assert_array_equal(first.images_rgb, again.images_rgb)
+    labels = first.labels
+    exists = labels.class_index >= 0
+    assert exists.any()
+    assert (labels.class_index[exists] == CLASS_NAMES.index("car")).all()
+    assert (labels.box_px[exists][:, 2:] > labels.box_px[exists][:, :2]).all()
+    assert (labels.visible_fraction[exists] > 0.0).all()
+    assert (labels.distance_m[exists] > 1.0).all()
+
+
+def test_data_is_written_and_read_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(data, "VIEWS_PER_SCENE", {64: 2})
+    pictures = data.render_scene(street(), roof(), 3)
+    shape = (8, 64, 64, 3)
+    np.lib.format.open_memmap(tmp_path / "images_64.npy", mode="w+", dtype=np.uint8, shape=shape)[:2] = pictures[
+        64
+    ].images_rgb
+    np.savez(tmp_path / "labels_64.npz", **vars(pictures[64].labels))
+    read = data.load_pictures(tmp_path)[64]
+    np.testing.assert_array_equal(read.images_rgb, pictures[64].images_rgb)
+    np.testing.assert_array_equal(read.labels.box_px, pictures[64].labels.box_px)
+    assert len(read.first(1).images_rgb) == 1
