@@ -1,0 +1,342 @@
+"""The command line: every verb's way in, exit statuses, one line per mistake, nothing half-written."""
+
+import json
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from warpav.cli import main
+from warpav.config import Config
+from warpav.optimise.gradient import Descent
+from warpav.results import ARM_COLUMNS, RunFolder
+
+SMALL = [
+    "scenes.train_seeds=[0, 1]",
+    "scenes.test_seeds=[1000, 1001]",
+    "run.batch_size=2",
+    "run.iterations=3",
+    "rig.cameras=2",
+    "camera.width_px=96",
+    "camera.height_px=96",
+    "baselines.random_samples=2",
+    "optimiser.check_every=2",
+]
+
+
+@pytest.fixture(autouse=True)
+def working_directory(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A small run from its command to its report."""
+    out = tmp_path_factory.mktemp("main") / "run"
+    assert main(["optimise", *SMALL, f"run.out={out}"]) == 0
+    return RunFolder.open(out)
+
+
+def _complaint(capsys, *argv):
+    """Run a command that must end with status 2, and return the one line that it leaves."""
+    assert main(list(argv)) == 2
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    return lines[0]
+
+
+# ------------------------------------------------------------------------------------------------ configurations
+
+
+def test_config_show_prints_what_config_check_accepts(working_directory, capsys):
+    assert main(["config", "show", "thesis", "rig.cameras=6"]) == 0
+    text = capsys.readouterr().out
+    assert yaml.safe_load(text)["rig"]["cameras"] == 6
+    (working_directory / "mine.yaml").write_text(text)
+    assert main(["config", "check", "mine.yaml"]) == 0
+    assert main(["config", "diff", "thesis", "mine.yaml"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "rig.cameras: 4 -> 6"
+
+
+def test_config_show_takes_overrides_without_a_file(capsys):
+    assert main(["config", "show", "rig.cameras=7"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["rig"]["cameras"] == 7
+
+
+def test_config_schema_covers_every_section(capsys):
+    assert main(["config", "schema"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["properties"]) == set(Config.model_fields)
+
+
+def test_config_copy_keeps_the_comments_and_overwrites_nothing(working_directory, capsys):
+    assert main(["config", "copy", "thesis", "mine.yaml"]) == 0
+    assert "appendix XI" in (working_directory / "mine.yaml").read_text()
+    assert "expected a file that does not exist yet" in _complaint(capsys, "config", "copy", "quick", "mine.yaml")
+    assert "expected an existing folder" in _complaint(capsys, "config", "copy", "quick", "none/mine.yaml")
+
+
+def test_rig_presets_are_listed(capsys):
+    assert main(["rig", "presets"]) == 0
+    assert "nuscenes: 6 cameras" in capsys.readouterr().out
+
+
+# ------------------------------------------------------------------------------------------------ bad input
+
+
+BAD_INPUT = [
+    (["optimse"], 'command line: Unknown command "optimse". Did you mean "optimise"?'),
+    (["config", "check", "--loud"], "command line: Unknown option: --loud"),
+    (["evaluate"], 'command line: Command "evaluate" parameter RIG requires an argument'),
+    (["optimise", "rig.camera=3"], "command line (rig.camera=3): rig.camera: expected one of cameras,"),
+    (
+        ["optimise", "rig.cameras=many"],
+        "command line (rig.cameras=many): rig.cameras: expected a whole number from 2 to",
+    ),
+    (["optimise", "nowhere.yaml"], "nowhere.yaml: config: expected a YAML file or a shipped name"),
+    (["optimise", "quick", "device=cuda:99"], "device: expected one of cpu"),
+    (
+        ["optimise", "detector.model=no.onnx"],
+        "command line (detector.model=no.onnx): detector.model: expected builtin or",
+    ),
+    (["optimise", "detector.model=garbage.onnx"], "garbage.onnx: "),
+    (["optimise", "rig.start=garbage.onnx"], "garbage.onnx:1: expected"),
+    (
+        ["optimise", "run.out=garbage.onnx"],
+        "run.out: expected a folder to write to, got 'garbage.onnx', which is a file",
+    ),
+    (
+        ["optimise", "scenes.source=folder", "scenes.folder=empty"],
+        "scenes.folder: expected scene_0.glb in 'empty', got",
+    ),
+    (["evaluate", "nuscene"], "nuscene: rig: expected a rig YAML, a run folder, a preset (argoverse2, edgar,"),
+    (["evaluate", "empty"], "empty: run folder: expected a folder written by warpav optimise, got one without"),
+    (["evaluate", "highest", "--json", "none/x.json"], "none/x.json: --json: expected an existing folder"),
+    (["render", "garbage.onnx", "--rig", "highest", "--out", "o"], "garbage.onnx: "),
+    (
+        ["render", "none.glb", "--rig", "highest", "--out", "o"],
+        "none.glb: scene: expected a GLB file or the seed of an",
+    ),
+    (["render", "3", "--rig", "none.yaml", "--out", "o"], "none.yaml: rig: expected a rig YAML,"),
+    (
+        ["render", "3", "--rig", "highest", "--out", "garbage.onnx"],
+        "garbage.onnx: --out: expected a folder to write to",
+    ),
+    (["inspect", "none"], "none: rig: expected a rig YAML,"),
+    (["report", "none"], "none: run folder: expected an existing folder"),
+    (["scenes", "make", "--seeds", "9..3", "--out", "o"], "command line (--seeds): expected a range whose end is not"),
+    (["scenes", "make", "--seeds", "3", "--out", "garbage.onnx"], "garbage.onnx: --out: expected a folder to write to"),
+    (["doctor", "--json", "none/x.json"], "none/x.json: --json: expected an existing folder"),
+]
+
+
+@pytest.mark.parametrize(("argv", "message"), BAD_INPUT, ids=[" ".join(argv) for argv, _ in BAD_INPUT])
+def test_bad_input_is_one_line_and_leaves_nothing(working_directory, capsys, argv, message):
+    (working_directory / "garbage.onnx").write_text("this is neither ONNX nor GLB nor a rig\n")
+    (working_directory / "empty").mkdir()
+    assert _complaint(capsys, *argv).startswith(message)
+    assert sorted(os.listdir(working_directory)) == ["empty", "garbage.onnx"]
+    assert os.listdir(working_directory / "empty") == []
+
+
+def test_a_start_with_another_number_of_cameras_is_refused(working_directory, capsys):
+    folder = working_directory / "rigs"
+    folder.mkdir()
+    camera = "{name: %s, position_m: [1, 0, 2], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, fov_deg: 90, %s}"
+    size = "width_px: 64, height_px: 64"
+    (folder / "three.yaml").write_text(
+        "frame: ego\ncameras:\n" + "".join(f"  - {camera % (name, size)}\n" for name in ("a", "b", "c"))
+    )
+    message = _complaint(capsys, "optimise", "rig.start=rigs/three.yaml")
+    assert message == "rigs/three.yaml: cameras: expected 4 as rig.cameras says, got 3; set rig.cameras=3"
+
+
+def test_more_cameras_than_fit_are_refused(working_directory, capsys):
+    assert main(["optimise", *SMALL, "rig.cameras=8", "rig.min_spacing_m=3"]) == 2
+    message = capsys.readouterr().err.strip()
+    assert message.startswith("rig.cameras: expected a number that fits on the mount surface of")
+    assert message.endswith("got 8; lower one of the two")
+    assert os.listdir(working_directory) == []
+
+
+def test_an_existing_run_is_refused_before_any_work(run_folder, capsys):
+    before = sorted(run_folder.path.rglob("*"))
+    message = _complaint(capsys, "optimise", *SMALL, f"run.out={run_folder.path}")
+    assert message.startswith("run.out: expected a folder that does not exist yet")
+    assert sorted(run_folder.path.rglob("*")) == before
+
+
+def test_debug_shows_where(working_directory):
+    with pytest.raises(ValueError, match="nowhere"):
+        main(["optimise", "nowhere.yaml", "--debug"])
+
+
+def test_an_unexpected_failure_is_one_line_with_status_1(monkeypatch, capsys):
+    def fail(*_):
+        raise RuntimeError("the roof\nis gone")
+
+    monkeypatch.setattr("warpav.config.load_config", fail)
+    assert main(["config", "show"]) == 1
+    assert capsys.readouterr().err == "failed: RuntimeError: the roof is gone; run again with --debug to see where\n"
+
+
+def test_the_exit_status_reaches_the_shell(tmp_path):
+    code = "import sys; from warpav.cli import main; sys.exit(main())"
+    result = subprocess.run(
+        [sys.executable, "-c", code, "config", "check", "rig.cameras=0"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert result.returncode == 2
+    assert result.stderr.startswith("command line (rig.cameras=0): rig.cameras: expected a whole number")
+    assert "Traceback" not in result.stderr
+
+
+# ------------------------------------------------------------------------------------------------ the main job
+
+
+def test_the_run_folder_is_complete(run_folder):
+    found = {file.relative_to(run_folder.path).as_posix() for file in run_folder.path.rglob("*") if file.is_file()}
+    assert found >= {
+        "config.yaml",
+        "env.json",
+        "events.jsonl",
+        "metrics.csv",
+        "rig_initial.yaml",
+        "rig_best.yaml",
+        "rig_final.yaml",
+        "evaluation.json",
+        "checkpoints/last.npz",
+        "report.html",
+        "figures/loss_curves.png",
+        "figures/rig_top_view.png",
+        "figures/detections.png",
+    }
+    assert not [name for name in found if "draft" in name]
+
+
+def test_the_events_have_the_documented_fields(run_folder):
+    events = run_folder.events()
+    assert [event["iteration"] for event in events] == [0, 1, 2]
+    for event in events:
+        assert set(event["gradient_norm"]) == {"position", "rotation"}
+        assert set(event["seconds"]) == {"render", "detect", "backward", "total"}
+        assert np.shape(event["positions_m"]) == (2, 3)
+        assert np.shape(event["yaw_deg"]) == (2,)
+        assert event["terms"]
+        assert event["multipliers"]
+
+
+def test_the_evaluation_has_the_documented_fields(run_folder):
+    evaluation = run_folder.evaluation()
+    assert (evaluation["schema"], evaluation["scenes"]) == (1, {"test": 2})
+    assert list(evaluation["arms"]) == ["optimised", "start", "highest", "random"]
+    assert list(evaluation["paired"]) == ["start", "highest", "random"]
+    for metrics in evaluation["arms"].values():
+        assert set(ARM_COLUMNS) | {"objects", "per_scene"} == set(metrics)
+        assert all(len(values) == 2 for values in metrics["per_scene"].values())
+        assert metrics["constraint_violation"] == 0.0
+    training = evaluation["training_objective"]
+    assert training["optimised"] <= training["start"]  # the best iterate is kept, and the start is one of them
+
+
+def test_a_run_repeats_itself(run_folder, working_directory):
+    assert main(["optimise", *SMALL, "run.out=again"]) == 0
+    again = RunFolder.open("again")
+    for role in ("initial", "best", "final"):
+        name = f"rig_{role}.yaml"
+        assert (again.path / name).read_bytes() == (run_folder.path / name).read_bytes()
+    assert again.evaluation()["arms"] == run_folder.evaluation()["arms"]
+
+
+def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory):
+    assert main(["evaluate", str(run_folder.path), "--json", "m.json"]) == 0
+    found = json.loads((working_directory / "m.json").read_text())
+    assert found["scenes"] == {"test": 2}
+    of_the_run = run_folder.evaluation()["arms"]["optimised"]
+    for field in ARM_COLUMNS:
+        assert found["arms"]["optimised"][field] == pytest.approx(of_the_run[field], abs=1e-3), field
+
+
+def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_directory):
+    text = (run_folder.path / "rig_best.yaml").read_text().replace("width_px: 96", "width_px: 128")
+    (working_directory / "wide.yaml").write_text(text)
+    assert main(["evaluate", "wide.yaml", *SMALL, "--json", "m.json"]) == 0
+    metrics = json.loads((working_directory / "m.json").read_text())["arms"]["wide"]
+    assert metrics["objective"] is None
+    assert metrics["tp_in_frame_rate"] > 0.0
+
+
+def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsys):
+    step = Descent.step
+
+    def interrupted(self):
+        if self.iteration == 2:
+            raise KeyboardInterrupt
+        return step(self)
+
+    monkeypatch.setattr(Descent, "step", interrupted)
+    assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
+    captured = capsys.readouterr()
+    assert captured.err == "interrupted\n"
+    assert "what was reached is in stopped" in captured.out
+    folder = RunFolder.open("stopped")
+    assert [event["iteration"] for event in folder.events()] == [0, 1]
+    assert len(folder.rig().cameras) == 2
+    assert folder.evaluation() is None
+    with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
+        assert state["iteration"] == 2
+    assert main(["report", "stopped"]) == 0
+    assert (working_directory / "stopped" / "report.html").is_file()
+
+
+def test_piped_output_is_whole_lines(working_directory, capsys):
+    assert main(["optimise", *SMALL, "run.out=lines"]) == 0
+    output = capsys.readouterr().out
+    assert "\x1b" not in output
+    lines = output.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("iteration ")] == ["1/3", "2/3", "3/3"]
+    assert any(line.startswith("constraints met") for line in lines)
+    assert any(line.startswith("objective on the training scenes") for line in lines)
+
+
+# ------------------------------------------------------------------------------------------------ scenes and images
+
+
+def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
+    assert main(["scenes", "make", "--seeds", "[5]", "--out", "scenes"]) == 0
+    assert os.listdir("scenes") == ["scene_5.glb"]
+    assert main(["scenes", "show", "scenes/scene_5.glb", "--out", "scene.png"]) == 0
+    assert cv2.imread("scene.png").std() > 5.0
+    argv = ["render", "scenes/scene_5.glb", "--rig", "highest", "--out", "images", "rig.cameras=2"]
+    assert main([*argv, "camera.width_px=120", "camera.height_px=80"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert len(views) == 2
+    for view in views:
+        stem = f"images/{view['name']}"
+        assert (view["width_px"], view["height_px"]) == (120, 80)
+        assert np.shape(view["intrinsics"]) == (3, 3)
+        assert np.shape(view["ego_from_camera"]) == (4, 4)
+        assert cv2.imread(f"{stem}_rgb.png").shape == (80, 120, 3)
+        objects = cv2.imread(f"{stem}_object.png", cv2.IMREAD_UNCHANGED)
+        assert objects.dtype == np.uint16
+        depth_m = np.load(f"{stem}_depth_m.npy")
+        assert depth_m.dtype == np.float32
+        assert np.all(objects[~np.isfinite(depth_m)] == 0)
+    assert not [name for name in os.listdir("images") if name.startswith(".")]
+
+
+def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
+    assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert {(view["width_px"], view["height_px"]) for view in views} == {(64, 900)}
+
+
+def test_inspect_draws_a_run(run_folder, working_directory, capsys):
+    assert main(["inspect", str(run_folder.path), "--out", "rig.png"]) == 0
+    assert cv2.imread("rig.png").std() > 5.0
+    assert capsys.readouterr().out == "wrote rig.png\n"

@@ -1,0 +1,148 @@
+"""The run folder: what it holds, that it opens at any moment, and what it refuses."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from warpav.config import load_config
+from warpav.errors import InputError
+from warpav.results import RunFolder, check_new_run, write_json
+from warpav.rig.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera
+
+
+@dataclasses.dataclass
+class Record:
+    iteration: int
+    loss: float
+    terms: dict
+    positions_m: list
+    training_objective: float | None = None
+
+
+def _record(iteration, loss=1.0):
+    return Record(iteration, loss, {"detected_area": np.float32(0.5)}, [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0]])
+
+
+def _rig(x_m=1.0):
+    return Rig.create([RigCamera("front", np.array([x_m, 0.0, 1.7]), 0.0, 0.0, 0.0, CameraModel(64, 48))])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A new run folder in an empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return RunFolder.create(load_config("quick"), name="quick")
+
+
+def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
+    assert folder.path.as_posix() == "runs/quick"
+    assert folder.config() == load_config("quick")
+    environment = folder.environment()
+    assert environment["seeds"] == {"run": 0, "train": list(range(30)), "test": list(range(1000, 1010))}
+    assert environment["packages"]["numpy"] == np.__version__
+    assert {"warpav", "python", "platform", "device", "command", "started", "git_commit"} <= set(environment)
+    assert (folder.path / "checkpoints").is_dir()
+    assert (folder.path / "figures").is_dir()
+
+
+def test_runs_without_a_name_are_numbered(folder):
+    names = [RunFolder.create(load_config("quick"), name="quick").path.name for _ in range(2)]
+    assert names == ["quick-2", "quick-3"]
+
+
+def test_events_and_metrics_come_back(folder):
+    for iteration in range(3):
+        folder.append_event(_record(iteration, loss=math.nan if iteration == 1 else 2.5))
+    events = RunFolder.open(folder.path).events()
+    assert [event["iteration"] for event in events] == [0, 1, 2]
+    assert [event["loss"] for event in events] == [2.5, None, 2.5]
+    assert events[0]["terms"] == {"detected_area": 0.5}
+    assert events[0]["positions_m"][1] == [0.0, 1.0, 2.0]
+    lines = (folder.path / "metrics.csv").read_text().splitlines()
+    assert lines[:2] == ["iteration,loss,terms.detected_area,training_objective", "0,2.5,0.5,"]
+    assert len(lines) == 4
+
+
+def test_a_line_cut_off_by_a_crash_is_left_out(folder):
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write('{"iteration": 1, "lo')
+    assert [event["iteration"] for event in folder.events()] == [0]
+
+
+def test_a_broken_line_in_the_middle_is_named(folder):
+    (folder.path / "events.jsonl").write_text('{"iteration": 0}\nnot json\n{"iteration": 2}\n')
+    with pytest.raises(InputError, match=r"events\.jsonl:2: expected one JSON object per line"):
+        folder.events()
+
+
+def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
+    with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; the run has none yet"):
+        folder.rig()
+    folder.write_rig("initial", _rig(1.0))
+    assert folder.rig().cameras[0].position_m[0] == 1.0  # stopped before the first look
+    folder.write_rig("final", _rig(2.0))
+    folder.write_rig("best", _rig(3.0))
+    assert folder.rig().cameras[0].position_m[0] == 3.0
+    assert folder.rig("final").cameras[0].position_m[0] == 2.0
+    last = RunFolder.create(load_config("quick", ["optimiser.keep=last"]), name="last")
+    last.write_rig("best", _rig(3.0))
+    last.write_rig("final", _rig(2.0))
+    assert last.rig().cameras[0].position_m[0] == 2.0
+
+
+def test_checkpoint_and_evaluation_come_back(folder):
+    folder.write_checkpoint({"pose_value": np.arange(6.0).reshape(2, 3), "iteration": np.array(7)})
+    with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as file:
+        assert file["iteration"] == 7
+        assert file["pose_value"].shape == (2, 3)
+    assert folder.evaluation() is None
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": {"optimised": {"ap50_pooled": math.nan}}})
+    assert folder.evaluation() == {"schema": 1, "scenes": {"test": 2}, "arms": {"optimised": {"ap50_pooled": None}}}
+
+
+def test_a_failed_write_leaves_what_was_there(folder):
+    folder.write_checkpoint({"iteration": np.array(1)})
+    before = sorted(folder.path.rglob("*"))
+    with pytest.raises(ValueError, match="allow_pickle"):
+        folder.write_checkpoint({"iteration": np.array([object()])})
+    assert sorted(folder.path.rglob("*")) == before
+    with np.load(folder.path / "checkpoints" / "last.npz") as file:
+        assert file["iteration"] == 1
+
+
+def test_an_existing_run_is_not_overwritten(folder):
+    config = load_config("quick", [f"run.out={folder.path}"])
+    for refuse in (check_new_run, lambda config: RunFolder.create(config, name="x")):
+        with pytest.raises(
+            InputError, match=r"^run\.out: expected a folder that does not exist yet, got 'runs/quick'; "
+        ):
+            refuse(config)
+
+
+def test_an_empty_folder_is_welcome_and_a_file_is_not(tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert RunFolder.create(load_config("quick", [f"run.out={tmp_path}/empty"]), name="x").path.name == "empty"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"^run\.out: expected a folder to write to, got .* which is a file"):
+        check_new_run(load_config("quick", [f"run.out={tmp_path}/file"]))
+    with pytest.raises(InputError, match=r"^run\.out: expected a folder that can be made, got"):
+        RunFolder.create(load_config("quick", [f"run.out={tmp_path}/file/below"]), name="x")
+
+
+def test_what_is_no_run_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match="run folder: expected an existing folder"):
+        RunFolder.open(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="got one without config"):
+        RunFolder.open(tmp_path)
+
+
+def test_json_goes_to_a_place_that_exists(tmp_path):
+    write_json(tmp_path / "x.json", {"array": np.arange(2), "inf": math.inf})
+    assert json.loads((tmp_path / "x.json").read_text()) == {"array": [0, 1], "inf": None}
+    with pytest.raises(InputError, match=r"expected a place to write to, got: No such file"):
+        write_json(tmp_path / "none" / "x.json", {})
