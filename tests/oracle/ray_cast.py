@@ -79,7 +79,14 @@ def cast_scene(scene):
     return RayCaster([scene.environment, scene.ego, *(v.mesh for v in scene.vehicles)], sky=scene.sky)
 
 
-def silhouettes(scene, ego_from_camera, model, supersampling=1):
-    """Depth of every vehicle alone, inf outside, float [vehicle, row, column]; and the ego vehicle's, [row, column]."""
-    alone = [RayCaster([v.mesh]).look(ego_from_camera, model, supersampling).depth_m for v in scene.vehicles]
-    return np.array(alone), RayCaster([scene.ego]).look(ego_from_camera, model, supersampling).depth_m
+class Silhouettes:
+    """Casts every vehicle of a scene alone, and the ego vehicle alone."""
+
+    def __init__(self, scene):
+        self._vehicles = [RayCaster([vehicle.mesh]) for vehicle in scene.vehicles]
+        self._ego = RayCaster([scene.ego])
+
+    def look(self, ego_from_camera, model, supersampling=1):
+        """Depth of every vehicle [m], inf outside, [vehicle, row, column]; and the ego vehicle's, [row, column]."""
+        alone = [caster.look(ego_from_camera, model, supersampling).depth_m for caster in self._vehicles]
+        return np.array(alone), self._ego.look(ego_from_camera, model, supersampling).depth_m

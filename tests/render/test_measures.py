@@ -9,7 +9,7 @@ import warp as wp
 
 from tests.driving_scene import block, camera_pose, car, on_device, packed_street, random_poses, street, vehicle
 from tests.oracle.occlusion import extents, pairwise_hidden
-from tests.oracle.ray_cast import cast_scene, silhouettes
+from tests.oracle.ray_cast import Silhouettes, cast_scene
 from tests.render.test_renderer import FAR_AWAY, poses_on_ego
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import (
@@ -27,6 +27,11 @@ from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Scene
 
 MODEL = CameraModel(96, 72, math.pi / 2, 0.1)
+
+
+@pytest.fixture(scope="module")
+def street_silhouettes():
+    return Silhouettes(street())
 
 
 def rendered(scene, poses, model=MODEL, *, device="cpu", box_px=None, **settings):
@@ -48,7 +53,7 @@ def full_masks(renderer, scene, views, shape):
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
-def test_areas_extents_and_masks_equal_counts(device, rng, supersampling):
+def test_areas_extents_and_masks_equal_counts(device, rng, street_silhouettes, supersampling):
     poses = np.r_[poses_on_ego(rng, 4), random_poses(rng, 4)]
     scene = packed_street(device)
     boxes = np.sort(rng.uniform(-20, 110, (8, 10, 2, 2)), axis=2).reshape(8, 10, 4)
@@ -62,7 +67,7 @@ def test_areas_extents_and_masks_equal_counts(device, rng, supersampling):
     slack = 2 * per_sample  # worst seen 0 samples; embree and the rasteriser may differ on an edge
     seen_extents = 0
     for v, pose in enumerate(poses):
-        alone, _ = silhouettes(street(), pose, MODEL, supersampling)
+        alone, _ = street_silhouettes.look(pose, MODEL, supersampling)
         together = rays.look(pose, MODEL, supersampling).object_index
         for k in range(10):
             amodal, visible = np.isfinite(alone[k]), together == 2 + k
@@ -95,14 +100,18 @@ def test_a_box_over_everything_holds_all_that_is_visible(device, rng):
     assert value[..., VISIBLE_AREA].max() > 50
 
 
-def test_pairwise_occlusion_equals_medians(device, rng):
-    poses = poses_on_ego(rng, 12)
+def test_pairwise_occlusion_equals_medians(device, rng, street_silhouettes):
+    # where cars hide one another
+    poses = [
+        camera_pose([rng.uniform(0, 2), rng.uniform(-0.7, 0.7), 1.7], (k % 4) * 0.5 * math.pi + rng.uniform(-0.3, 0.3))
+        for k in range(12)
+    ]
     scene = packed_street(device)
     renderer, value = rendered(scene, poses, device=device, occlusion=Occlusion.PAIRWISE)
     masks = full_masks(renderer, scene, range(12), (72, 96))
     overlaps = 0
     for v, pose in enumerate(poses):
-        alone, ego = silhouettes(street(), pose, MODEL)
+        alone, ego = street_silhouettes.look(pose, MODEL)
         hidden = pairwise_hidden(alone, ego)
         truth = np.isfinite(alone) & ~hidden
         overlaps += np.count_nonzero((hidden & ~np.isfinite(ego)).any(axis=(1, 2)))
@@ -127,14 +136,14 @@ def test_a_silhouette_inside_another_is_hidden_or_hides_by_depth(device, swapped
     scene = place_cars(*(places[::-1] if swapped else places))
     near, far = (1, 0) if swapped else (0, 1)
     pose = camera_pose([0.0, 0.0, 0.6], 0.0)
-    alone, _ = silhouettes(scene, pose, MODEL)
+    alone, _ = Silhouettes(scene).look(pose, MODEL)
     assert not (np.isfinite(alone[far]) & ~np.isfinite(alone[near])).any()
     packed = DeviceScene.pack(scene, device=device)
     for occlusion in Occlusion:
         _, value = rendered(packed, [pose], device=device, occlusion=occlusion)
         assert value[0, far, VISIBLE_AREA] == 0.0
         assert value[0, near, VISIBLE_AREA] == value[0, near, AMODAL_AREA] > 100
-        assert value[0, far, AMODAL_AREA] > 20
+        assert value[0, far, AMODAL_AREA] > 10
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -172,7 +181,7 @@ def test_the_ego_vehicle_hides_in_both_ways(device):
     scene = dataclasses.replace(place_cars((9.0, 0.0, 0.5)), ego=hull)
     packed = DeviceScene.pack(scene, device=device)
     pose = camera_pose([0.0, 0.0, 0.55], 0.0)
-    alone, ego = silhouettes(scene, pose, MODEL)
+    alone, ego = Silhouettes(scene).look(pose, MODEL)
     expected = np.count_nonzero(np.isfinite(alone[0]) & ~np.isfinite(ego))
     assert 0 < expected < np.isfinite(alone[0]).sum()
     for occlusion in Occlusion:
