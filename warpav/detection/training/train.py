@@ -201,9 +201,10 @@ def train(
         side_px = int(training.random.choice(sides_px, p=probability / probability.sum()))
         losses = training.train_step(data[side_px], max(1, round(batch_size * (256 / side_px) ** 2)))
         total += torch.stack(losses)
-        if not training.step_count and training.step in (_SPEED_STEPS, 2 * _SPEED_STEPS):
+        steps_here = training.step - first_step
+        if not training.step_count and steps_here in (_SPEED_STEPS, 2 * _SPEED_STEPS):
             total.tolist()  # waits for the device
-            if training.step == _SPEED_STEPS:
+            if steps_here == _SPEED_STEPS:
                 speed_start_s = time.perf_counter()
             else:
                 step_s = (time.perf_counter() - speed_start_s) / _SPEED_STEPS
@@ -212,7 +213,7 @@ def train(
                 _logger.info("%.1f ms a step, %d steps", 1e3 * step_s, training.step_count)
         now_s = time.perf_counter()
         if training.step % _LOG_STEPS == 0:
-            score_loss, box_loss = (total / min(_LOG_STEPS, training.step - first_step)).tolist()
+            score_loss, box_loss = (total / min(_LOG_STEPS, steps_here)).tolist()
             total.zero_()
             _logger.info(
                 "step %d of %d: score loss %.3f, box loss %.3f, %.0f s",
