@@ -50,9 +50,7 @@ class Mesh:
         if bad:
             raise InputError(f"{name}: {bad} of {len(vertex)} vertices are NaN or infinite; repair the mesh first")
         if index.min() < 0 or index.max() >= len(vertex):
-            raise InputError(
-                f"{name}: triangle indices must be 0..{len(vertex) - 1}, got {index.min()}..{index.max()}"
-            )
+            raise InputError(f"{name}: triangle indices must be 0..{len(vertex) - 1}, got {index.min()}..{index.max()}")
         colour = np.broadcast_to(np.asarray(vertex_rgb, dtype=np.uint8), vertex.shape)
         return cls(vertex, index, np.ascontiguousarray(colour))
 

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from warpav.errors import InputError
+from warpav.geometry.frames import rotation_from_yaw_pitch_roll
+from warpav.geometry.mesh import Mesh, merge
+
+CORNER_M = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+
+
+def triangle(offset_m=0.0, rgb=(10, 20, 30)):
+    return Mesh.create(np.array(CORNER_M) + offset_m, [[0, 1, 2]], rgb)
+
+
+def test_mesh_has_the_documented_types():
+    mesh = triangle()
+    assert (mesh.vertex_m.dtype, mesh.triangle.dtype, mesh.vertex_rgb.dtype) == (np.float32, np.int32, np.uint8)
+    np.testing.assert_array_equal(mesh.vertex_rgb, [[10, 20, 30]] * 3)
+    np.testing.assert_array_equal(mesh.bounds_m(), [[0, 0, 0], [1, 2, 0]])
+
+
+def test_transformed_mesh_turns_then_moves():
+    moved = triangle().transformed(rotation_from_yaw_pitch_roll(np.pi / 2, 0.0, 0.0), np.array([0.0, 0.0, 3.0]))
+    np.testing.assert_allclose(moved.vertex_m, [[0, 0, 3], [0, 1, 3], [-2, 0, 3]], atol=1e-6)
+
+
+def test_merged_mesh_keeps_every_triangle_and_colour():
+    merged = merge([triangle(), triangle(5.0, (1, 2, 3))])
+    np.testing.assert_array_equal(merged.triangle, [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(merged.vertex_m[merged.triangle[1]], np.array(CORNER_M) + 5.0)
+    np.testing.assert_array_equal(merged.vertex_rgb[3], [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("vertex_m", "index", "message"),
+    [
+        ([[0, 0]], [[0, 0, 0]], r"ego: expected vertices of shape \[n, 3\], got \[1, 2\]"),
+        (CORNER_M, np.zeros((0, 3)), "ego: expected at least one triangle"),
+        (CORNER_M, [[0, 1]], "ego: expected at least one triangle of three indices"),
+        ([[0, 0, np.nan], *CORNER_M[1:]], [[0, 1, 2]], "ego: 1 of 3 vertices are NaN or infinite"),
+        (CORNER_M, [[0, 1, 3]], r"ego: triangle indices must be 0\.\.2, got 0\.\.3"),
+        (CORNER_M, [[-1, 1, 2]], r"ego: triangle indices must be 0\.\.2, got -1\.\.2"),
+    ],
+)
+def test_mesh_rejects_what_cannot_be_drawn(vertex_m, index, message):
+    with pytest.raises(InputError, match=message):
+        Mesh.create(vertex_m, index, (0, 0, 0), name="ego")
