@@ -154,9 +154,35 @@ def soft_masked_area(inside: float, whole: float, epsilon: float) -> float:
 
 
 @wp.kernel
+def sum_visible_area_kernel(
+    # in
+    measure: wp.array3d[float],
+    assigned_camera: wp.array[wp.int32],
+    rotation_count: int,
+    # out
+    area_around: wp.array[float],
+):
+    """Non-occluded area of every vehicle over all directions of its assigned camera; 0 where it has none.
+
+    A kernel of its own: the backward pass does not run the loop again, so nothing in the same kernel may use the sum.
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle.
+    Writes: every element of ``area_around`` [px^2] once.
+    """
+    vehicle = wp.tid()
+    camera = assigned_camera[vehicle]
+    around = float(0.0)
+    if camera >= 0:
+        for a in range(rotation_count):
+            around += measure[camera * rotation_count + a, vehicle, VISIBLE_AREA]
+    area_around[vehicle] = around
+
+
+@wp.kernel
 def detected_area_loss_kernel(
     # in
     measure: wp.array3d[float],
+    area_around: wp.array[float],
     assigned_camera: wp.array[wp.int32],
     rotation_count: int,
     min_visibility: float,
@@ -181,9 +207,7 @@ def detected_area_loss_kernel(
     camera = assigned_camera[vehicle]
     if camera < 0:
         return
-    around = float(0.0)
-    for a in range(rotation_count):
-        around += measure[camera * rotation_count + a, vehicle, VISIBLE_AREA]
+    around = area_around[vehicle]
     if around < 0.5:
         wp.atomic_add(loss, 1, weight)
         return

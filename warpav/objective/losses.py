@@ -103,11 +103,21 @@ def add_placement_losses(
         outputs=[loss],
         device=device,
     )
+    measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego)
+    area_around = wp.empty(vehicle_count, dtype=float, device=device, requires_grad=True)
+    wp.launch(
+        placement_losses.sum_visible_area_kernel,
+        dim=vehicle_count,
+        inputs=[measure, assigned_camera, mount.rotation_count],
+        outputs=[area_around],
+        device=device,
+    )
     wp.launch(
         placement_losses.detected_area_loss_kernel,
         dim=vehicle_count,
         inputs=[
-            rendered.on_tape(views.position_ego_m, views.camera_from_ego),
+            measure,
+            area_around,
             assigned_camera,
             mount.rotation_count,
             settings.min_detected_area,
