@@ -58,5 +58,6 @@ def rotational_additions(fov_rad: float) -> tuple[int, float]:
     Returns:
         Number of additions, at least 2, and ``F_closest`` [rad] between neighbours. Halves are rounded to even.
     """
-    count = max(round(2.0 * math.pi / fov_rad), 2)
+    turns = round(2.0 * math.pi / fov_rad, 6)  # 48 degrees: 7.5, not the 7.499999999999999 of floats
+    count = max(round(turns), 2)
     return count, 2.0 * math.pi / count
