@@ -244,13 +244,20 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     assert training["optimised"] <= training["start"]  # the best iterate is kept, and the start is one of them
 
 
-def test_a_run_repeats_itself(run_folder, working_directory):
+def test_a_run_repeats_itself_and_prints_whole_lines_when_piped(run_folder, capsys):
     assert main(["optimise", *SMALL, "run.out=again"]) == 0
     again = RunFolder.open("again")
     for role in ("initial", "best", "final"):
         name = f"rig_{role}.yaml"
         assert (again.path / name).read_bytes() == (run_folder.path / name).read_bytes()
     assert again.evaluation()["arms"] == run_folder.evaluation()["arms"]
+
+    output = capsys.readouterr().out
+    assert "\x1b" not in output
+    lines = output.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("iteration ")] == ["1/3", "2/3", "3/3"]
+    assert any(line.startswith("constraints met") for line in lines)
+    assert any(line.startswith("objective on the training scenes") for line in lines)
 
 
 def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory):
@@ -292,16 +299,6 @@ def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsy
         assert state["iteration"] == 2
     assert main(["report", "stopped"]) == 0
     assert (working_directory / "stopped" / "report.html").is_file()
-
-
-def test_piped_output_is_whole_lines(working_directory, capsys):
-    assert main(["optimise", *SMALL, "run.out=lines"]) == 0
-    output = capsys.readouterr().out
-    assert "\x1b" not in output
-    lines = output.splitlines()
-    assert [line.split()[1] for line in lines if line.startswith("iteration ")] == ["1/3", "2/3", "3/3"]
-    assert any(line.startswith("constraints met") for line in lines)
-    assert any(line.startswith("objective on the training scenes") for line in lines)
 
 
 # ------------------------------------------------------------------------------------------------ scenes and images

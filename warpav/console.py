@@ -46,7 +46,12 @@ class RunDisplay:
         )
         self._numbers: Table | None = None
         self._task: TaskID | None = None
-        self._live = Live(console=self.console, refresh_per_second=REFRESH_PER_SECOND, get_renderable=self._render)
+        self._live = Live(
+            console=self.console,
+            refresh_per_second=REFRESH_PER_SECOND,
+            transient=True,
+            get_renderable=self._render,
+        )
 
     def __enter__(self) -> RunDisplay:
         if self.console.is_terminal:
@@ -60,6 +65,10 @@ class RunDisplay:
     def say(self, text: str) -> None:
         """Print a line above the table."""
         self.console.print(text, markup=False)
+
+    def stage(self, description: str) -> None:
+        """Show that something without countable steps begins."""
+        self._start(description, None)
 
     def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
         """Pass ``items`` on and show how many of ``count`` have come."""
@@ -95,13 +104,13 @@ class RunDisplay:
             yield record
         self._numbers = None
 
-    def _start(self, description: str, count: int) -> None:
+    def _start(self, description: str, count: int | None) -> None:
         if self._task is not None:
             self._progress.remove_task(self._task)
         self._numbers = None
         self._task = self._progress.add_task(description, total=count, speed="")
         if not self.console.is_terminal:
-            self.say(f"{description}: {count}")
+            self.say(description if count is None else f"{description}: {count}")
 
     def _advance(self, number: int, began: float) -> None:
         if self._task is not None:

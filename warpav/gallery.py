@@ -173,7 +173,6 @@ def draw_run(
         rig_initial=start,
         trajectory_m=path_m,
     )
-    figures.height_map_figure(surface, scene.ego, folder.figure_path("height_map"))
     sheet = {heading: _panels(rig, objective, assigned) for heading, rig in rigs.items()}
     figures.detections_sheet(sheet, folder.figure_path("detections"))
     problem = opengl_problem()

@@ -18,7 +18,6 @@ CAPTIONS = {
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
-    "height_map": "The mount surface",
 }
 """Figures of a run in the order of the report; others follow by name."""
 

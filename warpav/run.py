@@ -105,6 +105,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         packed.append(DeviceScene.pack(scene, device=device))
     assert ego is not None
     assert shown is not None
+    display.stage("sharing the vehicles among the cameras")
     mount = camera_mount(config, ego)
     middle_m = np.append(ego.bounds_m()[:, :2].mean(axis=0), 0.0)
     segregation = segregate(
@@ -184,6 +185,7 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
         "seconds": {"total": time.perf_counter() - began},
     }
     folder.write_evaluation(evaluation)
+    display.stage("figures and report")
     draw_run(
         folder,
         {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
@@ -227,7 +229,7 @@ def compare(
     highest = highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
     samples, rng = config.baselines.random_samples, problem.random_numbers(_RANDOM_ARM)
     chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
-    display.say(f"random arm: the best of {samples} rigs on {len(chosen)} training scenes")
+    display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
     found = random_search(
         problem.objective, [problem.train[k] for k in chosen], problem.segregation.yaw_rad, samples=samples, rng=rng
     )
