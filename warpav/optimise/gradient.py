@@ -114,6 +114,7 @@ class AdamW:
             ],
             outputs=[self._first_moment, self._second_moment, self._value],
             device=self._device,
+            record_tape=False,
         )
 
     def state(self) -> dict[str, np.ndarray]:
