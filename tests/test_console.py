@@ -2,11 +2,12 @@
 
 import dataclasses
 import io
+import time
 
 import pytest
 from rich.console import Console
 
-from warpav.console import RunDisplay, show_verdict
+from warpav.console import REFRESH_PER_SECOND, RunDisplay, show_verdict
 from warpav.results import ARM_COLUMNS
 
 
@@ -59,7 +60,11 @@ def test_piped_steps_show_some_progress():
 
 
 def test_a_terminal_shows_the_table_while_it_runs():
-    text = _shown(True, lambda display: list(display.iterations(_records(3), count=3, min_spacing_m=0.2)))
+    def watch(display):
+        for _ in display.iterations(_records(2), count=2, min_spacing_m=0.2):
+            time.sleep(2.0 / REFRESH_PER_SECOND)
+
+    text = _shown(True, watch)
     for word in ("optimising", "loss", "multiplier camera_spacing", "gradient position", "closest cameras"):
         assert word in text
 

@@ -11,6 +11,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from warpav.results import ARM_COLUMNS
 
@@ -139,9 +140,9 @@ def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Tabl
     table = Table(title=title or None, title_justify="left", header_style="bold")
     table.add_column("", no_wrap=True)
     for name in arms:
-        table.add_column(name, justify="right", style="bold" if name == "optimised" else None)
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
     for field, heading in ARM_COLUMNS.items():
-        table.add_row(heading, *(_metric(metrics.get(field)) for metrics in arms.values()))
+        table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
     return table
 
 

@@ -48,7 +48,7 @@ ARM_COLUMNS = {
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
     "objective": "objective",
-    "constraint_violation": "violation",
+    "constraint_violation": "violation [m]",
     "min_camera_distance_m": "closest [m]",
 }
 """Fields of an arm's metrics and the headings they are shown under."""
