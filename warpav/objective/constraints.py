@@ -18,6 +18,7 @@ from warpav_kernels import constraint_losses
 CONSTRAINTS = ("out_of_bounds", "camera_spacing")
 
 PROJECTION_ROUNDS = 200
+SHAKE_EVERY = 20  # rounds
 
 
 def constraint_losses_of(
@@ -74,7 +75,7 @@ def constraint_violation_m(rig: Rig, surface: MountSurface, *, min_spacing_m: fl
 def project_to_constraints(
     position_surface_m: np.ndarray, surface: MountSurface, *, min_spacing_m: float
 ) -> np.ndarray:
-    """The nearest places that satisfy both constraints: into the bounds, then pairs pushed apart, in turns.
+    """Near places that satisfy both constraints: into the bounds, then pairs pushed apart, in turns.
 
     Args:
         position_surface_m: x and y of the cameras [m], float [camera, 2].
@@ -91,7 +92,11 @@ def project_to_constraints(
     place = np.array(position_surface_m, np.float64)
     low_m, high_m = surface.bounds_m
     wanted_m = min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
-    for _ in range(PROJECTION_ROUNDS):
+    rng = np.random.default_rng(0)
+    for projection_round in range(1, PROJECTION_ROUNDS + 1):
+        if projection_round % SHAKE_EVERY == 0:
+            # cameras on one line, such as an edge of the surface, would push each other along it for ever
+            place = place + rng.uniform(-0.5, 0.5, place.shape) * min_spacing_m
         place = np.clip(place, low_m + 1e-6, high_m - 1e-6)
         moved = False
         for i, j in itertools.combinations(range(len(place)), 2):
