@@ -269,6 +269,17 @@ def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory)
         assert found["arms"]["optimised"][field] == pytest.approx(of_the_run[field], abs=1e-3), field
 
 
+def test_scenes_from_files_give_the_same_metrics(working_directory):
+    seeds = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
+    assert main(["scenes", "make", "--seeds", "[0, 1000]", "--out", "scenes"]) == 0
+    assert main(["evaluate", "highest", *seeds, "--json", "town.json"]) == 0
+    files = ["scenes.source=folder", "scenes.folder=scenes"]
+    assert main(["evaluate", "highest", *seeds, *files, "--json", "files.json"]) == 0
+    town, folder = (json.loads((working_directory / name).read_text()) for name in ("town.json", "files.json"))
+    for field in ARM_COLUMNS:
+        assert folder["arms"]["highest"][field] == pytest.approx(town["arms"]["highest"][field], rel=1e-5), field
+
+
 def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_directory):
     text = (run_folder.path / "rig_best.yaml").read_text().replace("width_px: 96", "width_px: 128")
     (working_directory / "wide.yaml").write_text(text)
