@@ -21,20 +21,22 @@ from warpav.scene.vehicle_shapes import VARIANT_COUNT, ego_mesh, vehicle_mesh
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the middle of the ego vehicle
-_TARGET_COUNT = (8, 13)  # vehicles per scene, upper end excluded
+_TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
 _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face the eye
 _VISIBILITY_SAMPLES = 200
 _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
+# Next to the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
+_BESIDE_M, _BESIDE_SHARE = 2.2, 0.15
 _KIND_SHARES = (
-    ("hatchback", 0.27),
-    ("saloon", 0.19),
+    ("hatchback", 0.25),
+    ("saloon", 0.18),
     ("estate", 0.14),
     ("suv", 0.17),
     ("van", 0.11),
-    ("lorry", 0.06),
-    ("bus", 0.06),
+    ("lorry", 0.08),
+    ("bus", 0.07),
 )
 _SCALE_SPREAD = 0.03
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
@@ -106,7 +108,9 @@ def _try_scene(seed: int, attempt: int) -> Scene | None:
     for _ in range(_FILL_ROUNDS):
         while waiting and len(placed) < target:
             candidate = _park(waiting.pop(0), rng)
-            if candidate and not any(_touching(candidate, other) for other in (ego_placed, *placed)):
+            if not candidate or any(_nearer(candidate, other, _CLEARANCE_M) for other in (ego_placed, *placed)):
+                continue
+            if not _nearer(candidate, ego_placed, _BESIDE_M) or rng.random() < _BESIDE_SHARE:
                 placed.append(candidate)
         meshes = [_standing(one) for one in placed]
         eye = np.array([layout.ego.x_m, layout.ego.y_m, EYE_HEIGHT_M])
@@ -203,8 +207,8 @@ def _standing(placed: _Placed) -> Mesh:
     return placed.mesh.transformed(rotation, np.array([placed.x_m, placed.y_m, 0.0]))
 
 
-def _touching(one: _Placed, other: _Placed) -> bool:
-    """Whether two vehicles come nearer than the clearance: no axis of either rectangle separates them."""
+def _nearer(one: _Placed, other: _Placed, gap_m: float) -> bool:
+    """Whether two vehicles come nearer than a gap: no axis of either rectangle separates them by it."""
     offset = np.array([other.x_m - one.x_m, other.y_m - one.y_m])
     for yaw in (one.yaw_rad, other.yaw_rad):
         for axis in (np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])):
@@ -216,7 +220,7 @@ def _touching(one: _Placed, other: _Placed) -> bool:
                     (np.array([-np.sin(vehicle.yaw_rad), np.cos(vehicle.yaw_rad)]), vehicle.size_m[1]),
                 )
             )
-            if abs(axis @ offset) > reach + _CLEARANCE_M:
+            if abs(axis @ offset) > reach + gap_m:
                 return False
     return True
 

@@ -5,6 +5,7 @@ Vehicle frame: x forward, y left, z up, metres; the origin lies on the ground be
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -34,6 +35,7 @@ _TAIL_INSET_M = 0.11
 _ARCH_GAP_M = 0.055
 _ARCH_SEGMENTS = 8
 _SEAM_WIDTH_M = 0.016
+_LINE_GAP_M = 0.0035  # nearer grid lines fall together
 _BODY_SPACING = (0.3, 0.25, 0.11, 0.34, 0.34)  # widest columns of each part of the outline
 _HOUSE_SPACING = (0.5, 0.34, 0.16, 0.5, 0.5)
 _HOUSE_SINK_M = 0.05
@@ -158,34 +160,76 @@ def _middles(lines: np.ndarray) -> np.ndarray:
     return 0.5 * (lines[1:] + lines[:-1])
 
 
-# Rows of the body: (share of the height at the nose, at the tail); lamps take their rows from the spec.
-_ROW_TRIM, _ROW_INTAKE_LOW, _ROW_INTAKE_HIGH, _ROW_WAIST, _ROW_LAMP_LOW, _ROW_LAMP_HIGH = 1, 2, 3, 4, 5, 7
+class _Row(enum.IntEnum):
+    """Horizontal grid lines of the body, upwards."""
+
+    BOTTOM = 0
+    TRIM = 1
+    INTAKE_LOW = 2
+    INTAKE_HIGH = 3
+    WAIST_LOW = 4
+    WAIST_HIGH = 5
+    LAMP_LOW = 6
+    LAMP_MIDDLE = 7
+    LAMP_HIGH = 8
+    SHOULDER = 9
+    DECK = 10
 
 
 def _body_rows(spec: VehicleSpec) -> tuple[np.ndarray, np.ndarray]:
-    (front_low, front_high), (rear_low, rear_high) = spec.front_lamp, spec.rear_lamp
-    waist_front, waist_rear = min(0.46, 0.8 * front_low), min(0.44, 0.8 * rear_low)
-    nose = [0.0, 0.09, 0.3 * waist_front + 0.05, 0.8 * waist_front, waist_front, front_low,
-            0.5 * (front_low + front_high), front_high, 0.5 * (front_high + 1.0), 1.0]  # fmt: skip
-    tail = [0.0, 0.09, 0.3 * waist_rear + 0.05, 0.8 * waist_rear, waist_rear, rear_low,
-            0.5 * (rear_low + rear_high), rear_high, 0.5 * (rear_high + 1.0), 1.0]  # fmt: skip
-    return np.array(nose), np.array(tail)
+    """Share of the height from sill to deck of each row, at the nose and at the tail."""
+
+    def rows(lamp: tuple[float, float]) -> np.ndarray:
+        low, high = lamp
+        waist = min(0.47, 0.8 * low)
+        middle = 0.45 * low + 0.55 * high
+        upper = 0.45 * high + 0.55
+        return np.array(
+            [0.0, 0.09, 0.3 * waist + 0.05, 0.8 * waist, waist, waist + 0.02, low, middle, high, upper, 1.0]
+        )
+
+    return rows(spec.front_lamp), rows(spec.rear_lamp)
+
+
+def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]:
+    """What is not in the colour of the paint: (lower row, upper row, outline from, to, material), later ones on top."""
+    spec = body.spec
+    half_seam = 0.5 * _SEAM_WIDTH_M / (body.side_front_m - body.side_rear_m)
+    seams = [body.side_parameter(body.x_at(fraction)) for fraction in spec.seams]
+    inner = spec.rear_lamp_inner
+    black, seam = Material.BLACK_PLASTIC, Material.SEAM
+    bumper = black if spec.dark_bumpers else Material.PAINT
+    return [
+        (_Row.BOTTOM, _Row.WAIST_LOW, 0.0, 1.9, bumper),
+        (_Row.BOTTOM, _Row.WAIST_LOW, 3.1, _OUTLINE_END, bumper),
+        (_Row.BOTTOM, _Row.TRIM, 0.0, _OUTLINE_END, black),
+        *((_Row.TRIM, _Row.DECK, at - half_seam, at + half_seam, seam) for at in seams),
+        (_Row.WAIST_LOW, _Row.WAIST_HIGH, 0.0, 1.9, seam),
+        (_Row.WAIST_LOW, _Row.WAIST_HIGH, 3.1, _OUTLINE_END, seam),
+        (_Row.INTAKE_LOW, _Row.INTAKE_HIGH, 0.0, 0.74, black),
+        (_Row.INTAKE_LOW, _Row.INTAKE_HIGH, 1.22, 1.58, black),
+        (_Row.LAMP_LOW, _Row.LAMP_HIGH, 0.0, 0.62, black),
+        (_Row.LAMP_LOW, _Row.LAMP_HIGH, 0.72, 1.62, Material.HEADLAMP),
+        (_Row.LAMP_MIDDLE, _Row.LAMP_HIGH, 0.92, 1.06, Material.DARK),
+        (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, 1.40, 1.62, Material.INDICATOR),
+        (_Row.BOTTOM, _Row.INTAKE_LOW, 3.0, _OUTLINE_END, black),
+        (_Row.LAMP_LOW, _Row.LAMP_HIGH, 3.36, inner, Material.TAIL_LAMP),
+        (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, inner - 0.26, inner - 0.10, Material.HEADLAMP),
+        (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, 3.36, 3.60, Material.INDICATOR),
+    ]
 
 
 def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> None:
     spec = body.spec
-    half_seam = 0.5 * _SEAM_WIDTH_M / (body.side_front_m - body.side_rear_m)
-    seams = [body.side_parameter(body.x_at(fraction)) for fraction in spec.seams]
-    lines = [0.0, 1.0, _SIDE_START, _SIDE_END, 4.0, _OUTLINE_END, 0.62, 0.74, 1.22, 1.58, 3.38, spec.rear_lamp_inner]
-    lines += [seam + side * half_seam for seam in seams for side in (-1.0, 1.0)]
+    panels = _body_panels(body)
+    lines = [0.0, 1.0, _SIDE_START, _SIDE_END, 4.0, _OUTLINE_END]
+    lines += [edge for panel in panels for edge in panel[2:4]]
     radius = spec.wheel_radius_m + _ARCH_GAP_M
     angle = np.linspace(0.0, np.pi, _ARCH_SEGMENTS + 1)
     for axle in spec.axles:
         lines += [body.side_parameter(body.x_at(axle) + radius * c) for c in np.cos(angle)]
         lines += [body.side_parameter(body.x_at(axle) + side * (radius + 0.006)) for side in (-1.0, 1.0)]
-    gap = 0.45 * half_seam
-    # Fill the wide columns that are left.
-    lines = list(_merged_lines(lines, gap))
+    lines = list(_merged_lines(lines, _LINE_GAP_M / (body.side_front_m - body.side_rear_m)))
     bonnet_end = body.side_parameter(body.x_at(spec.windscreen[0]) - 0.1)
     for low, high in pairwise(tuple(lines)):
         middle = 0.5 * (low + high)
@@ -196,24 +240,12 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> Non
         lines += list(np.linspace(low, high, pieces + 1)[1:-1])
     column = np.array(sorted(lines))
 
-    nose, tail = _body_rows(spec)
-    ring = body.ring_m(column, nose, tail)
+    ring = body.ring_m(column, *_body_rows(spec))
     middle = _middles(column)
-    row = np.arange(len(nose) - 1)
+    row = np.arange(len(_Row) - 1)
     material = np.full((len(row), len(middle)), Material.PAINT)
-
-    def paint(row_low: int, row_high: int, low: float, high: float, what: Material) -> None:
+    for row_low, row_high, low, high, what in panels:
         material[np.ix_((row >= row_low) & (row < row_high), (middle > low) & (middle < high))] = what
-
-    paint(0, _ROW_TRIM, 0.0, _OUTLINE_END, Material.BLACK_PLASTIC)
-    for seam in seams:
-        paint(_ROW_TRIM, len(row), seam - half_seam, seam + half_seam, Material.SEAM)
-    paint(_ROW_INTAKE_LOW, _ROW_INTAKE_HIGH, 0.0, 0.74, Material.BLACK_PLASTIC)
-    paint(_ROW_INTAKE_LOW, _ROW_INTAKE_HIGH, 1.22, 1.58, Material.BLACK_PLASTIC)
-    paint(_ROW_LAMP_LOW, _ROW_LAMP_HIGH, 0.0, 0.62, Material.BLACK_PLASTIC)
-    paint(_ROW_LAMP_LOW, _ROW_LAMP_HIGH, 0.74, 1.58, Material.HEADLAMP)
-    paint(_ROW_LAMP_LOW, _ROW_LAMP_HIGH, 3.38, spec.rear_lamp_inner, Material.TAIL_LAMP)
-    paint(0, _ROW_INTAKE_LOW, 3.0, _OUTLINE_END, Material.BLACK_PLASTIC)
     builder.add_loft(
         ring,
         material,
@@ -296,9 +328,9 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
         builder.add_box((x - reach, -inner, 0.7 * spec.sill_m), (x + reach, inner, 2.0 * spec.wheel_radius_m + 0.1),
                         Material.UNDERBODY)  # fmt: skip
     nose, tail = _body_rows(spec)
-    plates = [(0.0, 0.5 * (nose[_ROW_WAIST] + nose[_ROW_LAMP_LOW]), Material.PLATE, 1.0)]
+    plates = [(0.0, 0.5 * (nose[_Row.WAIST_LOW] + nose[_Row.LAMP_LOW]), Material.PLATE, 1.0)]
     if kind != "lorry":
-        rear_row = 0.5 * (tail[_ROW_LAMP_LOW] + tail[_ROW_LAMP_HIGH]) if kind == "suv" else tail[_ROW_LAMP_LOW] - 0.04
+        rear_row = 0.5 * (tail[_Row.LAMP_LOW] + tail[_Row.LAMP_HIGH]) if kind == "suv" else tail[_Row.LAMP_LOW] - 0.04
         plates.append((_OUTLINE_END, rear_row, Material.REAR_PLATE, -1.0))
     for parameter, share, material, sign in plates:
         point = body.ring_m(np.array([parameter]), np.array([share]), np.array([share]))[0, 0]

@@ -36,6 +36,7 @@ class VehicleSpec:
         roof_round: Share of the glass house's height that rounds into the roof.
         glass_top: Share of the glass house's height where the glass ends.
         rear_glass: False for blind rear doors.
+        dark_bumpers: Bumpers of bare plastic.
     """
 
     length_m: float
@@ -64,6 +65,7 @@ class VehicleSpec:
     roof_round: float = 0.15
     glass_top: float = 0.84
     rear_glass: bool = True
+    dark_bumpers: bool = False
 
 
 _HATCHBACK = VehicleSpec(
@@ -103,6 +105,7 @@ _ESTATE = replace(
     pillars=((0.32, 0.36), (0.61, 0.65), (0.92, 0.96)),
 )
 _SUV = VehicleSpec(
+    dark_bumpers=True,
     length_m=4.50,
     width_m=1.86,
     height_m=1.68,
@@ -117,6 +120,7 @@ _SUV = VehicleSpec(
     seams=(0.335, 0.55, 0.745),
 )
 _VAN = VehicleSpec(
+    dark_bumpers=True,
     length_m=5.10,
     width_m=1.95,
     height_m=1.98,
@@ -164,6 +168,7 @@ _BUS = VehicleSpec(
     glass_top=0.80,
 )
 _LORRY = VehicleSpec(
+    dark_bumpers=True,
     length_m=2.15,
     width_m=2.30,
     height_m=2.60,

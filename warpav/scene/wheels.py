@@ -7,7 +7,7 @@ import numpy as np
 from warpav.scene.paint import Material
 from warpav.scene.surface_builder import SurfaceBuilder
 
-_SEGMENTS = 20
+_SEGMENTS = 15
 _SPOKES = 5
 # (radius over tyre radius, y offset [m] from the tyre's outer face), from the hub outwards and round to the inside.
 _PROFILE = ((0.0, -0.022), (0.20, -0.022), (0.62, -0.040), (0.70, -0.010), (0.92, 0.0), (1.0, -0.030), (1.0, -1.0),
@@ -31,7 +31,7 @@ def add_wheel_pair(builder: SurfaceBuilder, x_m: float, outer_face_m: float, rad
     profile[-2:, 1] = -width
     segment = np.arange(_SEGMENTS)
     per_spoke = _SEGMENTS // _SPOKES
-    spoke = np.where(segment % per_spoke < per_spoke // 2, Material.RIM, Material.DARK)
+    spoke = np.where(segment % per_spoke < per_spoke - 1, Material.RIM, Material.DARK)
     rim = np.full(_SEGMENTS, Material.RIM)
     tyre = np.full(_SEGMENTS, Material.TYRE)
     builder.add_lathe_pair((x_m, outer_face_m, radius_m), profile, np.stack([rim, spoke, rim, tyre, tyre, tyre, tyre]))
