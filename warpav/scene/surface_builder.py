@@ -105,7 +105,7 @@ class SurfaceBuilder:
                 at both ends), outer meaning larger y.
             material: Material of each cell, shape [point - 1, segment].
         """
-        angle = np.linspace(0.0, 2.0 * np.pi, material.shape[1] + 1)
+        angle = np.linspace(0.0, 2.0 * np.pi, material.shape[1] + 1) - 0.5 * np.pi  # a vertex at the very bottom
         radius, offset = profile_m[:, :1], profile_m[:, 1:]
         point = np.stack(
             [

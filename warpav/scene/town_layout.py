@@ -161,7 +161,7 @@ def _side_blocks(half_width: float, pavement: float) -> tuple[Block, Block]:
 
 def _parking_street(rng: np.random.Generator) -> Layout:
     """Two lanes with a row of parking bays along either kerb."""
-    lane, bay, pavement = rng.uniform(3.1, 3.5), 2.2, rng.uniform(2.4, 3.6)
+    lane, bay, pavement = rng.uniform(3.1, 3.5), 2.3, rng.uniform(2.4, 3.6)
     half = lane + bay
     markings = _dashes(0.0, dash=3.0, gap=3.0)
     slots: list[Slot] = []
@@ -174,7 +174,7 @@ def _parking_street(rng: np.random.Generator) -> Layout:
             across = sorted((edge, side * half))
             markings.append(Marking((x - spacing / 2 - 0.05, across[0], x - spacing / 2 + 0.05, across[1]), 0.74))
             yaw = (0.0 if side < 0.0 else np.pi) + (np.pi if rng.random() < 0.08 else 0.0)
-            slots.append(Slot(float(x), side * (half - 1.07), yaw, spacing - 0.7, parked=True))
+            slots.append(Slot(float(x), side * (half - 1.15), yaw, spacing - 0.7, parked=True))
     slots += _lane_slots(rng, -lane / 2, 0.0, spacing=rng.uniform(8.0, 11.0), clear=7.5)
     slots += _lane_slots(rng, lane / 2, np.pi, spacing=rng.uniform(8.0, 11.0))
     return Layout(
