@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 import warp as wp
 
+from warpav.detection.detector import Detections
 from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.geometry.mesh import Mesh, merge
 from warpav.geometry.mount_surface import MountSurface
@@ -169,3 +170,33 @@ def on_device(poses, device="cpu"):
         wp.array(poses[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device),
         wp.array(poses[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=device),
     )
+
+
+class ConstantDetector:
+    """Says the same about every batch of images: boxes [px] and confidences, one pair per image."""
+
+    names = ("car",)
+
+    def __init__(self, boxes_px, confidences):
+        self.answer = [
+            Detections(
+                np.asarray(box_px, np.float32).reshape(-1, 4),
+                np.asarray(confidence, np.float32).reshape(-1),
+                np.zeros(len(confidence), np.int32),
+                self.names,
+            )
+            for box_px, confidence in zip(boxes_px, confidences, strict=True)
+        ]
+        self.images = []
+
+    @classmethod
+    def silent(cls, image_count):
+        """A detector that finds nothing."""
+        return cls([[]] * image_count, [[]] * image_count)
+
+    def detect(self, images_rgb):
+        """The constant answer; remembers the images."""
+        assert images_rgb.dtype == np.uint8
+        assert len(images_rgb) == len(self.answer)
+        self.images.append(np.array(images_rgb))
+        return self.answer

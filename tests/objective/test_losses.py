@@ -160,6 +160,13 @@ def measures_of(silhouettes):
     return value
 
 
+def ends_of(value, yaw_rad):
+    """Bearings of a vehicle's ends from its measures [rotation, measure]."""
+    return thesis.merged_bearings(
+        *value[:, [AMODAL_AREA, LEFT, RIGHT]].T, yaw_rad=yaw_rad, fov_rad=MODEL.fov_rad, width_px=WIDTH
+    )
+
+
 def band(left_column, column_count, rotations=4, rows=slice(2, 5)):
     """A silhouette [rotation, row, column] on the circle of all views, counted from the left end of view 0.
 
@@ -201,7 +208,7 @@ def test_in_frame_rotation_loss_of_one_vehicle(device, yaw_rad, left_column, col
     ends = [yaw_rad + bearing_of(left_column), yaw_rad + bearing_of(left_column + column_count)]
     expected = thesis.in_frame_rotation_loss([(*ends, yaw_rad, visible)], 1e-2)
     assert loss[0] == pytest.approx(expected, abs=2e-6)
-    from_columns = thesis.merged_bearings(silhouette, yaw_rad, MODEL.fov_rad)
+    from_columns = ends_of(value[:, 0], yaw_rad)
     assert thesis.in_frame_rotation_loss([(*from_columns, yaw_rad, visible)], 1e-2) == pytest.approx(expected)
 
     # the bearings stay where they are while the camera turns
@@ -235,11 +242,12 @@ def test_in_frame_rotation_loss_is_the_mean_over_assigned_vehicles(device, rng):
     silhouettes[1, 4] = False
     assigned = np.array([0, 2, -1, 1, 1, 0])
     pose = np.c_[rng.uniform(-1, 1, (3, 2)), rng.uniform(-4, 4, 3), np.zeros((3, 2))].astype(np.float32)
-    loss, gradient = placement_losses(measures_of(silhouettes), assigned, pose, device, epsilon=1e-2)
+    value = measures_of(silhouettes)
+    loss, gradient = placement_losses(value, assigned, pose, device, epsilon=1e-2)
     vehicles = []
     for k, camera in enumerate(assigned):
         if camera >= 0:
-            ends = thesis.merged_bearings(silhouettes[camera, k], pose[camera, 2], MODEL.fov_rad)
+            ends = ends_of(value[4 * camera : 4 * camera + 4, k], pose[camera, 2])
             vehicles.append(None if ends is None else (*ends, pose[camera, 2], silhouettes[camera, k, 0].any()))
     assert vehicles.count(None) == 1
     assert loss[0] == pytest.approx(thesis.in_frame_rotation_loss(vehicles, 1e-2), abs=2e-6)

@@ -77,33 +77,32 @@ def in_frame_rotation_loss(vehicles, epsilon):
     return sum(losses) / len(losses)
 
 
-def merged_bearings(silhouettes, yaw_rad, fov_rad):
+def merged_bearings(area, left_column, right_column, *, yaw_rad, fov_rad, width_px):
     """Bearings of the left and right end of one vehicle from its silhouettes in all rotational additions.
 
     The columns of all views form a circle (view a + 1 lies to the left of view a). The ends are those of the run of
     neighbouring views with something in them that holds the view with the largest silhouette. None: nothing seen.
 
     Args:
-        silhouettes: bool [rotation, row, column].
+        area: Size of the silhouette, [rotation].
+        left_column: Its first column, [rotation].
+        right_column: One past its last column, [rotation].
         yaw_rad: Yaw of the camera.
         fov_rad: Field of view.
+        width_px: Width of the image.
     """
-    count, _, width = silhouettes.shape
+    count = len(area)
     step = 2 * math.pi / count
-    area = silhouettes.sum(axis=(1, 2))
-    if area.max() == 0:
+    if max(area) == 0:
         return None
-    best = int(area.argmax())
-    leftmost = rightmost = best
-    while leftmost - best < count - 1 and area[(leftmost + 1) % count]:
+    leftmost = rightmost = int(np.argmax(area))
+    while leftmost - rightmost < count - 1 and area[(leftmost + 1) % count]:
         leftmost += 1
-    while best - rightmost < count - 1 and area[(rightmost - 1) % count]:
+    while leftmost - rightmost < count - 1 and area[(rightmost - 1) % count]:
         rightmost -= 1
-    left_column = np.nonzero(silhouettes[leftmost % count].any(axis=0))[0].min()
-    right_column = np.nonzero(silhouettes[rightmost % count].any(axis=0))[0].max() + 1
     return (
-        in_frame_bearing(yaw_rad + leftmost * step, fov_rad, left_column, width),
-        in_frame_bearing(yaw_rad + rightmost * step, fov_rad, right_column, width),
+        in_frame_bearing(yaw_rad + leftmost * step, fov_rad, left_column[leftmost % count], width_px),
+        in_frame_bearing(yaw_rad + rightmost * step, fov_rad, right_column[rightmost % count], width_px),
     )
 
 
