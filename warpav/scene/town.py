@@ -27,8 +27,9 @@ _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face th
 _VISIBILITY_SAMPLES = 200
 _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
-# Next to the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
-_BESIDE_M, _BESIDE_SHARE = 2.2, 0.15
+# Beside the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
+_BESIDE_M, _BESIDE_LONG_M, _BESIDE_SHARE = 2.4, 4.0, 0.08
+_LONG_KINDS = ("lorry", "bus")
 _KIND_SHARES = (
     ("hatchback", 0.25),
     ("saloon", 0.18),
@@ -110,7 +111,8 @@ def _try_scene(seed: int, attempt: int) -> Scene | None:
             candidate = _park(waiting.pop(0), rng)
             if not candidate or any(_nearer(candidate, other, _CLEARANCE_M) for other in (ego_placed, *placed)):
                 continue
-            if not _nearer(candidate, ego_placed, _BESIDE_M) or rng.random() < _BESIDE_SHARE:
+            beside_m = _BESIDE_LONG_M if candidate.kind in _LONG_KINDS else _BESIDE_M
+            if not _nearer(candidate, ego_placed, beside_m) or rng.random() < _BESIDE_SHARE:
                 placed.append(candidate)
         meshes = [_standing(one) for one in placed]
         eye = np.array([layout.ego.x_m, layout.ego.y_m, EYE_HEIGHT_M])
@@ -194,7 +196,7 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     yaw = slot.yaw_rad + rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD)
     bounds = mesh.bounds_m().astype(np.float64)
     size = bounds[1] - bounds[0]
-    if size[0] > slot.room_m or (slot.parked and kind in ("bus", "lorry")):
+    if size[0] > slot.room_m or (slot.parked and kind in _LONG_KINDS):
         return None
     x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
     return _Placed(kind, mesh, size, float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))))
