@@ -1,0 +1,110 @@
+"""Truth boxes and matches of rendered scenes against brute force on embree images."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, street
+from tests.oracle.ray_cast import cast_scene
+from warpav.detection.observe import observe
+from warpav.render.renderer import Occlusion, Renderer
+from warpav.rig.camera import CameraModel
+
+MODEL = CameraModel(160, 120, math.pi / 2)
+POSES = [camera_pose([1.2, 0.1, 1.8], 0.05), camera_pose([0.8, -0.2, 1.8], 3.1), camera_pose([1.0, 0.5, 1.8], 1.5)]
+
+
+def observed(detector, device, *, supersampling=1, ahead_view=(0, 1, 2), **limits):
+    renderer = Renderer([MODEL] * 3, supersampling=supersampling, occlusion=Occlusion.EXACT, device=device)
+    renderer.render(packed_street(device), *on_device(POSES, device))
+    limits = {"confidence_min": 0.1, "iou_min": 0.5, **limits}
+    return observe(renderer, packed_street(device), detector, ahead_view=list(ahead_view), **limits)
+
+
+def true_boxes(object_index, samples, min_area_px=16):
+    """Box round the largest 8-connected part of every vehicle, NaN where it is too small."""
+    boxes = np.full((10, 4), np.nan)
+    for k in range(10):
+        label, count = ndimage.label(object_index == 2 + k, structure=np.ones((3, 3)))
+        sizes = [np.count_nonzero(label == part) for part in range(1, count + 1)]
+        if sizes and max(sizes) >= min_area_px * samples**2:
+            row, column = np.nonzero(label == 1 + int(np.argmax(sizes)))
+            boxes[k] = np.array([column.min(), row.min(), column.max() + 1, row.max() + 1]) / samples
+    return boxes
+
+
+@pytest.fixture(scope="module")
+def boxes_at_pixels():
+    rays = cast_scene(street())
+    return np.array([true_boxes(rays.look(pose, MODEL).object_index, 1) for pose in POSES])
+
+
+@pytest.mark.parametrize("supersampling", [1, 2])
+def test_truth_boxes_hold_the_largest_visible_part(device, supersampling):
+    rays = cast_scene(street())
+    expected = [true_boxes(rays.look(pose, MODEL, supersampling).object_index, supersampling) for pose in POSES]
+    observation = observed(ConstantDetector.silent(3), device, supersampling=supersampling)
+    np.testing.assert_array_equal(np.isnan(observation.truth_box_px), np.isnan(expected))
+    np.testing.assert_allclose(observation.truth_box_px, expected, atol=1.0 / supersampling)
+    assert np.isfinite(observation.truth_box_px[:, :, 0]).sum() >= 5
+    assert (observation.match == -1).all()
+    assert not observation.matched_box_px().any()
+    assert np.isnan(observation.matched_confidence()).all()
+
+
+def test_small_parts_have_no_box(device):
+    all_of_them = observed(ConstantDetector.silent(3), device, min_area_px=1).truth_box_px
+    only_large = observed(ConstantDetector.silent(3), device, min_area_px=200).truth_box_px
+    count = [np.isfinite(boxes[:, :, 0]).sum() for boxes in (all_of_them, only_large)]
+    assert count[0] > count[1] >= 1
+
+
+def test_detections_find_their_vehicles(device, boxes_at_pixels):
+    # the detector gives every true box in reverse order, plus a false alarm
+    cars = [np.flatnonzero(np.isfinite(boxes[:, 0]))[::-1] for boxes in boxes_at_pixels]
+    found = [np.r_[boxes[car], [[0, 0, 5, 5]]] for boxes, car in zip(boxes_at_pixels, cars, strict=True)]
+    confidence = [np.linspace(0.9, 0.3, len(boxes)) for boxes in found]
+    detector = ConstantDetector(found, confidence)
+    observation = observed(detector, device)
+    for camera, order in enumerate(cars):
+        expected = np.full(10, -1)
+        expected[order] = np.arange(len(order))
+        np.testing.assert_array_equal(observation.match[camera], expected)
+        np.testing.assert_allclose(observation.matched_box_px()[camera, order], found[camera][:-1])
+        np.testing.assert_allclose(observation.matched_confidence()[camera, order], confidence[camera][:-1], rtol=1e-6)
+    # the detector saw the pictures
+    rays = cast_scene(street())
+    truth = np.array([rays.look(pose, MODEL).rgb for pose in POSES])
+    assert detector.images[0].shape == (3, 120, 160, 3)
+    assert np.quantile(np.abs(detector.images[0] / 255.0 - truth), 0.999) < 0.5 / 255.0 + 1e-3
+
+
+def test_weak_and_misplaced_detections_do_not_match(device, boxes_at_pixels):
+    boxes = boxes_at_pixels[0][np.isfinite(boxes_at_pixels[0][:, 0])]
+    nothing = [np.zeros((0, 4))] * 2
+    weak = ConstantDetector([boxes, *nothing], [np.full(len(boxes), 0.09), [], []])
+    assert (observed(weak, device).match == -1).all()
+    shift = np.tile(0.5 * (boxes[:, 2:] - boxes[:, :2]), 2)
+    misplaced = ConstantDetector([boxes + shift, *nothing], [np.full(len(boxes), 0.9), [], []])
+    assert (observed(misplaced, device).match == -1).all()
+    # the same with a laxer limit: 1/7 of the union is shared
+    assert (observed(misplaced, device, iou_min=0.1).match[0] >= 0).any()
+
+
+def test_chosen_views_only(device):
+    observation = observed(ConstantDetector.silent(2), device, ahead_view=(2, 0))
+    whole = observed(ConstantDetector.silent(3), device)
+    np.testing.assert_array_equal(observation.truth_box_px, whole.truth_box_px[[2, 0]])
+    np.testing.assert_array_equal(observation.image_rgb, whole.image_rgb[[2, 0]])
+
+
+def test_a_detection_must_hold_something_of_the_vehicle(device):
+    # a post splits the first car: its truth box may overlap a detection that holds only the post
+    observation = observed(ConstantDetector.silent(3), device)
+    box = observation.truth_box_px[0, 0]
+    assert np.isfinite(box).all()
+    empty = np.array([box[0], box[1] - 40.0, box[2], box[1] - 1.0])
+    detector = ConstantDetector([[empty], [], []], [[0.9], [], []])
+    assert (observed(detector, device, iou_min=0.0).match == -1).all()

@@ -1,0 +1,214 @@
+"""Descent on small problems: it falls, stays feasible, repeats, and says no to nonsense."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.oracle import thesis
+from warpav.errors import InputError
+from warpav.objective.constraints import constraint_violation_m
+from warpav.objective.losses import LossSettings
+from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
+from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
+from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.rig.camera import CameraModel
+
+MODEL = CameraModel(64, 64, math.pi / 2)
+START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0]])
+SETTINGS = OptimiserSettings(
+    iterations=25,
+    batch_size=2,
+    learning_rate_position_m=0.04,
+    learning_rate_yaw_rad=0.08,
+    schedule="cosine",
+    keep="best",
+    check_every=5,
+)
+
+
+class WholeImageDetector:
+    """One box over the lower half of every image: what is in frame counts as found, if it is large."""
+
+    names = ("car",)
+
+    def detect(self, images_rgb):
+        size = images_rgb.shape[1]
+        box = [0.0, 0.3 * size, size, 0.8 * size]
+        return ConstantDetector([[box]] * len(images_rgb), [[0.9]] * len(images_rgb)).answer
+
+
+def street_objective(device="cpu", **settings):
+    mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
+    return ThesisObjective(mount, WholeImageDetector(), camera_count=2, settings=LossSettings(**settings), iou_min=0.01)
+
+
+def street_scenes(device="cpu"):
+    # camera 0 answers for the cars ahead, camera 1 for those behind; both start looking elsewhere
+    camera_of_car = np.array([0, 0, 0, 0, 1, 1, -1, -1, -1, 1], np.int32)
+    return [AssignedScene(packed_street(device, 10, seed), camera_of_car) for seed in (0, 1, 2)]
+
+
+def run(settings=SETTINGS, seed=0, start=START, objective=None, scenes=None, device="cpu"):
+    descent = Descent(
+        objective or street_objective(device),
+        scenes or street_scenes(device),
+        settings,
+        start,
+        np.random.default_rng(seed),
+    )
+    records = [descent.step() for _ in range(settings.iterations)]
+    return descent, records, descent.finish()
+
+
+@pytest.fixture(scope="module")
+def finished():
+    return run()
+
+
+def test_training_objective_falls_and_result_is_feasible(finished):
+    descent, records, result = finished
+    start = records[0].training_objective
+    print("NUM", result.training_objective, start)
+    assert result.training_objective < 0.9 * start  # seen 7.1 of 10.3
+    assert constraint_violation_m(descent.objective.mount.rig(result.mount_pose), roof(), min_spacing_m=0.2) == 0.0
+    # what is claimed is what the objective says of that rig
+    again = descent.objective.evaluate(result.mount_pose, descent.scenes).objective
+    assert again == pytest.approx(result.training_objective, rel=1e-6)
+
+
+def test_best_is_kept(finished):
+    descent, records, result = finished
+    looked = [r.training_objective for r in records if r.training_objective is not None]
+    assert [r.iteration for r in records if r.training_objective is not None] == [0, 5, 10, 15, 20]
+    assert len(descent.candidates) == 6  # and the last pose
+    assert result.training_objective == min(c.training_objective for c in descent.candidates) <= looked[0]
+    best = np.minimum.accumulate([math.inf if r.training_objective is None else r.training_objective for r in records])
+    assert [r.best_training_objective for r in records] == pytest.approx(list(best))
+
+
+def test_records_hold_what_happened(finished):
+    _, records, _ = finished
+    assert [r.iteration for r in records] == list(range(25))
+    np.testing.assert_allclose(np.array(records[0].positions_m)[:, :2], START[:, :2], atol=1e-6)
+    np.testing.assert_allclose(records[0].yaw_deg, np.degrees(START[:, YAW_RAD]), rtol=1e-5)
+    height = roof().height_at_m(START[:, :2]) + 0.25
+    np.testing.assert_allclose(np.array(records[0].positions_m)[:, 2], height, atol=1e-5)
+    for record in records:
+        assert set(record.terms) == {"in_frame_rotation", "detected_area", "out_of_bounds", "camera_spacing"}
+        assert set(record.multipliers) == {"out_of_bounds", "camera_spacing"}
+        a, b = record.positions_m
+        assert record.min_camera_distance_m == pytest.approx(math.dist(a, b))
+        assert record.gradient_norm["rotation"] >= 0.0
+    assert records[0].multipliers == {"out_of_bounds": 0.0, "camera_spacing": 0.0}
+    assert sum(r.gradient_norm["position"] for r in records) > 0.0
+
+
+def test_same_seed_same_result_other_seed_other_batches(finished):
+    short = dataclasses.replace(SETTINGS, iterations=6, batch_size=1)
+    runs = [run(short, seed) for seed in (0, 0, 1)]
+    positions = [[r.positions_m for r in records] for _, records, _ in runs]
+    assert positions[0] == positions[1]
+    assert positions[0] != positions[2]
+    np.testing.assert_array_equal(runs[0][2].mount_pose, runs[1][2].mount_pose)
+
+
+def test_keep_last_takes_the_last_pose(finished):
+    settings = dataclasses.replace(SETTINGS, iterations=3, keep="last")
+    descent, records, result = run(settings)
+    assert [r.training_objective is None for r in records] == [False, True, True]
+    assert result.iteration == 3
+    np.testing.assert_allclose(result.mount_pose[:, YAW_RAD], descent.state()["pose_value"][:, YAW_RAD])
+
+
+def test_keep_best_never_ends_worse_than_the_start():
+    # steps so large that every one of them spoils the start
+    wild = dataclasses.replace(SETTINGS, iterations=4, learning_rate_position_m=2.0, learning_rate_yaw_rad=2.0)
+    good = START.copy()
+    good[:, YAW_RAD] = [0.0, math.pi]
+    _, records, result = run(wild, start=good)
+    assert result.training_objective <= records[0].training_objective
+    assert constraint_violation_m(street_objective().mount.rig(result.mount_pose), roof(), min_spacing_m=0.2) == 0.0
+
+
+class Slope:
+    """A stand-in for the objective: a linear loss, so that every step of the optimiser can be followed by hand."""
+
+    device = "cpu"
+
+    def __init__(self, total=1.0):
+        self.mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
+        self.settings = LossSettings()
+        self.total = total
+        self.multipliers = []
+
+    def evaluate(self, mount_pose, scenes, *, multiplier=None, gradient=False):
+        if gradient:
+            self.multipliers.append(multiplier)
+        slope = np.arange(1, 11, dtype=np.float32).reshape(2, 5) * [[1], [-1]]
+        return Evaluation(
+            total=self.total,
+            objective=float(len(self.multipliers)),
+            terms={},
+            gradient=slope.astype(np.float32) if gradient else None,
+            multiplier_gradient=np.array([0.5, 0.0], np.float32) if gradient else None,
+            seconds={},
+        )
+
+
+@pytest.mark.parametrize("schedule", ["constant", "cosine"])
+def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
+    settings = OptimiserSettings(iterations=8, schedule=schedule, keep="last", multiplier_weight_decay=0.05)
+    slope = Slope()
+    descent, records, _ = run(settings, objective=slope, scenes=street_scenes())
+    pose = thesis.AdamW(START, weight_decay=settings.weight_decay)
+    multiplier = thesis.AdamW(np.zeros(2), weight_decay=0.05)
+    gradient = slope.evaluate(None, None, gradient=True).gradient
+    for i, record in enumerate(records):
+        np.testing.assert_allclose(np.array(record.positions_m)[:, :2], pose.value[:, [X_M, Y_M]], atol=1e-5)
+        np.testing.assert_allclose(np.radians(record.yaw_deg), pose.value[:, YAW_RAD], atol=1e-5)
+        np.testing.assert_allclose(list(record.multipliers.values()), multiplier.value, atol=1e-5)
+        np.testing.assert_allclose(slope.multipliers[i], multiplier.value, atol=1e-5)
+        share = 1.0 if schedule == "constant" else 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * i / 7))
+        pose.step(gradient * [1, 1, 1, 0, 0], np.array([0.25, 0.25, 0.25, 0.0, 0.0]) * share)
+        multiplier.step(np.array([0.5, 0.0]), np.full(2, -0.25))
+    # the thesis turns cameras about the vertical only
+    np.testing.assert_array_equal(descent.state()["pose_value"][:, 3:], START[:, 3:])
+    assert records[-1].multipliers["out_of_bounds"] > 1.0
+    assert records[-1].multipliers["camera_spacing"] == 0.0
+
+
+@pytest.mark.parametrize("total", [math.nan, math.inf])
+def test_a_loss_that_is_not_finite_stops_the_run(total):
+    descent = Descent(Slope(total), street_scenes(), SETTINGS, START, np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"iteration 0: expected a finite loss .* got (nan|inf); lower optimiser"):
+        descent.step()
+
+
+def test_cameras_that_run_away_stop_the_run_with_a_message():
+    far = dataclasses.replace(SETTINGS, iterations=3, learning_rate_position_m=500.0, keep="last")
+    descent = Descent(street_objective(), street_scenes(), far, START, np.random.default_rng(0))
+    descent.step()
+    with pytest.raises(InputError, match="iteration 1: expected a finite loss"):
+        descent.step()
+
+
+def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():
+    outside = START.copy()
+    outside[:, :2] = [[9.0, 0.0], [9.0, 0.05]]
+    descent, records, _ = run(dataclasses.replace(SETTINGS, iterations=1), start=outside)
+    first = descent.candidates[0].mount_pose
+    assert constraint_violation_m(descent.objective.mount.rig(first), roof(), min_spacing_m=0.2) == 0.0
+    assert records[0].terms["out_of_bounds"] > 1.0
+
+
+def test_state_holds_every_number_of_the_optimiser(finished):
+    descent, _, _ = finished
+    state = descent.state()
+    assert int(state["iteration"]) == 25
+    assert int(state["pose_step_number"]) == int(state["multiplier_step_number"]) == 25
+    assert state["pose_first_moment"].shape == state["pose_second_moment"].shape == (10,)
+    assert state["pose_value"].shape == (2, 5)
+    assert state["multiplier_value"].shape == (2,)
