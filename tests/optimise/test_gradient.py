@@ -71,7 +71,6 @@ def finished():
 def test_training_objective_falls_and_result_is_feasible(finished):
     descent, records, result = finished
     start = records[0].training_objective
-    print("NUM", result.training_objective, start)
     assert result.training_objective < 0.9 * start  # seen 7.1 of 10.3
     assert constraint_violation_m(descent.objective.mount.rig(result.mount_pose), roof(), min_spacing_m=0.2) == 0.0
     # what is claimed is what the objective says of that rig
