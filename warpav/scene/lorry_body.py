@@ -32,8 +32,20 @@ def add_lorry_body(builder: SurfaceBuilder, spec: VehicleSpec) -> None:
 
 
 def _add_side(builder: SurfaceBuilder, front: float, guard_end: float) -> None:
-    """Side guards, fuel tank and a reflective line."""
-    half, floor = CARGO.half_width_m, CARGO.floor_m
+    """Side guards, fuel tank, a livery stripe and board, a reflective line, marker lamps."""
+    half, floor, roof = CARGO.half_width_m, CARGO.floor_m, CARGO.roof_m
+    rear = front - CARGO.length_m
+    proud = half + 0.008
+    builder.add_box_pair((rear + 0.05, half - 0.02, floor + 0.28), (front - 0.05, proud, floor + 0.62), Material.PAINT)
+    builder.add_box_pair(
+        (front - 0.72 * CARGO.length_m, half - 0.02, roof - 1.15),
+        (front - 0.20 * CARGO.length_m, proud, roof - 0.45),
+        Material.PAINT,
+    )
+    for index in range(5):
+        lamp = front - CARGO.length_m * (0.1 + 0.2 * index)
+        builder.add_box_pair((lamp - 0.06, half - 0.02, floor + 0.02), (lamp + 0.06, half + 0.02, floor + 0.07),
+                             Material.INDICATOR)  # fmt: skip
     for low in (0.42, 0.66):
         builder.add_box_pair(
             (guard_end, half - 0.09, low), (front - 0.15, half - 0.03, low + 0.13), Material.CARGO_FRAME
