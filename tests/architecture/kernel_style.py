@@ -165,9 +165,29 @@ def _breaches_of_kernel(
     elements = [found[1] for found in (re.search(r"\[(.+)\]$", text) for text in types) if found]
     if is_differentiable and elements and all(INTEGER_ELEMENTS.match(element) for element in elements):
         yield f"{where} it writes integers only: mark it enable_backward=False"
+    if is_differentiable:
+        for name, line in _uses_of_loop_results(function.node):
+            advice = f"backward, {name} is what it was before the loop: store it and use it in another kernel"
+            yield f"{function.path}:{line} {function.name}: {advice}"
     if is_differentiable == ("Not taped" in function.section("Launch")):
         state = "differentiable" if is_differentiable else "marked enable_backward=False"
         yield f"{where} it is {state}; 'Not taped' in Launch: says the opposite"
+
+
+def _uses_of_loop_results(node: ast.FunctionDef) -> Iterator[tuple[str, int]]:
+    """Uses, other than storing it, of what a loop has changed; the backward pass does not run the loop before them."""
+    for loop in (n for n in ast.walk(node) if isinstance(n, ast.For)):
+        if isinstance(loop.iter, ast.Call) and all(isinstance(a, ast.Constant) for a in loop.iter.args):
+            continue  # unrolled
+        changed = {n.id for n in ast.walk(loop) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        before = {n.id for n in ast.walk(node) if isinstance(n, ast.Name) and n.lineno < loop.lineno}
+        stored = {
+            id(n.value) for n in ast.walk(node) if isinstance(n, ast.Assign) and isinstance(n.targets[0], ast.Subscript)
+        } | {id(n.args[-1]) for n in ast.walk(node) if isinstance(n, ast.Call) and _text(n).startswith("wp.atomic_")}
+        for use in ast.walk(node):
+            is_read = isinstance(use, ast.Name) and isinstance(use.ctx, ast.Load) and id(use) not in stored
+            if is_read and use.id in changed & before and use.lineno > (loop.end_lineno or 0):
+                yield use.id, use.lineno
 
 
 def _stored_arguments(functions: dict[str, WarpFunction]) -> dict[str, dict[str, int]]:

@@ -95,6 +95,11 @@ def test_good_kernels_pass(tmp_path):
         ("add_up(value[i] * value[i], total)", "total[0] *= 2.0", r"*= and /= on an array"),
         ("add_up(value[i] * value[i], total)", "total[0] = wp.where(i > 0, 1.0, 2.0)", "guard with if"),
         ('total: wp.array[float]):\n    """Add', 'total: wp.array[float] = None):\n    """Add', "no defaults"),
+        (
+            "add_up(value[i] * value[i], total)",
+            "whole = float(0.0)\n    for k in range(i):\n        whole += value[k]\n    add_up(1.0 / whole, total)",
+            "whole is what it was before the loop",
+        ),
         ("(enable_backward=False)", "", "it writes integers only"),
         ("(enable_backward=False)", "", "'Not taped' in Launch: says the opposite"),
         ("``dim=1``. Not taped.", "``dim=1``.", "'Not taped' in Launch: says the opposite"),
