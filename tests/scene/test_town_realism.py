@@ -75,4 +75,4 @@ def test_recall_on_twenty_unseen_scenes(asset_folder, record_property):
     recalled, counted = _recall(asset_folder, range(FIRST_UNSEEN_SEED, FIRST_UNSEEN_SEED + 20))
     record_property("recall", recalled / counted)
     assert counted >= 80
-    assert recalled / counted >= 0.90  # seen: .953 of 107 vehicles
+    assert recalled / counted >= 0.90  # seen: .95 of about 110 vehicles

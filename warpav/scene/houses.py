@@ -14,7 +14,7 @@ _SHADOW_HEIGHT_M = 0.008
 _SHADOW_SEGMENTS = 24
 # How far each ring of a contact shadow lies outside the vehicle's outline [m], and the light that is left there.
 _SHADOW_RINGS = ((-0.50, 0.16), (-0.12, 0.20), (0.03, 0.45), (0.16, 0.74), (0.36, 1.0))
-_GROUND_CELL_M = 3.0
+_GROUND_CELL_M, _YARD_CELL_M = 3.0, 16.0
 _CORNER_POINTS = 6
 _HOUSE_DEPTH_M = 9.0
 _GROUND_FLOOR_M, _FLOOR_M = 3.5, 3.1
@@ -48,10 +48,17 @@ class SceneryBuilder:
         self._quad.append(corner_m)
         self._colour.append(np.broadcast_to(colour, corner_m.shape))
 
-    def add_ground(self, rectangle_m: Rectangle, height_m: float, colour: np.ndarray, mottle: float) -> None:
+    def add_ground(
+        self,
+        rectangle_m: Rectangle,
+        height_m: float,
+        colour: np.ndarray,
+        mottle: float,
+        cell_m: float = _GROUND_CELL_M,
+    ) -> None:
         """Add a level rectangle in cells of a few metres whose brightness varies by ``mottle``."""
         x_low, y_low, x_high, y_high = rectangle_m
-        columns, rows = (max(1, round(extent / _GROUND_CELL_M)) for extent in (x_high - x_low, y_high - y_low))
+        columns, rows = (max(1, round(extent / cell_m)) for extent in (x_high - x_low, y_high - y_low))
         x, y = np.meshgrid(np.linspace(x_low, x_high, columns + 1), np.linspace(y_low, y_high, rows + 1), indexing="ij")
         point = np.stack([x, y, np.full_like(x, height_m)], axis=-1)
         shade = colour + mottle * self._rng.standard_normal(x.shape)[..., None]
@@ -108,6 +115,7 @@ class SceneryBuilder:
                 self.add_asphalt((x, y, x + block.corner_m, y + block.corner_m))
         gap = block.pavement_m
         x_low, y_low, x_high, y_high = x_low + gap, y_low + gap, x_high - gap, y_high - gap
+        self.add_ground((x_low, y_low, x_high, y_high), KERB_HEIGHT_M, pavement * 0.8, 0.0, cell_m=_YARD_CELL_M)
         # A side that faces no road has no pavement: houses reach the edge.
         along_x = {"south": ((x_low, y_low), (1.0, 0.0)), "north": ((x_high, y_high), (-1.0, 0.0))}
         along_y = {"east": ((x_high, y_low), (0.0, 1.0)), "west": ((x_low, y_high), (0.0, -1.0))}
@@ -240,7 +248,6 @@ def _rounded_loop(block: Block, inset_m: float) -> np.ndarray:
     loop = []
     for index, arc in enumerate(points):
         following = points[(index + 1) % 4][0]
-        pieces = max(1, round(float(max(x_high - x_low, y_high - y_low)) / 6.0)) if index % 2 else 1
         pieces = max(1, round((y_high - y_low if index % 2 == 0 else x_high - x_low) / 6.0))
         loop += [arc, arc[-1] + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (following - arc[-1])]
     loop.append(points[0][:1])
