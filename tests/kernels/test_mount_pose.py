@@ -107,16 +107,6 @@ def test_gradient_to_all_five_numbers_matches_differences(device, rng):
     assert np.abs(gradient[:, :2] - to_centre.reshape(12, 4, 3)[:, :, :2].sum(axis=1)).max() > 0.02
 
 
-def test_slope_at_the_far_border_is_that_of_the_last_cell(device):
-    surface = flat_surface([0.0, 0.0], [2.0, 1.0], cell_m=0.5)
-    surface.height_m[:] = np.linspace(1.0, 3.0, 5)[:, None] + np.linspace(0.0, 4.0, 3)[None, :]  # slopes 1 and 4
-    up = np.zeros((4, 3), np.float32)
-    up[0, 2] = 1.0
-    still = np.zeros((4, 3, 3), np.float32)
-    _, _, gradient = placed([[2.0, 1.0, 0, 0, 0]], device, surface=surface, gradient_of=(up, still))
-    np.testing.assert_allclose(gradient[0, :2], [1.0, 4.0], rtol=1e-5)
-
-
 def test_height_does_not_pull_beyond_the_border(device):
     low, high = roof().bounds_m
     pose = np.array([[low[0] - 0.5, 0.3, 0, 0, 0], [1.5, high[1] + 0.5, 0, 0, 0]], np.float32)

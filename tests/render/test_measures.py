@@ -11,6 +11,7 @@ from tests.driving_scene import block, camera_pose, car, on_device, packed_stree
 from tests.oracle.occlusion import extents, pairwise_hidden
 from tests.oracle.ray_cast import Silhouettes, cast_scene
 from tests.render.test_renderer import FAR_AWAY, poses_on_ego
+from warpav.geometry.mesh import merge
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import (
     AMODAL_AREA,
@@ -158,6 +159,20 @@ def test_a_near_silhouette_inside_a_far_one_hides_it(device, swapped):
     area = value[0, :, AMODAL_AREA]
     assert value[0, small_index, VISIBLE_AREA] == area[small_index] > 0
     assert value[0, 1 - small_index, VISIBLE_AREA] == area[1 - small_index] - area[small_index]
+
+
+def test_only_the_parts_outside_the_overlap_are_compared(device):
+    # a vehicle of two parts: the large one, before the other vehicle, overlaps it; the small one, behind, does not
+    rng = np.random.default_rng(4)
+    split = vehicle(1, merge([block(rng, [1, 2, 2], [5, 0, 1]), block(rng, [1, 4, 2], [20, 9, 1])]), 0.0, 0.0, 0.0)
+    whole = vehicle(2, block(rng, [1, 8, 4], [10, 0, 1]), 0.0, 0.0, 0.0)
+    scene = Scene("split", FAR_AWAY, FAR_AWAY, (split, whole))
+    pose = camera_pose([0.0, 0.0, 1.0], 0.0)
+    alone, ego = Silhouettes(scene).look(pose, MODEL)
+    truth = np.isfinite(alone) & ~pairwise_hidden(alone, ego)
+    assert 0 < truth[0].sum() < 0.3 * np.isfinite(alone[0]).sum()  # hidden as the printed rule has it
+    _, value = rendered(DeviceScene.pack(scene, device=device), [pose], device=device, occlusion=Occlusion.PAIRWISE)
+    np.testing.assert_allclose(value[0, :, VISIBLE_AREA], truth.sum(axis=(1, 2)), atol=2)
 
 
 def test_pairwise_occlusion_ignores_the_environment_and_exact_does_not(device):
