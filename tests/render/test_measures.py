@@ -164,8 +164,8 @@ def test_a_near_silhouette_inside_a_far_one_hides_it(device, swapped):
 def test_only_the_parts_outside_the_overlap_are_compared(device):
     # a vehicle of two parts: the large one, before the other vehicle, overlaps it; the small one, behind, does not
     rng = np.random.default_rng(4)
-    split = vehicle(1, merge([block(rng, [1, 2, 2], [5, 0, 1]), block(rng, [1, 4, 2], [20, 9, 1])]), 0.0, 0.0, 0.0)
-    whole = vehicle(2, block(rng, [1, 8, 4], [10, 0, 1]), 0.0, 0.0, 0.0)
+    split = vehicle(1, merge([block(rng, [1, 2, 2], [5, 0, 1]), block(rng, [1, 4, 2], [20, 13, 1])]), 0.0, 0.0, 0.0)
+    whole = vehicle(2, block(rng, [1, 8, 8], [10, 0, 1]), 0.0, 0.0, 0.0)
     scene = Scene("split", FAR_AWAY, FAR_AWAY, (split, whole))
     pose = camera_pose([0.0, 0.0, 1.0], 0.0)
     alone, ego = Silhouettes(scene).look(pose, MODEL)

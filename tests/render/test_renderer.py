@@ -258,11 +258,12 @@ def test_threads_do_not_change_a_bit(rng):
 
 def test_renders_do_not_leak_into_each_other(device, rng):
     poses = poses_on_ego(rng, 3)
-    many, few = packed_street(device), packed_street(device, 2, 1)
+    many, few = packed_street(device), packed_street(device, 7, 1)
     used = Renderer([MODEL] * 3, device=device)
     first = images_of(used, many, poses)
     images_of(used, few, poses)
     used_measures = used.measure(few).value.numpy()
+    assert np.count_nonzero(used_measures[..., AMODAL_AREA]) >= 3
     fresh = Renderer([MODEL] * 3, device=device)
     for one, other in zip(images_of(used, few, poses), images_of(fresh, few, poses), strict=True):
         np.testing.assert_array_equal(one, other)
