@@ -119,19 +119,20 @@ def place_layers_kernel(
     layer_rectangle: wp.array2d[wp.vec4i],
     # out
     layer_offset: wp.array2d[wp.int32],
-    sample_count: wp.array[wp.int32],
+    sample_count: wp.array[wp.int64],
 ):
     """Lay the rectangles one behind the other.
 
     Launch: ``dim=1``; one thread, the pairs are few. Not taped.
-    Writes: every element of ``layer_offset``, and ``sample_count[0]``, the length of the atlas.
+    Writes: every element of ``layer_offset``, and ``sample_count[0]``, the length of the atlas; offsets are only valid
+        if it is below 2**31.
     """
-    offset = int(0)
+    offset = wp.int64(0)
     for v in range(layer_rectangle.shape[0]):
         for layer in range(layer_rectangle.shape[1]):
-            layer_offset[v, layer] = offset
+            layer_offset[v, layer] = wp.int32(offset)
             rectangle = layer_rectangle[v, layer]
-            offset = offset + rectangle[2] * rectangle[3]
+            offset = offset + wp.int64(rectangle[2]) * wp.int64(rectangle[3])
     sample_count[0] = offset
 
 

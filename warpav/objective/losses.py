@@ -78,8 +78,8 @@ def add_placement_losses(
     device = loss.device
     vehicle_count = assigned_camera.shape[0]
     weight = scene_weight / assigned_count
-    bearing_rad = wp.empty(vehicle_count, dtype=wp.vec2, device=device)
-    sight = wp.empty(vehicle_count, dtype=wp.int32, device=device)
+    bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
+    sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
     wp.launch(
         placement_losses.find_vehicle_bearings_kernel,
         dim=vehicle_count,
@@ -104,7 +104,7 @@ def add_placement_losses(
         device=device,
     )
     measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego)
-    area_around = wp.empty(vehicle_count, dtype=float, device=device, requires_grad=True)
+    area_around = wp.zeros(vehicle_count, dtype=float, device=device, requires_grad=True)
     wp.launch(
         placement_losses.sum_visible_area_kernel,
         dim=vehicle_count,

@@ -57,8 +57,8 @@ class CameraMount:
         """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose`` [camera, 5]."""
         camera_count = mount_pose.shape[0]
         view_count = camera_count * self.rotation_count
-        position_ego_m = wp.empty(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
-        camera_from_ego = wp.empty(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
+        position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
+        camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
         wp.launch(
             kernels.place_on_surface_kernel,
             dim=(camera_count, self.rotation_count),

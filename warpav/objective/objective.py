@@ -138,10 +138,14 @@ class ThesisObjective:
                 rotation_count=self.mount.rotation_count,
             )
             total = lagrangian_of(objective_loss, constraint_loss, multiplier_array, self.settings)
+        pose_gradient = multiplier_gradient = None
         if gradient:
             backward_started = time.perf_counter()
             tape.backward(total)
             wp.synchronize_device(self.device)
+            assert pose.grad is not None
+            assert multiplier_array.grad is not None
+            pose_gradient, multiplier_gradient = pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
             seconds["backward"] = time.perf_counter() - backward_started
         seconds["total"] = time.perf_counter() - started
         objectives, constraints = objective_loss.numpy(), constraint_loss.numpy()
@@ -152,8 +156,8 @@ class ThesisObjective:
                 name: float(value)
                 for name, value in zip((*OBJECTIVES, *CONSTRAINTS), (*objectives, *constraints), strict=True)
             },
-            gradient=pose.grad.numpy().copy() if gradient else None,
-            multiplier_gradient=multiplier_array.grad.numpy().copy() if gradient else None,
+            gradient=pose_gradient,
+            multiplier_gradient=multiplier_gradient,
             seconds=seconds,
         )
 

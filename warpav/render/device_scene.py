@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -58,7 +59,7 @@ class DeviceScene:
     """
 
     name: str
-    triangles: Triangles
+    triangles: Any  # the struct Triangles, which is no type to a checker
     triangle_object: wp.array
     layer_object: wp.array
     layer_bounds_ego_m: wp.array

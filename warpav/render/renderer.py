@@ -25,6 +25,14 @@ MEASURE_COUNT = int(measure.MEASURE_COUNT)
 # Threads that share one cluster of triangles on a GPU; a CPU launch is one loop, where lanes would only cost.
 CUDA_LANES = 64
 
+# Places in the atlas are 32-bit integers.
+MAX_ATLAS_SAMPLES = 2**31 - 1
+
+
+def _available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
 
 class Occlusion(Enum):
     """What hides a vehicle."""
@@ -119,17 +127,17 @@ class Renderer:
         self._height = self.height_px * supersampling + 2 * guard
         self._focal_px = wp.array([model.focal_px for model in models], dtype=float, device=self.device)
         self._near_m = wp.array([model.near_m for model in models], dtype=float, device=self.device)
-        self._view = wp.zeros(self.view_count, dtype=view.View, device=self.device)
+        self._view = wp.zeros(self.view_count, dtype=view.View, device=self.device)  # pyright: ignore[reportArgumentType]
         self._position_ego_m = wp.zeros(self.view_count, dtype=wp.vec3, device=self.device)
         self._camera_from_ego = wp.zeros(self.view_count, dtype=wp.mat33, device=self.device)
         self._key = wp.zeros((self.view_count, self._height, self._width), dtype=wp.int64, device=self.device)
         self._layer_bits = wp.zeros(1, dtype=wp.int32, device=self.device)
         self._hiding_bits = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self._sample_count = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self._sample_count = wp.zeros(1, dtype=wp.int64, device=self.device)
         self._no_box = wp.zeros((0, 0), dtype=wp.vec4, device=self.device)
         self._threads = None
         if self.device.is_cpu:
-            thread_count = thread_count or min(os.cpu_count() or 1, 8)
+            thread_count = thread_count or min(_available_cores(), 8)
             if thread_count > 1 and self.view_count > 1:
                 self._threads = ThreadPoolExecutor(thread_count)
         self._thread_count = thread_count or 1
@@ -137,7 +145,7 @@ class Renderer:
         for module in (view, rasterise, hide, measure, shade):
             wp.load_module(module, device=self.device)
 
-    def _over_views(self, count: int, launch: Callable[[int, int], None]) -> None:
+    def _over_views(self, count: int, launch: Callable[[int, int], object]) -> None:
         """Call ``launch(first, count)`` for chunks of views: all at once on a GPU, spread over threads on the CPU.
 
         Every view's outputs are its own, so threads never write the same element (CPU atomics are not atomic).
@@ -160,6 +168,9 @@ class Renderer:
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
             layers_only: Leave the environment out (for measures of vehicles alone).
+
+        Raises:
+            ValueError: The silhouettes together do not fit into one buffer.
         """
         device = self.device
         wp.copy(self._position_ego_m, position_ego_m)
@@ -173,8 +184,8 @@ class Renderer:
             record_tape=False,
         )
         layers = (self.view_count, scene.layer_count)
-        self._rectangle = wp.empty(layers, dtype=wp.vec4i, device=device)
-        self._offset = wp.empty(layers, dtype=wp.int32, device=device)
+        self._rectangle = wp.zeros(layers, dtype=wp.vec4i, device=device)
+        self._offset = wp.zeros(layers, dtype=wp.int32, device=device)
         wp.launch(
             rasterise.bound_layers_kernel,
             dim=layers,
@@ -192,6 +203,11 @@ class Renderer:
             record_tape=False,
         )
         sample_count = int(self._sample_count.numpy()[0])
+        if sample_count > MAX_ATLAS_SAMPLES:
+            raise ValueError(
+                f"the silhouettes of {scene.vehicle_count} vehicles in {self.view_count} views of {self._width} x "
+                f"{self._height} samples need {sample_count} samples, more than {MAX_ATLAS_SAMPLES}; render fewer views"
+            )
         if sample_count > self._layer_bits.size:
             room = sample_count + sample_count // 4
             self._layer_bits = wp.zeros(room, dtype=wp.int32, device=device)
@@ -271,9 +287,9 @@ class Renderer:
             box_px = wp.zeros(shape, dtype=wp.vec4, device=self.device)
         full = (*shape, MEASURE_COUNT)
         result = Measures(
-            value=wp.empty(full, dtype=float, device=self.device),
-            per_shift=wp.empty(full, dtype=wp.vec3, device=self.device),
-            per_spin=wp.empty(full, dtype=wp.vec3, device=self.device),
+            value=wp.zeros(full, dtype=float, device=self.device),
+            per_shift=wp.zeros(full, dtype=wp.vec3, device=self.device),
+            per_spin=wp.zeros(full, dtype=wp.vec3, device=self.device),
             position_ego_m=wp.clone(self._position_ego_m, requires_grad=False),
             camera_from_ego=wp.clone(self._camera_from_ego, requires_grad=False),
         )
@@ -296,7 +312,7 @@ class Renderer:
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
         shown = list(range(self.view_count)) if shown_view is None else list(shown_view)
-        image = wp.empty((len(shown), self.height_px, self.width_px), dtype=wp.vec3, device=self.device)
+        image = wp.zeros((len(shown), self.height_px, self.width_px), dtype=wp.vec3, device=self.device)
         shown_array = wp.array(shown, dtype=wp.int32, device=self.device)
         sky = [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
         self._over_views(
@@ -318,8 +334,8 @@ class Renderer:
     def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
         """Depth along the optical axis [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column]."""
         shape = (self.view_count, self.height_px, self.width_px)
-        depth_m = wp.empty(shape, dtype=float, device=self.device)
-        object_index = wp.empty(shape, dtype=wp.int32, device=self.device)
+        depth_m = wp.zeros(shape, dtype=float, device=self.device)
+        object_index = wp.zeros(shape, dtype=wp.int32, device=self.device)
         self._over_views(
             self.view_count,
             lambda first, count: wp.launch(
