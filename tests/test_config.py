@@ -141,7 +141,7 @@ FILE_MISTAKES = [
     ("camera: {width_px: 100000}\n", "mine.yaml:1: camera.width_px: expected a whole number from 16 to 4096, got 1"),
     ("camera: 5\n", "mine.yaml:1: camera: expected a section with fov_deg,"),
     ("device: cuda\n", "mine.yaml:1: device: expected cpu or a GPU such as cuda:0, got 'cuda'; write cuda:0 for"),
-    ("method: default\n", "mine.yaml:1: method: expected thesis, got 'default'; the default method is not there yet"),
+    ("method: thesi\n", "mine.yaml:1: method: expected thesis or default, got 'thesi'"),
     ("scenes: {source: captured}\n", "mine.yaml:1: scenes.source: expected town or folder, got 'captured'; captured"),
     ("scenes: {source: folder}\n", "mine.yaml:1: scenes.folder: expected a folder of scenes because scenes.source is"),
     (

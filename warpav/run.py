@@ -18,7 +18,7 @@ from warpav.errors import InputError
 from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
 from warpav.gallery import draw_run
 from warpav.geometry.mesh import Mesh
-from warpav.objective.losses import LossSettings
+from warpav.objective.losses import LossSettings, Reference
 from warpav.objective.mount import mount_pose_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose, random_search
@@ -126,6 +126,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
             in_frame_rotation=config.losses.in_frame_rotation,
             detected_area=config.losses.detected_area,
             min_detected_area=config.losses.min_detected_area,
+            reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
             epsilon=config.losses.epsilon,
             min_spacing_m=config.rig.min_spacing_m,
             multiplier_damping=config.optimiser.multiplier_damping,

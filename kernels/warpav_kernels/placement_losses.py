@@ -154,15 +154,19 @@ def soft_masked_area(inside: float, whole: float, epsilon: float) -> float:
 
 
 @wp.kernel
-def sum_visible_area_kernel(
+def sum_area_around_kernel(
     # in
     measure: wp.array3d[float],
     assigned_camera: wp.array[wp.int32],
     rotation_count: int,
+    summed_measure: int,
     # out
     area_around: wp.array[float],
 ):
-    """Non-occluded area of every vehicle over all directions of its assigned camera; 0 where it has none.
+    """Area of every vehicle over all directions of its assigned camera; 0 where it has none.
+
+    ``summed_measure`` says which area: VISIBLE_AREA for the denominator of Eq. 14 as printed, AMODAL_AREA for that of
+    the vehicle alone.
 
     A kernel of its own: the backward pass does not run the loop again, so nothing in the same kernel may use the sum.
 
@@ -174,7 +178,7 @@ def sum_visible_area_kernel(
     around = float(0.0)
     if camera >= 0:
         for a in range(rotation_count):
-            around += measure[camera * rotation_count + a, vehicle, VISIBLE_AREA]
+            around += measure[camera * rotation_count + a, vehicle, summed_measure]
     area_around[vehicle] = around
 
 
@@ -193,9 +197,10 @@ def detected_area_loss_kernel(
 ):
     """Add every assigned vehicle's share of the detected-area loss.
 
-    The visibility is the silhouette inside the matched detection's box where the camera really looks, over the
-    non-occluded silhouette in all directions: what Eq. 14 reduces to. BOX_AREA is 0 where no detection matched. A
-    vehicle of which its camera sees nothing in any direction counts 1 and gives no gradient.
+    The visibility is the silhouette inside the matched detection's box where the camera really looks, over
+    ``area_around``; with the non-occluded silhouette in all directions that is what Eq. 14 reduces to. BOX_AREA is 0
+    where no detection matched. A vehicle of which its camera sees nothing in any direction counts 1 and gives no
+    gradient.
 
     Equation: 14 (same value: sum - (sum - S_dm) is S_dm)
     Equation: 15, 16 (as printed)

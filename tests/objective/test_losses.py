@@ -12,7 +12,7 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.oracle import thesis
 from warpav.objective.constraints import constraint_losses_of
-from warpav.objective.losses import LossSettings, add_placement_losses, lagrangian_of
+from warpav.objective.losses import LossSettings, Reference, add_placement_losses, lagrangian_of
 from warpav.objective.mount import CameraMount
 from warpav.render.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.rig.camera import CameraModel
@@ -314,10 +314,26 @@ def test_a_well_detected_vehicle_costs_nothing_and_an_undetected_one_nearly_ever
     assert device_loss[1] == pytest.approx(1.0 - 1e-5 * (100.0 / 120.0) / 0.5)
 
 
+def test_hiding_a_vehicle_costs_nothing_as_printed_and_something_against_the_vehicle_alone(device):
+    value = np.zeros((4, 1, MEASURE_COUNT))
+    value[0, 0, AMODAL_AREA] = 100.0
+    loss = {}
+    for shown in (100.0, 50.0):
+        value[0, 0, [VISIBLE_AREA, BOX_AREA]] = shown
+        for reference in Reference:
+            settings = {"reference": reference, "min_detected_area": 1.0, "epsilon": 0.0}
+            loss[reference, shown] = placement_losses(value, [0], np.zeros((1, 5)), device, **settings)[0][1]
+    assert loss[Reference.NON_OCCLUDED, 100.0] == loss[Reference.NON_OCCLUDED, 50.0] == 0.0
+    assert loss[Reference.ALONE, 100.0] == 0.0
+    assert loss[Reference.ALONE, 50.0] == pytest.approx(0.5)
+
+
 @pytest.mark.equation(14, 16)
-def test_detected_area_gradient_matches_differences_through_the_measures(device, rng):
+@pytest.mark.parametrize("reference", list(Reference))
+def test_detected_area_gradient_matches_differences_through_the_measures(device, rng, reference):
     _, _, value = random_sight(rng, 2, 6)
-    value[..., [AMODAL_AREA, VISIBLE_AREA]] += 20.0  # nothing on the edge of never seen
+    value[..., VISIBLE_AREA] += 20.0  # nothing on the edge of never seen
+    value[..., AMODAL_AREA] += rng.uniform(25.0, 40.0, value.shape[:2])
     per_shift = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
     per_spin = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
     assigned = np.array([0, 1, -1, 1, 0, 0])
@@ -333,6 +349,7 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
         weight=(0.0, 1.0),
         min_detected_area=0.9,
         epsilon=1e-2,
+        reference=reference,
     )
     centre_0, rotation_0 = placed_by_oracle(pose, SURFACE, MODEL)
 
@@ -347,7 +364,8 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
         terms = []
         for k, camera in enumerate(assigned):
             if camera >= 0:
-                whole = now[4 * camera : 4 * camera + 4, k, VISIBLE_AREA].sum()
+                against = VISIBLE_AREA if reference is Reference.NON_OCCLUDED else AMODAL_AREA
+                whole = now[4 * camera : 4 * camera + 4, k, against].sum()
                 ahead = now[4 * camera, k]
                 inside, outside = ahead[BOX_AREA], ahead[VISIBLE_AREA] - ahead[BOX_AREA]
                 visibility = (inside * thesis.soft_mask(1.0, 1e-2) + outside * thesis.soft_mask(0.0, 1e-2)) / whole

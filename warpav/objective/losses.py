@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import warp as wp
 
 from warpav.objective.mount import CameraMount, PlacedViews
-from warpav.render.renderer import Measures
+from warpav.render.renderer import AMODAL_AREA, VISIBLE_AREA, Measures
 from warpav_kernels import lagrangian, placement_losses
 
 # order of the objective losses in their array
 OBJECTIVES = ("in_frame_rotation", "detected_area")
+
+
+class Reference(Enum):
+    """What a vehicle's detected area is compared with, over all directions of its camera."""
+
+    NON_OCCLUDED = VISIBLE_AREA  # Eq. 14 as printed: hiding a vehicle costs nothing, both areas shrink together
+    ALONE = AMODAL_AREA  # the vehicle alone: being hidden costs as much as being missed
 
 
 @dataclass(frozen=True)
@@ -22,6 +30,7 @@ class LossSettings:
         in_frame_rotation: Scale of the in-frame rotation loss, at least 0.
         detected_area: Scale of the detected-area loss, at least 0.
         min_detected_area: Visibility below which a vehicle costs something, in (0, 1].
+        reference: What the detected area is compared with.
         epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
         min_spacing_m: Least distance between two camera centres [m], positive.
         multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
@@ -30,6 +39,7 @@ class LossSettings:
     in_frame_rotation: float = 1.0
     detected_area: float = 10.0
     min_detected_area: float = 0.5
+    reference: Reference = Reference.NON_OCCLUDED
     epsilon: float = 1e-5
     min_spacing_m: float = 0.2
     multiplier_damping: float = 0.0
@@ -106,9 +116,9 @@ def add_placement_losses(
     measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego)
     area_around = wp.zeros(vehicle_count, dtype=float, device=device, requires_grad=True)
     wp.launch(
-        placement_losses.sum_visible_area_kernel,
+        placement_losses.sum_area_around_kernel,
         dim=vehicle_count,
-        inputs=[measure, assigned_camera, mount.rotation_count],
+        inputs=[measure, assigned_camera, mount.rotation_count, settings.reference.value],
         outputs=[area_around],
         device=device,
     )
