@@ -31,12 +31,12 @@ _PAGE = Template("""<!DOCTYPE html>
   :root { --ink: #1d2733; --muted: #66727f; --line: #dde2e8; --paper: #ffffff; --good: #1a7f4b; --bad: #b3261e; }
   * { box-sizing: border-box; }
   body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: #f4f6f8; margin: 0; }
-  main { max-width: 1080px; margin: 0 auto; padding: 40px 32px 64px; background: var(--paper); }
+  main { max-width: 1180px; margin: 0 auto; padding: 40px 28px 64px; background: var(--paper); }
   h1 { font-size: 26px; margin: 0; } h2 { font-size: 18px; margin: 40px 0 12px; }
   p.lead { color: var(--muted); margin: 4px 0 0; } .good { color: var(--good); } .bad { color: var(--bad); }
   .wide { overflow-x: auto; }
-  table { border-collapse: collapse; width: 100%; font-size: 13.5px; font-variant-numeric: tabular-nums; }
-  th, td { padding: 6px 10px; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
+  table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
+  th, td { padding: 6px 8px; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
   th { color: var(--muted); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
   tr.first td { font-weight: 600; background: #f0f6ff; }
   table.options td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
