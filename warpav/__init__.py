@@ -2,8 +2,8 @@
 
 Floors, top to bottom; an import only ever points downwards:
 
-    cli > doctor > report > view, figures > results > config > evaluate > optimise > objective > detection > render
-    > rig, scene > geometry > errors, warpav_kernels
+    cli > run > gallery, doctor, console, report > sources > figures, view > results > config > evaluate > optimise
+    > objective > detection > render > rig, scene > geometry > yaml_file > errors, warpav_kernels
 """
 
 __version__ = "0.1.0"

@@ -2,7 +2,8 @@
 
 This is the layout of an ultralytics export without built-in suppression, and of the detector that warpav ships: rows
 ``centre x, centre y, width, height`` in pixels of the network's input, then one score in 0..1 for every class, no
-objectness. The labels stand in the file's metadata as ``names``.
+objectness. The labels stand in the file's metadata as ``names``. How the shipped detector was trained and how well it
+does is told in ``models/MODEL_CARD.md``.
 """
 
 from __future__ import annotations
