@@ -182,30 +182,37 @@ def fill_triangle(
     b1 = (u2 - u1) * side
     a2 = (v2 - v0) * side
     b2 = (u0 - u2) * side
+    # where an edge crosses a row: u_i - slope_i (y - v_i); a level edge crosses none
+    slope0 = float(0.0)
+    slope1 = float(0.0)
+    slope2 = float(0.0)
+    if a0 != 0.0:
+        slope0 = b0 / a0
+    if a1 != 0.0:
+        slope1 = b1 / a1
+    if a2 != 0.0:
+        slope2 = b2 / a2
     for row in range(first_row, last_row + 1):
         y = float(row) + 0.5
-        e0 = b0 * (y - v0)
-        e1 = b1 * (y - v1)
-        e2 = b2 * (y - v2)
         low = float(first_column) + 0.5
         high = float(last_column) + 0.5
         if a0 > 0.0:
-            low = wp.max(low, u0 - e0 / a0)
+            low = wp.max(low, u0 - slope0 * (y - v0))
         elif a0 < 0.0:
-            high = wp.min(high, u0 - e0 / a0)
-        elif e0 < 0.0:
+            high = wp.min(high, u0 - slope0 * (y - v0))
+        elif b0 * (y - v0) < 0.0:
             high = -1.0
         if a1 > 0.0:
-            low = wp.max(low, u1 - e1 / a1)
+            low = wp.max(low, u1 - slope1 * (y - v1))
         elif a1 < 0.0:
-            high = wp.min(high, u1 - e1 / a1)
-        elif e1 < 0.0:
+            high = wp.min(high, u1 - slope1 * (y - v1))
+        elif b1 * (y - v1) < 0.0:
             high = -1.0
         if a2 > 0.0:
-            low = wp.max(low, u2 - e2 / a2)
+            low = wp.max(low, u2 - slope2 * (y - v2))
         elif a2 < 0.0:
-            high = wp.min(high, u2 - e2 / a2)
-        elif e2 < 0.0:
+            high = wp.min(high, u2 - slope2 * (y - v2))
+        elif b2 * (y - v2) < 0.0:
             high = -1.0
         # the place of column 0 of this row in the layer
         layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
