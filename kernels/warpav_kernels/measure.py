@@ -81,6 +81,46 @@ def box_weight(row: int, column: int, box: wp.vec4, samples_per_px: float) -> fl
     return 0.0
 
 
+@wp.struct
+class Extent:
+    """How far an object reaches towards one side of the image, and what moves there.
+
+    Attributes:
+        outermost: Column or row of the outermost sample, counted outwards: negative to the left and to the top.
+        sample_count: Number of samples that reach as far.
+        gradient: Sum of their flow gradients g, in camera axes [px/m].
+        moment: Sum of their moments q x g [px/rad].
+    """
+
+    outermost: int
+    sample_count: float
+    gradient: wp.vec3
+    moment: wp.vec3
+
+
+@wp.func
+def widened(extent: Extent, outwards: int, gradient: wp.vec3, moment: wp.vec3) -> Extent:
+    """The extent with one more sample, which reaches at least as far as it."""
+    wider = extent
+    if outwards > extent.outermost:
+        wider.outermost = outwards
+        wider.sample_count = 0.0
+        wider.gradient = wp.vec3(0.0, 0.0, 0.0)
+        wider.moment = wp.vec3(0.0, 0.0, 0.0)
+    wider.sample_count += 1.0
+    wider.gradient += gradient
+    wider.moment += moment
+    return wider
+
+
+@wp.func
+def share_of_one_sample(extent: Extent, border: int) -> float:
+    """Factor that turns an extent's sums into means; 0 where nothing is seen or the image's border cuts the object."""
+    if extent.sample_count == 0.0 or extent.outermost == border:
+        return 0.0
+    return 1.0 / extent.sample_count
+
+
 @wp.kernel(enable_backward=False)
 def measure_objects_kernel(
     # in
@@ -128,23 +168,12 @@ def measure_objects_kernel(
     amodal_m = zero
     box_g = zero
     box_m = zero
-    # extents: best place so far, number of samples there, sums of g and q x g over them
-    left = width
-    right = int(-1)
-    top = height
-    bottom = int(-1)
-    left_n = float(0.0)
-    right_n = float(0.0)
-    top_n = float(0.0)
-    bottom_n = float(0.0)
-    left_g = zero
-    left_m = zero
-    right_g = zero
-    right_m = zero
-    top_g = zero
-    top_m = zero
-    bottom_g = zero
-    bottom_m = zero
+    nothing = Extent()
+    nothing.outermost = -2147483647
+    left = nothing
+    right = nothing
+    top = nothing
+    bottom = nothing
 
     for row in range(rectangle[3]):
         for column in range(rectangle[2]):
@@ -231,46 +260,20 @@ def measure_objects_kernel(
             if amodal_p * frame_p > 0.0:
                 w = inverse_depth_of(own_p)
                 ray = ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5, width, height)
-                if grid_column <= left:
-                    if grid_column < left:
-                        left = grid_column
-                        left_n = 0.0
-                        left_g = zero
-                        left_m = zero
+                if -grid_column >= left.outermost or grid_column >= right.outermost:
                     g = column_flow_gradient(ray, focal_px, w)
-                    left_n += 1.0
-                    left_g += g
-                    left_m += wp.cross(ray, g) / w
-                if grid_column >= right:
-                    if grid_column > right:
-                        right = grid_column
-                        right_n = 0.0
-                        right_g = zero
-                        right_m = zero
-                    g = column_flow_gradient(ray, focal_px, w)
-                    right_n += 1.0
-                    right_g += g
-                    right_m += wp.cross(ray, g) / w
-                if grid_row <= top:
-                    if grid_row < top:
-                        top = grid_row
-                        top_n = 0.0
-                        top_g = zero
-                        top_m = zero
+                    moment = wp.cross(ray, g) / w
+                    if -grid_column >= left.outermost:
+                        left = widened(left, -grid_column, g, moment)
+                    if grid_column >= right.outermost:
+                        right = widened(right, grid_column, g, moment)
+                if -grid_row >= top.outermost or grid_row >= bottom.outermost:
                     g = row_flow_gradient(ray, focal_px, w)
-                    top_n += 1.0
-                    top_g += g
-                    top_m += wp.cross(ray, g) / w
-                if grid_row >= bottom:
-                    if grid_row > bottom:
-                        bottom = grid_row
-                        bottom_n = 0.0
-                        bottom_g = zero
-                        bottom_m = zero
-                    g = row_flow_gradient(ray, focal_px, w)
-                    bottom_n += 1.0
-                    bottom_g += g
-                    bottom_m += wp.cross(ray, g) / w
+                    moment = wp.cross(ray, g) / w
+                    if -grid_row >= top.outermost:
+                        top = widened(top, -grid_row, g, moment)
+                    if grid_row >= bottom.outermost:
+                        bottom = widened(bottom, grid_row, g, moment)
 
     ego_from_camera = wp.transpose(camera.camera_from_ego)
     per_sample = 1.0 / (samples_per_px * samples_per_px)
@@ -284,33 +287,28 @@ def measure_objects_kernel(
     per_shift[v, vehicle, BOX_AREA] = -per_sample * (ego_from_camera * box_g)
     per_spin[v, vehicle, BOX_AREA] = per_sample * box_m
 
-    # an extent at the image's border is cut there and does not move
-    if left == GUARD or left_n == 0.0:
-        left_g = zero
-        left_m = zero
-    if right == width - 1 - GUARD or right_n == 0.0:
-        right_g = zero
-        right_m = zero
-    if top == GUARD or top_n == 0.0:
-        top_g = zero
-        top_m = zero
-    if bottom == height - 1 - GUARD or bottom_n == 0.0:
-        bottom_g = zero
-        bottom_m = zero
-    left_px = float(left - GUARD) / samples_per_px
-    top_px = float(top - GUARD) / samples_per_px
-    if left_n == 0.0:
-        left_px = float(width - 2 * GUARD) / samples_per_px
-        top_px = float(height - 2 * GUARD) / samples_per_px
+    left_px = float(width - 2 * GUARD) / samples_per_px
+    right_px = float(0.0)
+    top_px = float(height - 2 * GUARD) / samples_per_px
+    bottom_px = float(0.0)
+    if left.sample_count > 0.0:
+        left_px = float(-left.outermost - GUARD) / samples_per_px
+        right_px = float(right.outermost + 1 - GUARD) / samples_per_px
+        top_px = float(-top.outermost - GUARD) / samples_per_px
+        bottom_px = float(bottom.outermost + 1 - GUARD) / samples_per_px
+    share = share_of_one_sample(left, -GUARD) / samples_per_px
     measure[v, vehicle, LEFT] = left_px
-    per_shift[v, vehicle, LEFT] = -(ego_from_camera * left_g) / (wp.max(left_n, 1.0) * samples_per_px)
-    per_spin[v, vehicle, LEFT] = left_m / (wp.max(left_n, 1.0) * samples_per_px)
-    measure[v, vehicle, RIGHT] = wp.max(float(right + 1 - GUARD), 0.0) / samples_per_px
-    per_shift[v, vehicle, RIGHT] = -(ego_from_camera * right_g) / (wp.max(right_n, 1.0) * samples_per_px)
-    per_spin[v, vehicle, RIGHT] = right_m / (wp.max(right_n, 1.0) * samples_per_px)
+    per_shift[v, vehicle, LEFT] = -share * (ego_from_camera * left.gradient)
+    per_spin[v, vehicle, LEFT] = share * left.moment
+    share = share_of_one_sample(right, width - 1 - GUARD) / samples_per_px
+    measure[v, vehicle, RIGHT] = right_px
+    per_shift[v, vehicle, RIGHT] = -share * (ego_from_camera * right.gradient)
+    per_spin[v, vehicle, RIGHT] = share * right.moment
+    share = share_of_one_sample(top, -GUARD) / samples_per_px
     measure[v, vehicle, TOP] = top_px
-    per_shift[v, vehicle, TOP] = -(ego_from_camera * top_g) / (wp.max(top_n, 1.0) * samples_per_px)
-    per_spin[v, vehicle, TOP] = top_m / (wp.max(top_n, 1.0) * samples_per_px)
-    measure[v, vehicle, BOTTOM] = wp.max(float(bottom + 1 - GUARD), 0.0) / samples_per_px
-    per_shift[v, vehicle, BOTTOM] = -(ego_from_camera * bottom_g) / (wp.max(bottom_n, 1.0) * samples_per_px)
-    per_spin[v, vehicle, BOTTOM] = bottom_m / (wp.max(bottom_n, 1.0) * samples_per_px)
+    per_shift[v, vehicle, TOP] = -share * (ego_from_camera * top.gradient)
+    per_spin[v, vehicle, TOP] = share * top.moment
+    share = share_of_one_sample(bottom, height - 1 - GUARD) / samples_per_px
+    measure[v, vehicle, BOTTOM] = bottom_px
+    per_shift[v, vehicle, BOTTOM] = -share * (ego_from_camera * bottom.gradient)
+    per_spin[v, vehicle, BOTTOM] = share * bottom.moment

@@ -136,6 +136,57 @@ def place_layers_kernel(
     sample_count[0] = offset
 
 
+@wp.struct
+class Edge:
+    """A side of a triangle in the sample grid: inside is ``a (x - u) + b (y - v) >= 0``.
+
+    Attributes:
+        u: Column of a point on it.
+        v: Row of that point.
+        a: Growth of the inequality along a row.
+        b: Growth of the inequality along a column.
+        slope: ``b / a``, by which its crossing moves to the left from row to row; 0 for a level edge.
+    """
+
+    u: float
+    v: float
+    a: float
+    b: float
+    slope: float
+
+
+@wp.func
+def edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> Edge:
+    """The edge from one corner to the next; ``side`` is the sign of the triangle's area."""
+    edge = Edge()
+    edge.u = u
+    edge.v = v
+    edge.a = (v - next_v) * side
+    edge.b = (next_u - u) * side
+    edge.slope = 0.0
+    if edge.a != 0.0:
+        edge.slope = edge.b / edge.a
+    return edge
+
+
+@wp.func
+def first_inside(first: float, edge: Edge, y: float) -> float:
+    """Column from which on a row lies on the inner side of an edge; ``first`` where the edge does not say."""
+    if edge.a > 0.0:
+        return wp.max(first, edge.u - edge.slope * (y - edge.v))
+    return first
+
+
+@wp.func
+def last_inside(last: float, edge: Edge, y: float) -> float:
+    """Column up to which a row lies on the inner side of an edge; -1 where a level edge shuts the whole row out."""
+    if edge.a < 0.0:
+        return wp.min(last, edge.u - edge.slope * (y - edge.v))
+    if edge.a == 0.0 and edge.b * (y - edge.v) < 0.0:
+        return -1.0
+    return last
+
+
 @wp.func
 def fill_triangle(
     a: wp.vec3,
@@ -174,49 +225,21 @@ def fill_triangle(
     # inverse depth is linear in the image
     w_per_column = ((w1 - w0) * (v2 - v0) - (w2 - w0) * (v1 - v0)) / doubled_area
     w_per_row = ((w2 - w0) * (u1 - u0) - (w1 - w0) * (u2 - u0)) / doubled_area
-    # inside: a_i (x - u_i) + b_i (y - v_i) >= 0 for the three edges
     side = wp.sign(doubled_area)
-    a0 = (v0 - v1) * side
-    b0 = (u1 - u0) * side
-    a1 = (v1 - v2) * side
-    b1 = (u2 - u1) * side
-    a2 = (v2 - v0) * side
-    b2 = (u0 - u2) * side
-    # where an edge crosses a row: u_i - slope_i (y - v_i); a level edge crosses none
-    slope0 = float(0.0)
-    slope1 = float(0.0)
-    slope2 = float(0.0)
-    if a0 != 0.0:
-        slope0 = b0 / a0
-    if a1 != 0.0:
-        slope1 = b1 / a1
-    if a2 != 0.0:
-        slope2 = b2 / a2
+    edge0 = edge_from(u0, v0, u1, v1, side)
+    edge1 = edge_from(u1, v1, u2, v2, side)
+    edge2 = edge_from(u2, v2, u0, v0, side)
     for row in range(first_row, last_row + 1):
         y = float(row) + 0.5
-        low = float(first_column) + 0.5
-        high = float(last_column) + 0.5
-        if a0 > 0.0:
-            low = wp.max(low, u0 - slope0 * (y - v0))
-        elif a0 < 0.0:
-            high = wp.min(high, u0 - slope0 * (y - v0))
-        elif b0 * (y - v0) < 0.0:
-            high = -1.0
-        if a1 > 0.0:
-            low = wp.max(low, u1 - slope1 * (y - v1))
-        elif a1 < 0.0:
-            high = wp.min(high, u1 - slope1 * (y - v1))
-        elif b1 * (y - v1) < 0.0:
-            high = -1.0
-        if a2 > 0.0:
-            low = wp.max(low, u2 - slope2 * (y - v2))
-        elif a2 < 0.0:
-            high = wp.min(high, u2 - slope2 * (y - v2))
-        elif b2 * (y - v2) < 0.0:
-            high = -1.0
+        first = first_inside(float(first_column) + 0.5, edge0, y)
+        first = first_inside(first, edge1, y)
+        first = first_inside(first, edge2, y)
+        last = last_inside(float(last_column) + 0.5, edge0, y)
+        last = last_inside(last, edge1, y)
+        last = last_inside(last, edge2, y)
         # the place of column 0 of this row in the layer
         layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
-        for column in range(int(wp.ceil(low - 0.5)), int(wp.floor(high - 0.5)) + 1):
+        for column in range(int(wp.ceil(first - 0.5)), int(wp.floor(last - 0.5)) + 1):
             w = wp.max(w0 + w_per_column * (float(column) + 0.5 - u0) + w_per_row * (y - v0), 1.0e-6)
             bits = wp.cast(w, wp.int32)
             wp.atomic_max(key, v, row, column, (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle))
