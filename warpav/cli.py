@@ -72,14 +72,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 @app.command(alias="optimize")
 def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
-    from warpav.config import find_config, load_config
+    from warpav.config import find_config, placed_config
     from warpav.console import RunDisplay
     from warpav.run import optimise_rig
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
-    settings = load_config(config, overrides)
-    with RunDisplay() as display:
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
         optimise_rig(settings, name=find_config(config).stem, display=display)
 
 
@@ -96,8 +95,7 @@ def evaluate(
     from warpav.run import measure_rig
     from warpav.sources import config_for
 
-    settings = config_for(rig, config, overrides, default=DEFAULT_CONFIG)
-    with RunDisplay() as display:
+    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         measure_rig(rig, settings, json_file=json, display=display)
 
 
@@ -113,7 +111,8 @@ def render(
     from warpav.gallery import render_rig
     from warpav.sources import config_for
 
-    folder = render_rig(scene, rig, config_for(rig, None, overrides, default=DEFAULT_CONFIG), out, overrides)
+    with config_for(rig, None, overrides, default=DEFAULT_CONFIG) as settings:
+        folder = render_rig(scene, rig, settings, out, overrides)
     _say(f"wrote {folder}")
 
 
@@ -128,7 +127,8 @@ def inspect(
     from warpav.gallery import inspect_rig
     from warpav.sources import config_for
 
-    file = inspect_rig(run_or_rig, config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG), out)
+    with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
+        file = inspect_rig(run_or_rig, settings, out)
     if file is not None:
         _say(f"wrote {file}")
 
@@ -154,7 +154,7 @@ def doctor(*, json: Annotated[Path | None, Parameter(help="File to write the fin
 def scenes_make(
     *,
     seeds: Annotated[str, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")],
-    out: Annotated[Path, Parameter(help="Folder for scene_<seed>.glb.")],
+    out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
 ) -> None:
     """Build embedded street scenes and write each as a GLB file."""
     from warpav.config import read_seeds

@@ -8,6 +8,7 @@ Relative paths are relative to the working directory.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import re
@@ -33,7 +34,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 from warpav.yaml_file import Location, parse_yaml, read_yaml
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -187,7 +188,7 @@ class RunConfig(Section):
     out: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
     )
-    iterations: int = Field(default=100, ge=0, le=1_000_000, description="optimiser steps")
+    iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
     batch_size: int = Field(default=4, ge=1, description="scenes per step")
 
 
@@ -376,7 +377,8 @@ class Config(Section):
         scene_count = len(self.scenes.train_seeds)
         if self.run.batch_size > scene_count:
             _mistake(
-                f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}",
+                f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
+                f"set run.batch_size={scene_count} or lower",
                 "run.batch_size",
                 "scenes.train_seeds",
             )
@@ -415,6 +417,26 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     except ValidationError as error:
         lines = [_explain(mistake, file, line_of, override_of) for mistake in error.errors(include_url=False)]
         raise InputError("\n".join(dict.fromkeys(lines))) from None
+
+
+@contextlib.contextmanager
+def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[Config]:
+    """The configuration as of :func:`load_config`, to be used inside a ``with`` block.
+
+    What turns out wrong with an option only when it is used is told as what is wrong with it at once: with the file
+    and the line, or the override, where it stands.
+
+    Raises:
+        InputError: As :func:`load_config`; and for every :class:`OptionError` of the block.
+    """
+    config = load_config(path, overrides)
+    try:
+        yield config
+    except OptionError as error:
+        file = find_config(path)
+        override_of = {_read_override(override)[0]: override for override in overrides}
+        place = _place(tuple(error.option.split(".")), file, _read_file(file)[1], override_of)
+        raise InputError(f"{place}: {error}") from None
 
 
 def dump_config(config: Config) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from warpav.errors import InputError
-from warpav.results import package_versions
+from warpav.results import package_versions, required_packages
 from warpav.sources import load_warp
 
 Status = Literal["ok", "warning", "failed"]
@@ -80,11 +80,7 @@ def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
 def check_versions() -> Finding:
     """Python, the platform, and every package that warpav builds on."""
     versions = package_versions()
-    missing = [
-        requirement
-        for requirement in metadata.requires("warpav") or []
-        if "extra ==" not in requirement and _distribution(requirement) not in {name.lower() for name in versions}
-    ]
+    missing = [package for package in required_packages() if package not in versions]
     details = {
         "warpav": metadata.version("warpav"),
         "python": platform.python_version(),
@@ -96,13 +92,6 @@ def check_versions() -> Finding:
     text = f"warpav {details['warpav']}, Python {details['python']}, {details['platform']}; "
     text += ", ".join(f"{name} {version}" for name, version in versions.items())
     return Finding("versions", "ok", text, details)
-
-
-def _distribution(requirement: str) -> str:
-    for end, character in enumerate(requirement):
-        if not (character.isalnum() or character in "-_."):
-            return requirement[:end].lower()
-    return requirement.lower()
 
 
 def check_devices() -> Finding:

@@ -7,3 +7,16 @@ class InputError(ValueError):
     The text is one line that says where it stands (file and line, or the override), which field, what was expected,
     what came, and how to mend it. The command line prints it without a traceback and leaves with status 2.
     """
+
+
+class OptionError(InputError):
+    """The value of one option turns out not to fit once it is used; its text begins with the option's name.
+
+    Attributes:
+        option: The option's dotted name, such as ``rig.cameras``. Who knows where its value stands, adds that.
+    """
+
+    def __init__(self, option: str, text: str) -> None:
+        """The error; ``text`` says what was expected, what came, and how to mend it."""
+        super().__init__(f"{option}: {text}")
+        self.option = option

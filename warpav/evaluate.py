@@ -116,7 +116,8 @@ def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarr
     """Scenes whose vehicles belong to the camera that looks the way of their orientation.
 
     Segregation gives every vehicle an orientation; a rig from elsewhere lists its cameras in its own order.
-    Orientations and cameras are paired so that the sum of the angles between them is smallest.
+    Orientations and cameras are paired so that the sum of the squared angles between them is smallest. (Without the
+    squares many pairings are equally good, and rounding would choose.)
 
     Args:
         scenes: Scenes with vehicles assigned to orientations.
@@ -127,7 +128,7 @@ def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarr
 
     camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
     difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
-    _, camera_of_orientation = linear_sum_assignment(np.abs(np.angle(np.exp(1j * difference))))
+    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
     return [
         AssignedScene(
             assigned.scene,

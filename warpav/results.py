@@ -18,6 +18,7 @@ import json
 import math
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -29,7 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.config import Config, dump_config, load_config
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,22 +53,9 @@ ARM_COLUMNS = {
     "min_camera_distance_m": "closest [m]",
 }
 """Fields of an arm's metrics and the headings they are shown under."""
-_PACKAGES = (
-    "warp-lang",
-    "numpy",
-    "scipy",
-    "trimesh",
-    "embreex",
-    "onnxruntime",
-    "onnxruntime-gpu",
-    "opencv-contrib-python-headless",
-    "pyvista",
-    "vtk",
-    "cyclopts",
-    "pydantic",
-    "PyYAML",
-    "rich",
-)
+
+# worth knowing although warpav does not ask for them itself
+_RELATED_PACKAGES = ("onnxruntime-gpu", "vtk")
 
 
 @dataclass(frozen=True)
@@ -103,8 +91,8 @@ class RunFolder:
             (path / "checkpoints").mkdir()
             (path / "figures").mkdir()
         except OSError as error:
-            raise InputError(
-                f"run.out: expected a folder that can be made, got {error.filename!r}: {error.strerror}"
+            raise OptionError(
+                "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
         _write_text(path / "config.yaml", dump_config(config))
         write_json(path / "env.json", environment(config, device))
@@ -263,11 +251,12 @@ def check_new_run(config: Config) -> None:
     if out is None or not out.exists():
         return
     if not out.is_dir():
-        raise InputError(f"run.out: expected a folder to write to, got {str(out)!r}, which is a file")
+        raise OptionError("run.out", f"expected a folder to write to, got {str(out)!r}, which is a file")
     if any(out.iterdir()):
-        raise InputError(
-            f"run.out: expected a folder that does not exist yet, got {str(out)!r}; "
-            "choose another, or leave run.out away and the run is numbered"
+        raise OptionError(
+            "run.out",
+            f"expected a folder that does not exist yet, got {str(out)!r}; "
+            "choose another, or leave run.out away and the run is numbered",
         )
 
 
@@ -291,10 +280,16 @@ def environment(config: Config, device: str) -> dict[str, Any]:
     }
 
 
+def required_packages() -> list[str]:
+    """Distribution names of the packages that an installation of warpav needs, extras left out."""
+    requirements = [each for each in metadata.requires("warpav") or [] if "extra ==" not in each]
+    return [re.split(r"[^A-Za-z0-9._-]", each, maxsplit=1)[0] for each in requirements]
+
+
 def package_versions() -> dict[str, str]:
     """Installed versions of the packages that warpav builds on, by distribution name; absent ones are left out."""
     versions = {}
-    for package in _PACKAGES:
+    for package in (*required_packages(), *_RELATED_PACKAGES):
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
     return versions

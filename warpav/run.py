@@ -65,16 +65,15 @@ class Problem:
         """Random numbers for one purpose, from ``run.seed``."""
         return np.random.default_rng([self.config.run.seed, stream])
 
-    def assigned(self, scenes: list[AssignedScene], rig: Rig, *, in_order: bool) -> list[AssignedScene]:
+    def assigned(self, scenes: list[AssignedScene], rig: Rig | None) -> list[AssignedScene]:
         """The scenes with vehicles assigned to the cameras of a rig.
 
         Args:
             scenes: Some of the problem's scenes.
-            rig: The rig.
-            in_order: Whether camera k took orientation k from the start; otherwise cameras and orientations are paired
-                by their directions.
+            rig: Its cameras are paired with the orientations by their directions; None pairs camera k with
+                orientation k. A rig keeps the pairs it began with, so for one that has moved this is its start.
         """
-        if in_order or len(rig.cameras) != len(self.segregation.yaw_rad):
+        if rig is None or len(rig.cameras) != len(self.segregation.yaw_rad):
             return scenes
         return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
 
@@ -160,8 +159,8 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     problem = load_problem(config, display)
     mount = problem.objective.mount
     start = start_pose(problem, start_rig)
-    in_order = config.rig.start == "random"
-    train = problem.assigned(problem.train, mount.rig(start), in_order=in_order)
+    began_as = None if config.rig.start == "random" else mount.rig(start)
+    train = problem.assigned(problem.train, began_as)
     descent = Descent(problem.objective, train, optimiser_settings(config), start, problem.random_numbers(_BATCHES))
 
     folder = RunFolder.create(config, name=name, device=device_name(config.device))
@@ -176,7 +175,7 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     folder.write_rig("best", mount.rig(descent.best.mount_pose))
     folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
 
-    arms = compare(problem, {"optimised": result.mount_pose, "start": start}, in_order=in_order, display=display)
+    arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
     evaluation = {
         **evaluation_of(arms),
         "training_objective": {
@@ -216,14 +215,14 @@ def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
 
 
 def compare(
-    problem: Problem, mount_poses: Mapping[str, np.ndarray], *, in_order: bool, display: RunDisplay
+    problem: Problem, mount_poses: Mapping[str, np.ndarray], began_as: Rig | None, display: RunDisplay
 ) -> dict[str, ArmMetrics]:
     """Metrics on the test scenes of some rigs on the mount surface, of the highest point, and of the best random rig.
 
     Args:
         problem: What to measure against.
         mount_poses: Mount poses by the name of the arm, [camera, 5].
-        in_order: Whether camera k of these took orientation k.
+        began_as: The rig that these began as; None when camera k took orientation k.
         display: Where to show it.
     """
     config, mount = problem.config, problem.objective.mount
@@ -235,11 +234,10 @@ def compare(
         problem.objective, [problem.train[k] for k in chosen], problem.segregation.yaw_rad, samples=samples, rng=rng
     )
     poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
-    ordered = {**dict.fromkeys(mount_poses, in_order), "highest": False, "random": True}
+    beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": None}
     arms = {}
     for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
-        rig = mount.rig(pose)
-        arms[arm] = evaluate_rig(rig, problem.assigned(problem.test, rig, in_order=ordered[arm]), problem.objective)
+        arms[arm] = evaluate_rig(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
     return arms
 
 
@@ -260,8 +258,10 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, display:
         raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
     problem = load_problem(config, display)
     rig = find_rig(source, config, problem.ego)
-    in_order = Path(source).is_dir() and config.rig.start == "random"
-    metrics = evaluate_rig(rig, problem.assigned(problem.test, rig, in_order=in_order), problem.objective)
+    began_as = rig
+    if Path(source).is_dir():
+        began_as = None if config.rig.start == "random" else RunFolder.open(source).rig("initial")
+    metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
     evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
     show_verdict(display.console, evaluation)
     if json_file is not None:
@@ -296,7 +296,10 @@ def read_start(config: Config) -> Rig:
 
 
 def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
-    """Mount poses that the optimiser starts from, [camera, 5]: those of ``rig``, or as ``rig.start`` says.
+    """Mount poses that the optimiser starts from: those of ``rig``, or as ``rig.start`` says.
+
+    Returns:
+        float32 [camera, 5], the precision that the optimiser keeps: a start that stays the best is the same rig.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
@@ -305,13 +308,15 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     if rig is not None:
         return mount_pose_of_rig(rig)
     if config.rig.start == "highest":
-        return highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
-    return random_mount_pose(
-        mount,
-        problem.segregation.yaw_rad,
-        min_spacing_m=config.rig.min_spacing_m,
-        rng=problem.random_numbers(_START),
-    )
+        pose = highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
+    else:
+        pose = random_mount_pose(
+            mount,
+            problem.segregation.yaw_rad,
+            min_spacing_m=config.rig.min_spacing_m,
+            rng=problem.random_numbers(_START),
+        )
+    return pose.astype(np.float32)
 
 
 def optimiser_settings(config: Config) -> OptimiserSettings:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.config import Config, load_config
-from warpav.errors import InputError
+from warpav.config import Config, placed_config
+from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
@@ -65,7 +65,7 @@ def checked_device(device: str) -> str:
     warp = load_warp()
     names = [each.alias for each in warp.get_devices()]
     if device not in names:
-        raise InputError(f"device: expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")
+        raise OptionError("device", f"expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")
     return device
 
 
@@ -91,9 +91,10 @@ def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     files = [config.scenes.folder / f"scene_{seed}.glb" for seed in seeds]
     missing = [file for file in files if not file.is_file()]
     if missing:
-        raise InputError(
-            f"scenes.folder: expected {missing[0].name} in {str(config.scenes.folder)!r}, got no such file "
-            f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds"
+        raise OptionError(
+            "scenes.folder",
+            f"expected {missing[0].name} in {str(config.scenes.folder)!r}, got no such file "
+            f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds",
         )
     yield from map(read_scene, files)
 
@@ -183,11 +184,17 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
     )
 
 
-def config_for(source: str, config: str | None, overrides: Sequence[str], *, default: str) -> Config:
-    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``."""
+def config_for(
+    source: str, config: str | None, overrides: Sequence[str], *, default: str
+) -> contextlib.AbstractContextManager[Config]:
+    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``.
+
+    Returns:
+        What :func:`warpav.config.placed_config` returns.
+    """
     if config is None and Path(source).is_dir():
         config = str(RunFolder.open(source).path / "config.yaml")
-    return load_config(config or default, overrides)
+    return placed_config(config or default, overrides)
 
 
 def arm_name(source: str) -> str:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import warp as wp
 
-from warpav.errors import InputError
+from warpav.errors import OptionError
 from warpav.geometry.mount_surface import MountSurface
 from warpav.objective.mount import PlacedViews
 from warpav.rig.rig import Rig
@@ -116,10 +116,11 @@ def project_to_constraints(
     raise cameras_do_not_fit(len(place), surface, min_spacing_m)
 
 
-def cameras_do_not_fit(camera_count: int, surface: MountSurface, min_spacing_m: float) -> InputError:
+def cameras_do_not_fit(camera_count: int, surface: MountSurface, min_spacing_m: float) -> OptionError:
     """The error for more cameras than the mount surface holds."""
     size = np.diff(surface.bounds_m, axis=0)[0]
-    return InputError(
-        f"rig.cameras: expected a number that fits on the mount surface of {size[0]:.2f} m x {size[1]:.2f} m at "
-        f"rig.min_spacing_m={min_spacing_m:g}, got {camera_count}; lower one of the two"
+    return OptionError(
+        "rig.cameras",
+        f"expected a number that fits on the mount surface of {size[0]:.2f} m x {size[1]:.2f} m at "
+        f"rig.min_spacing_m={min_spacing_m:g}, got {camera_count}; lower one of the two",
     )
