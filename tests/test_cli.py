@@ -100,7 +100,9 @@ BAD_INPUT = [
         "command line (rig.cameras=many): rig.cameras: expected a whole number from 2 to",
     ),
     (["optimise", "nowhere.yaml"], "nowhere.yaml: config: expected a YAML file or a shipped name"),
-    (["optimise", "quick", "device=cuda:99"], "device: expected one of cpu"),
+    (["optimise", "quick", "device=cuda:99"], "command line (device=cuda:99): device: expected one of cpu"),
+    (["render", "3", "--rig", "highest", "--out", "o", "device=cuda:99"], "command line (device=cuda:99): device: "),
+    (["optimise", "run.iterations=0"], "command line (run.iterations=0): run.iterations: expected a whole number from"),
     (
         ["optimise", "detector.model=no.onnx"],
         "command line (detector.model=no.onnx): detector.model: expected builtin or",
@@ -109,11 +111,11 @@ BAD_INPUT = [
     (["optimise", "rig.start=garbage.onnx"], "garbage.onnx:1: expected"),
     (
         ["optimise", "run.out=garbage.onnx"],
-        "run.out: expected a folder to write to, got 'garbage.onnx', which is a file",
+        "command line (run.out=garbage.onnx): run.out: expected a folder to write to, got 'garbage.onnx', which is a",
     ),
     (
         ["optimise", "scenes.source=folder", "scenes.folder=empty"],
-        "scenes.folder: expected scene_0.glb in 'empty', got",
+        "command line (scenes.folder=empty): scenes.folder: expected scene_0.glb in 'empty', got",
     ),
     (["evaluate", "nuscene"], "nuscene: rig: expected a rig YAML, a run folder, a preset (argoverse2, edgar,"),
     (["evaluate", "empty"], "empty: run folder: expected a folder written by warpav optimise, got one without"),
@@ -160,15 +162,19 @@ def test_a_start_with_another_number_of_cameras_is_refused(working_directory, ca
 def test_more_cameras_than_fit_are_refused(working_directory, capsys):
     assert main(["optimise", *SMALL, "rig.cameras=8", "rig.min_spacing_m=3"]) == 2
     message = capsys.readouterr().err.strip()
-    assert message.startswith("rig.cameras: expected a number that fits on the mount surface of")
+    assert message.startswith("command line (rig.cameras=8): rig.cameras: expected a number that fits on the mount")
     assert message.endswith("got 8; lower one of the two")
     assert os.listdir(working_directory) == []
+    (working_directory / "mine.yaml").write_text("run:\n  batch_size: 2\nrig:\n  cameras: 8\n  min_spacing_m: 3\n")
+    overrides = [option for option in SMALL if not option.startswith("rig.cameras")]
+    assert main(["optimise", "mine.yaml", *overrides]) == 2
+    assert capsys.readouterr().err.startswith("mine.yaml:4: rig.cameras: expected a number that fits")
 
 
 def test_an_existing_run_is_refused_before_any_work(run_folder, capsys):
     before = sorted(run_folder.path.rglob("*"))
     message = _complaint(capsys, "optimise", *SMALL, f"run.out={run_folder.path}")
-    assert message.startswith("run.out: expected a folder that does not exist yet")
+    assert message.startswith(f"command line (run.out={run_folder.path}): run.out: expected a folder that does not")
     assert sorted(run_folder.path.rglob("*")) == before
 
 
@@ -310,6 +316,30 @@ def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsy
         assert state["iteration"] == 2
     assert main(["report", "stopped"]) == 0
     assert (working_directory / "stopped" / "report.html").is_file()
+
+
+def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warpav.run.compare", interrupted)
+    assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
+    assert "what was reached is in stopped" in capsys.readouterr().out
+    assert RunFolder.open("stopped").rig("best").cameras
+
+
+def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
+    # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding pair anew
+    steps = ["optimiser.learning_rate_position_m=1e-9", "optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest"]
+    assert main(["optimise", *SMALL, *steps, "run.out=still"]) == 0
+    folder = RunFolder.open("still")
+    arms = folder.evaluation()["arms"]
+    assert arms["optimised"] == arms["start"]
+    assert (folder.path / "rig_best.yaml").read_bytes() == (folder.path / "rig_initial.yaml").read_bytes()
+    assert main(["evaluate", "still", "--json", "m.json"]) == 0
+    with open("m.json") as file:
+        found = json.load(file)["arms"]["optimised"]
+    assert found["objective"] == pytest.approx(arms["optimised"]["objective"], abs=1e-3)
 
 
 # ------------------------------------------------------------------------------------------------ scenes and images

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from warpav.config import Config, config_names, dump_config, load_config, option_values
-from warpav.errors import InputError
+from warpav.config import Config, config_names, dump_config, load_config, option_values, placed_config
+from warpav.errors import InputError, OptionError
 
 
 @pytest.fixture
@@ -237,3 +237,20 @@ def test_a_missing_file_is_named_with_a_suggestion(tmp_path, monkeypatch):
 def test_words_that_old_yaml_would_convert_stay_words(yaml_file):
     assert "got 'no'" in _message(yaml_file("rig: {cameras: no}\n"))
     assert "got '1:30'" in _message(yaml_file("rig: {cameras: 1:30}\n"))
+
+
+@pytest.mark.parametrize(
+    ("option", "place"),
+    [
+        ("rig.cameras", "mine.yaml:2"),
+        ("device", "command line (device=cuda:3)"),
+        ("rig.min_spacing_m", "command line (rig={min_spacing_m: 1})"),
+        ("mount.cell_m", "mine.yaml"),
+    ],
+)
+def test_what_turns_out_wrong_later_is_told_with_its_place(yaml_file, option, place):
+    file = yaml_file("rig:\n  cameras: 6\n")
+    overrides = ["device=cuda:3"] if option != "rig.min_spacing_m" else ["rig={min_spacing_m: 1}"]
+    with pytest.raises(InputError) as caught, placed_config(file, overrides):
+        raise OptionError(option, "expected more, got less")
+    assert str(caught.value) == f"{place}: {option}: expected more, got less"

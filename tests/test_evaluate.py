@@ -227,6 +227,14 @@ def test_orientations_are_shared_out_one_to_one(scenes):
     assert result[0].assigned_camera.tolist() == [0, 1, -1]
 
 
+def test_rounding_does_not_pair_anew(scenes):
+    # both pairings need turns of 100 degrees in all; only one of them turns both cameras about equally
+    orientation = np.radians([0.0, 40.0])
+    for rounding in (-1e-7, 0.0, 1e-7):
+        rig = rig_of(yaw=(math.radians(50.0) + rounding, math.radians(90.0) - rounding))
+        assert assign_to_nearest_cameras(scenes, orientation, rig)[0].assigned_camera.tolist() == [0, 1, -1]
+
+
 def arm(**per_scene):
     """Metrics of which only the lists per scene matter."""
     scene_count = len(next(iter(per_scene.values())))

@@ -168,35 +168,35 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     folder.write_rig("initial", mount.rig(start))
     try:
         descend(descent, folder, display)
+        result = descent.finish()
+        folder.write_rig("best", mount.rig(descent.best.mount_pose))
+        folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+
+        arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
+        evaluation = {
+            **evaluation_of(arms),
+            "training_objective": {
+                "start": descent.candidates[0].training_objective,
+                "optimised": result.training_objective,
+            },
+            "seconds": {"total": time.perf_counter() - began},
+        }
+        folder.write_evaluation(evaluation)
+        display.stage("figures and report")
+        draw_run(
+            folder,
+            {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
+            objective=problem.objective,
+            scene=problem.shown,
+            assigned=problem.test[0],
+            say=display.say,
+        )
+        report = write_report(folder)
+        show_verdict(display.console, evaluation)
+        display.say(f"report: {report}   took {time.perf_counter() - began:.0f} s")
     except KeyboardInterrupt:
         display.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
-    result = descent.finish()
-    folder.write_rig("best", mount.rig(descent.best.mount_pose))
-    folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
-
-    arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
-    evaluation = {
-        **evaluation_of(arms),
-        "training_objective": {
-            "start": descent.candidates[0].training_objective,
-            "optimised": result.training_objective,
-        },
-        "seconds": {"total": time.perf_counter() - began},
-    }
-    folder.write_evaluation(evaluation)
-    display.stage("figures and report")
-    draw_run(
-        folder,
-        {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
-        objective=problem.objective,
-        scene=problem.shown,
-        assigned=problem.test[0],
-        say=display.say,
-    )
-    report = write_report(folder)
-    show_verdict(display.console, evaluation)
-    display.say(f"report: {report}   took {time.perf_counter() - began:.0f} s")
     return folder
 
 
