@@ -1,11 +1,14 @@
-"""Decide: which samples of a layer are hidden, and how far away the surface is that hides them.
+"""Decide: which samples of a layer are hidden, and by which surface.
 
 The result has the layout of the layers: the bits of 1/z of the hiding surface, 0 where nothing hides the layer's
-object. It is filled outside the object's silhouette as well, because a boundary needs the depth on both of its sides.
+object, and which surface it is: a triangle, or ``-1 - layer``. It is filled outside the object's silhouette as well,
+because a boundary needs the surfaces on both of its sides.
 """
 
 import warp as wp
 
+from warpav_kernels.layers import Layers, place_in
+from warpav_kernels.rasterise import Triangles
 from warpav_kernels.view import inverse_depth_of
 
 wp.set_module_options({"enable_backward": False})
@@ -17,30 +20,35 @@ MEDIAN_STEPS = wp.constant(12)  # bisection of the range of inverse depths: a 40
 def hide_by_nearest_surface_kernel(
     # in
     key: wp.array3d[wp.int64],
-    triangle_object: wp.array[wp.int32],
+    scene: Triangles,
     layer_object: wp.array[wp.int32],
-    layer_rectangle: wp.array2d[wp.vec4i],
-    layer_offset: wp.array2d[wp.int32],
+    layers: Layers,
     first_view: int,
+    row_lanes: int,
+    column_lanes: int,
     # out
     hiding_bits: wp.array[wp.int32],
+    hiding_source: wp.array[wp.int32],
 ):
     """Exact occlusion: whatever is nearest in the joint key buffer and belongs to another object hides the layer.
 
-    Launch: ``dim=(views of this chunk, layer_count)``; one thread per pair. Not taped.
-    Writes: every element of the layers of these views once.
+    Launch: ``dim=(views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its samples.
+    Not taped.
+    Writes: every sample of the layers of these views once; ``hiding_source`` where something hides.
     """
-    chunk_view, layer = wp.tid()
+    chunk_view, layer, lane = wp.tid()
     v = first_view + chunk_view
-    rectangle = layer_rectangle[v, layer]
-    offset = layer_offset[v, layer]
-    for row in range(rectangle[3]):
-        for column in range(rectangle[2]):
+    rectangle = layers.rectangle[v, layer]
+    offset = layers.offset[v, layer]
+    for row in range(lane / column_lanes, rectangle[3], row_lanes):
+        for column in range(lane % column_lanes, rectangle[2], column_lanes):
             nearest = key[v, rectangle[1] + row, rectangle[0] + column]
             bits = wp.int32(0)
             if nearest != wp.int64(0):
-                if triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))] != layer_object[layer]:
+                triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
+                if scene.triangle_object[triangle] != layer_object[layer]:
                     bits = wp.int32(nearest >> wp.int64(32))
+                    hiding_source[offset + row * rectangle[2] + column] = triangle
             hiding_bits[offset + row * rectangle[2] + column] = bits
 
 
@@ -55,13 +63,12 @@ def overlap_rectangle(a: wp.vec4i, b: wp.vec4i) -> wp.vec4i:
 
 
 @wp.func
-def layer_sample(row: int, column: int, rectangle: wp.vec4i, offset: int, layer_bits: wp.array[wp.int32]) -> wp.int32:
+def layer_sample(row: int, column: int, rectangle: wp.vec4i, offset: int, layers: Layers) -> wp.int32:
     """Bits of a layer at a sample of the grid; 0 outside its rectangle."""
-    r = row - rectangle[1]
-    c = column - rectangle[0]
-    if r < 0 or c < 0 or r >= rectangle[3] or c >= rectangle[2]:
+    place = place_in(rectangle, offset, row, column)
+    if place < 0:
         return wp.int32(0)
-    return layer_bits[offset + r * rectangle[2] + c]
+    return layers.inverse_depth_bits[place]
 
 
 @wp.func
@@ -71,7 +78,7 @@ def median_inverse_depth(
     other_rectangle: wp.vec4i,
     other_offset: int,
     shared: bool,
-    layer_bits: wp.array[wp.int32],
+    layers: Layers,
 ) -> float:
     """Median inverse depth of the samples that another object does (``shared``) or does not cover; 0: none."""
     low = float(1.0e9)
@@ -79,10 +86,10 @@ def median_inverse_depth(
     count = int(0)
     for row in range(own_rectangle[3]):
         for column in range(own_rectangle[2]):
-            own = layer_bits[own_offset + row * own_rectangle[2] + column]
+            own = layers.inverse_depth_bits[own_offset + row * own_rectangle[2] + column]
             if own != wp.int32(0):
                 other = layer_sample(
-                    own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layer_bits
+                    own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layers
                 )
                 if (other != wp.int32(0)) == shared:
                     low = wp.min(low, inverse_depth_of(own))
@@ -95,10 +102,10 @@ def median_inverse_depth(
         below = int(0)
         for row in range(own_rectangle[3]):
             for column in range(own_rectangle[2]):
-                own = layer_bits[own_offset + row * own_rectangle[2] + column]
+                own = layers.inverse_depth_bits[own_offset + row * own_rectangle[2] + column]
                 if own != wp.int32(0) and inverse_depth_of(own) < middle:
                     other = layer_sample(
-                        own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layer_bits
+                        own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layers
                     )
                     if (other != wp.int32(0)) == shared:
                         below += 1
@@ -112,9 +119,7 @@ def median_inverse_depth(
 @wp.kernel(enable_backward=False)
 def order_overlapping_layers_kernel(
     # in
-    layer_rectangle: wp.array2d[wp.vec4i],
-    layer_offset: wp.array2d[wp.int32],
-    layer_bits: wp.array[wp.int32],
+    layers: Layers,
     vehicle_count: int,
     first_view: int,
     # out
@@ -133,25 +138,25 @@ def order_overlapping_layers_kernel(
     if b <= a:
         return
     v = first_view + chunk_view
-    a_rectangle = layer_rectangle[v, a]
-    b_rectangle = layer_rectangle[v, b]
-    a_offset = layer_offset[v, a]
-    b_offset = layer_offset[v, b]
+    a_rectangle = layers.rectangle[v, a]
+    b_rectangle = layers.rectangle[v, b]
+    a_offset = layers.offset[v, a]
+    b_offset = layers.offset[v, b]
     common = overlap_rectangle(a_rectangle, b_rectangle)
     overlap_count = int(0)
     for row in range(common[3]):
         for column in range(common[2]):
-            in_a = layer_sample(common[1] + row, common[0] + column, a_rectangle, a_offset, layer_bits)
-            in_b = layer_sample(common[1] + row, common[0] + column, b_rectangle, b_offset, layer_bits)
+            in_a = layer_sample(common[1] + row, common[0] + column, a_rectangle, a_offset, layers)
+            in_b = layer_sample(common[1] + row, common[0] + column, b_rectangle, b_offset, layers)
             if in_a != wp.int32(0) and in_b != wp.int32(0):
                 overlap_count += 1
     if overlap_count == 0:
         return
-    a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, False, layer_bits)
-    b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, False, layer_bits)
+    a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, False, layers)
+    b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, False, layers)
     if a_median == 0.0 or b_median == 0.0:
-        a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, True, layer_bits)
-        b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, True, layer_bits)
+        a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, True, layers)
+        b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, True, layers)
     if a_median > b_median:
         is_hidden_by[v, b, a] = 1
     else:
@@ -161,14 +166,13 @@ def order_overlapping_layers_kernel(
 @wp.kernel(enable_backward=False)
 def hide_by_ordered_layers_kernel(
     # in
-    layer_rectangle: wp.array2d[wp.vec4i],
-    layer_offset: wp.array2d[wp.int32],
-    layer_bits: wp.array[wp.int32],
+    layers: Layers,
     is_hidden_by: wp.array3d[wp.int32],
     ego_layer: int,
     first_view: int,
     # out
     hiding_bits: wp.array[wp.int32],
+    hiding_source: wp.array[wp.int32],
 ):
     """Pairwise occlusion: the silhouettes of all nearer vehicles and of the ego vehicle hide a vehicle.
 
@@ -179,21 +183,23 @@ def hide_by_ordered_layers_kernel(
     """
     chunk_view, vehicle = wp.tid()
     v = first_view + chunk_view
-    rectangle = layer_rectangle[v, vehicle]
-    offset = layer_offset[v, vehicle]
-    for other in range(layer_rectangle.shape[1]):
+    rectangle = layers.rectangle[v, vehicle]
+    offset = layers.offset[v, vehicle]
+    for other in range(layers.rectangle.shape[1]):
         hides = other == ego_layer
         if other != ego_layer:
             hides = is_hidden_by[v, vehicle, other] == 1
         if hides:
-            other_rectangle = layer_rectangle[v, other]
-            other_offset = layer_offset[v, other]
+            other_rectangle = layers.rectangle[v, other]
+            other_offset = layers.offset[v, other]
             common = overlap_rectangle(rectangle, other_rectangle)
             for row in range(common[3]):
                 for column in range(common[2]):
-                    bits = layer_sample(common[1] + row, common[0] + column, other_rectangle, other_offset, layer_bits)
+                    bits = layer_sample(common[1] + row, common[0] + column, other_rectangle, other_offset, layers)
                     if bits != wp.int32(0):
                         place = (
                             offset + (common[1] + row - rectangle[1]) * rectangle[2] + common[0] + column - rectangle[0]
                         )
-                        hiding_bits[place] = wp.max(hiding_bits[place], bits)
+                        if bits > hiding_bits[place]:
+                            hiding_bits[place] = bits
+                            hiding_source[place] = -1 - other

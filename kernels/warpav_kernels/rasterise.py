@@ -4,18 +4,26 @@ Two kinds of buffer are filled in one sweep over the triangles:
 
 * the key buffer, int64 [view, row, column]: ``bits(1/z) << 32 | triangle``, filled by atomic maximum, 0 is background.
   Z-buffer, triangle and object of every sample are read from it;
-* the layers, int32: for every (view, layer) the bits of 1/z of that one object alone, inside its bounding rectangle.
-  All rectangles of all views lie one behind the other in one flat array (the atlas); ``layer_offset`` says where.
+* the layers (see `layers`): 1/z of single objects, and how far each goes on between its samples.
 
-A layer is an object whose silhouette is wanted alone: every vehicle, and the ego vehicle where the pairwise occlusion
-of the thesis needs it.
+A row of samples meets a triangle in one span, whose ends are solved from the triangle's edges. The samples inside are
+covered; the rest of the span, beyond its last sample on either side, is the reach. Columns are swept as well, for the
+reach alone.
 """
 
 import warp as wp
 
+from warpav_kernels.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
 from warpav_kernels.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
+
+# On a GPU, triangles of more samples than this are cut into strips of rows, which many threads fill together.
+LARGE_SAMPLES = wp.constant(128)
+STRIP_ROWS = wp.constant(8)
+
+LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
+LEAST_REACH = wp.constant(1.0e-6)  # 0 means unknown
 
 
 @wp.struct
@@ -25,6 +33,11 @@ class Triangles:
     Attributes:
         vertex_ego_m: Vertex positions in the ego frame [m], [vertex].
         triangle: Vertex indices, [triangle].
+        triangle_object: Object of every triangle, [triangle].
+        triangle_plane: Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle].
+        neighbour: Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of
+            the other winding, [triangle].
+        object_layer: Layer of every object; -1 where it has none, [object].
         cluster_first: First triangle of each cluster, [cluster].
         cluster_count: Number of triangles of each cluster, [cluster].
         cluster_layer: Layer of each cluster's object; -1 where the object has none, [cluster].
@@ -33,107 +46,87 @@ class Triangles:
 
     vertex_ego_m: wp.array[wp.vec3]
     triangle: wp.array[wp.vec3i]
+    triangle_object: wp.array[wp.int32]
+    triangle_plane: wp.array[wp.vec4]
+    neighbour: wp.array[wp.vec3i]
+    object_layer: wp.array[wp.int32]
     cluster_first: wp.array[wp.int32]
     cluster_count: wp.array[wp.int32]
     cluster_layer: wp.array[wp.int32]
     cluster_sphere_ego_m: wp.array[wp.vec4]
 
 
-@wp.func
-def point_on_near_plane(a: wp.vec3, b: wp.vec3, near_m: float) -> wp.vec3:
-    """Where the edge from a to b (camera coordinates) crosses the near plane."""
-    crossing = a + (near_m - a[2]) / (b[2] - a[2]) * (b - a)
-    return wp.vec3(crossing[0], crossing[1], near_m)
+@wp.struct
+class FrontPart:
+    """What the near plane leaves of a triangle, in camera coordinates.
 
-
-@wp.func
-def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, focal_px: float, width: int, height: int) -> wp.vec4:
-    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point."""
-    u = 0.5 * float(width) + focal_px * point_m[0] / point_m[2]
-    v = 0.5 * float(height) + focal_px * point_m[1] / point_m[2]
-    return wp.vec4(wp.min(rectangle[0], u), wp.min(rectangle[1], v), wp.max(rectangle[2], u), wp.max(rectangle[3], v))
-
-
-@wp.kernel(enable_backward=False)
-def bound_layers_kernel(
-    # in
-    view: wp.array[View],
-    layer_bounds_ego_m: wp.array2d[wp.vec3],
-    width: int,
-    height: int,
-    # out
-    layer_rectangle: wp.array2d[wp.vec4i],
-):
-    """Rectangle of samples that surely holds each layer's image, one sample wider than needed on every side.
-
-    The rectangle is (first column, first row, columns, rows); an object out of sight has 0 columns. The eight corners
-    and, where the near plane cuts the object's box, its twelve edges are projected.
-
-    Launch: ``dim=(view_count, layer_count)``; one thread per pair. Not taped.
-    Writes: every element of ``layer_rectangle`` once.
+    Attributes:
+        part_count: Triangles of the fan: 0, 1 (a, b, c), or 2 (a, b, c and a, c, d).
+        is_whole: Whether nothing was cut off.
+        a: First corner.
+        b: Second corner.
+        c: Third corner.
+        d: Fourth corner of a fan of two.
     """
-    v, layer = wp.tid()
-    camera = view[v]
-    low = layer_bounds_ego_m[layer, 0]
-    high = layer_bounds_ego_m[layer, 1]
-    far = 1.0e9
-    box = wp.vec4(far, far, -far, -far)
-    for corner in range(8):
-        a_ego = low
-        if (corner & 1) != 0:
-            a_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
-        if (corner & 2) != 0:
-            a_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
-        if (corner & 4) != 0:
-            a_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
-        a = point_in_camera(camera, a_ego)
-        if a[2] >= camera.near_m:
-            box = grow_rectangle(box, a, camera.focal_px, width, height)
-        for axis in range(3):
-            if (corner & (1 << axis)) == 0:
-                b_ego = a_ego
-                if axis == 0:
-                    b_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
-                elif axis == 1:
-                    b_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
-                else:
-                    b_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
-                b = point_in_camera(camera, b_ego)
-                if (a[2] >= camera.near_m) != (b[2] >= camera.near_m):
-                    crossing = point_on_near_plane(a, b, camera.near_m)
-                    box = grow_rectangle(box, crossing, camera.focal_px, width, height)
-    # clamp in float: the cast of a huge float to an integer is undefined
-    left = int(wp.floor(wp.clamp(box[0] - 1.0, 0.0, float(width))))
-    top = int(wp.floor(wp.clamp(box[1] - 1.0, 0.0, float(height))))
-    right = int(wp.ceil(wp.clamp(box[2] + 1.0, 0.0, float(width))))
-    bottom = int(wp.ceil(wp.clamp(box[3] + 1.0, 0.0, float(height))))
-    if right > left and bottom > top:
-        layer_rectangle[v, layer] = wp.vec4i(left, top, right - left, bottom - top)
-    else:
-        layer_rectangle[v, layer] = wp.vec4i(0, 0, 0, 0)
+
+    part_count: int
+    is_whole: bool
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+    d: wp.vec3
 
 
-@wp.kernel(enable_backward=False)
-def place_layers_kernel(
-    # in
-    layer_rectangle: wp.array2d[wp.vec4i],
-    # out
-    layer_offset: wp.array2d[wp.int32],
-    sample_count: wp.array[wp.int64],
-):
-    """Lay the rectangles one behind the other.
-
-    Launch: ``dim=1``; one thread, the pairs are few. Not taped.
-    Writes: every element of ``layer_offset``, and ``sample_count[0]``, the length of the atlas; offsets are only valid
-        if it is below 2**31.
-    """
-    offset = wp.int64(0)
-    for v in range(layer_rectangle.shape[0]):
-        for layer in range(layer_rectangle.shape[1]):
-            layer_offset[v, layer] = wp.int32(offset)
-            rectangle = layer_rectangle[v, layer]
-            offset = offset + wp.int64(rectangle[2]) * wp.int64(rectangle[3])
-    sample_count[0] = offset
+@wp.func
+def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
+    """The part of a triangle in front of the near plane."""
+    near_m = camera.near_m
+    corner = scene.triangle[triangle]
+    part = FrontPart()
+    part.a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
+    part.b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
+    part.c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
+    in_front = int(part.a[2] >= near_m) + int(part.b[2] >= near_m) + int(part.c[2] >= near_m)
+    part.part_count = 0
+    part.is_whole = in_front == 3
+    if in_front == 3:
+        part.part_count = 1
+    elif in_front == 1:
+        # turn the triangle so that p is the corner in front
+        p = part.a
+        q = part.b
+        r = part.c
+        if part.b[2] >= near_m:
+            p = part.b
+            q = part.c
+            r = part.a
+        elif part.c[2] >= near_m:
+            p = part.c
+            q = part.a
+            r = part.b
+        part.part_count = 1
+        part.a = p
+        part.b = point_on_near_plane(p, q, near_m)
+        part.c = point_on_near_plane(p, r, near_m)
+    elif in_front == 2:
+        # turn the triangle so that r is the corner behind
+        p = part.a
+        q = part.b
+        r = part.c
+        if part.a[2] < near_m:
+            p = part.b
+            q = part.c
+            r = part.a
+        elif part.b[2] < near_m:
+            p = part.c
+            q = part.a
+            r = part.b
+        part.part_count = 2
+        part.a = p
+        part.b = q
+        part.c = point_on_near_plane(q, r, near_m)
+        part.d = point_on_near_plane(p, r, near_m)
+    return part
 
 
 @wp.struct
@@ -145,14 +138,12 @@ class Edge:
         v: Row of that point.
         a: Growth of the inequality along a row.
         b: Growth of the inequality along a column.
-        slope: ``b / a``, by which its crossing moves to the left from row to row; 0 for a level edge.
     """
 
     u: float
     v: float
     a: float
     b: float
-    slope: float
 
 
 @wp.func
@@ -163,88 +154,242 @@ def edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> 
     edge.v = v
     edge.a = (v - next_v) * side
     edge.b = (next_u - u) * side
-    edge.slope = 0.0
-    if edge.a != 0.0:
-        edge.slope = edge.b / edge.a
     return edge
 
 
 @wp.func
-def first_inside(first: float, edge: Edge, y: float) -> float:
-    """Column from which on a row lies on the inner side of an edge; ``first`` where the edge does not say."""
-    if edge.a > 0.0:
-        return wp.max(first, edge.u - edge.slope * (y - edge.v))
-    return first
+def slope_of(along: float, across: float) -> float:
+    """By how much the crossing of an edge moves back along a line from one line to the next; 0 if it never crosses."""
+    if along == 0.0:
+        return 0.0
+    return across / along
 
 
 @wp.func
-def last_inside(last: float, edge: Edge, y: float) -> float:
-    """Column up to which a row lies on the inner side of an edge; -1 where a level edge shuts the whole row out."""
-    if edge.a < 0.0:
-        return wp.min(last, edge.u - edge.slope * (y - edge.v))
-    if edge.a == 0.0 and edge.b * (y - edge.v) < 0.0:
-        return -1.0
-    return last
+def line_after(place: float, first: int, end: int) -> int:
+    """The first row or column from ``first`` to ``end`` whose centre lies at or after a place in the grid."""
+    # clamp in float: the cast of a huge float to an integer is undefined; a positive float's cast rounds down
+    return int(wp.clamp(place, float(first), float(end)) + 0.5)
+
+
+@wp.struct
+class ImageTriangle:
+    """A triangle in the sample grid.
+
+    Attributes:
+        a: First corner: column, row and inverse depth [1/m].
+        b: Second corner.
+        c: Third corner.
+        side: Sign of its area; 0 where it is too thin to have a plane.
+        edge0: First side.
+        edge1: Second side.
+        edge2: Third side.
+        w: Inverse depth at the first corner [1/m]; it is linear in the image.
+        w_per_column: Its growth along a row.
+        w_per_row: Its growth along a column.
+        first_column: First column whose centre lies between the leftmost and the rightmost corner.
+        last_column: Last such column; below the first where there is none.
+        first_row: First row whose centre lies between the highest and the lowest corner.
+        last_row: Last such row; below the first where there is none.
+    """
+
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+    side: float
+    edge0: Edge
+    edge1: Edge
+    edge2: Edge
+    w: float
+    w_per_column: float
+    w_per_row: float
+    first_column: int
+    last_column: int
+    first_row: int
+    last_row: int
 
 
 @wp.func
-def fill_triangle(
-    a: wp.vec3,
-    b: wp.vec3,
-    c: wp.vec3,
-    focal_px: float,
-    v: int,
-    triangle: int,
-    rectangle: wp.vec4i,
-    offset: int,
-    key: wp.array3d[wp.int64],
-    layer_bits: wp.array[wp.int32],
-):
-    """Scatter one triangle in front of the near plane: spans of samples solved row by row."""
-    height = key.shape[1]
-    width = key.shape[2]
-    w0 = 1.0 / a[2]
+def image_triangle(
+    camera: View, part: FrontPart, index: int, has_outline: bool, width: int, height: int
+) -> ImageTriangle:
+    """The image of one triangle of a fan in front of the near plane.
+
+    Where it holds no sample's centre, its sides are left out (0), unless ``has_outline`` and it crosses a row or a
+    column.
+    """
+    b = part.b
+    c = part.c
+    if index == 1:
+        b = part.c
+        c = part.d
+    w0 = 1.0 / part.a[2]
     w1 = 1.0 / b[2]
     w2 = 1.0 / c[2]
-    u0 = 0.5 * float(width) + focal_px * a[0] * w0
-    v0 = 0.5 * float(height) + focal_px * a[1] * w0
-    u1 = 0.5 * float(width) + focal_px * b[0] * w1
-    v1 = 0.5 * float(height) + focal_px * b[1] * w1
-    u2 = 0.5 * float(width) + focal_px * c[0] * w2
-    v2 = 0.5 * float(height) + focal_px * c[1] * w2
-    # clamp in float: the cast of a huge float to an integer is undefined
-    first_column = int(wp.ceil(wp.max(wp.min(u0, wp.min(u1, u2)), 0.0) - 0.5))
-    last_column = int(wp.floor(wp.min(wp.max(u0, wp.max(u1, u2)), float(width)) - 0.5))
-    first_row = int(wp.ceil(wp.max(wp.min(v0, wp.min(v1, v2)), 0.0) - 0.5))
-    last_row = int(wp.floor(wp.min(wp.max(v0, wp.max(v1, v2)), float(height)) - 0.5))
-    if first_column > last_column or first_row > last_row:
-        return
+    u0 = camera.centre[0] + camera.focal[0] * part.a[0] * w0
+    v0 = camera.centre[1] + camera.focal[1] * part.a[1] * w0
+    u1 = camera.centre[0] + camera.focal[0] * b[0] * w1
+    v1 = camera.centre[1] + camera.focal[1] * b[1] * w1
+    u2 = camera.centre[0] + camera.focal[0] * c[0] * w2
+    v2 = camera.centre[1] + camera.focal[1] * c[1] * w2
+    image = ImageTriangle()
+    image.first_column = line_after(wp.min(u0, wp.min(u1, u2)), 0, width)
+    image.last_column = line_after(wp.max(u0, wp.max(u1, u2)), 0, width) - 1
+    image.first_row = line_after(wp.min(v0, wp.min(v1, v2)), 0, height)
+    image.last_row = line_after(wp.max(v0, wp.max(v1, v2)), 0, height) - 1
+    if image.first_column > image.last_column and (image.first_row > image.last_row or not has_outline):
+        return image
+    if image.first_row > image.last_row and not has_outline:
+        return image
     doubled_area = (u1 - u0) * (v2 - v0) - (u2 - u0) * (v1 - v0)
     if wp.abs(doubled_area) < 1.0e-12:
-        return
-    # inverse depth is linear in the image
-    w_per_column = ((w1 - w0) * (v2 - v0) - (w2 - w0) * (v1 - v0)) / doubled_area
-    w_per_row = ((w2 - w0) * (u1 - u0) - (w1 - w0) * (u2 - u0)) / doubled_area
-    side = wp.sign(doubled_area)
-    edge0 = edge_from(u0, v0, u1, v1, side)
-    edge1 = edge_from(u1, v1, u2, v2, side)
-    edge2 = edge_from(u2, v2, u0, v0, side)
+        return image
+    image.w = w0
+    image.a = wp.vec3(u0, v0, w0)
+    image.b = wp.vec3(u1, v1, w1)
+    image.c = wp.vec3(u2, v2, w2)
+    image.w_per_column = ((w1 - w0) * (v2 - v0) - (w2 - w0) * (v1 - v0)) / doubled_area
+    image.w_per_row = ((w2 - w0) * (u1 - u0) - (w1 - w0) * (u2 - u0)) / doubled_area
+    image.side = wp.sign(doubled_area)
+    image.edge0 = edge_from(u0, v0, u1, v1, image.side)
+    image.edge1 = edge_from(u1, v1, u2, v2, image.side)
+    image.edge2 = edge_from(u2, v2, u0, v0, image.side)
+    return image
+
+
+@wp.func
+def narrowed(span: wp.vec2, start: float, along: float, across: float, slope: float, beyond: float) -> wp.vec2:
+    """A span of a line, cut by one edge that meets the line's neighbour ``beyond`` lines back at ``start``.
+
+    A span that an edge shuts out becomes empty: its end lies before its start.
+    """
+    if along > 0.0:
+        return wp.vec2(wp.max(span[0], start - slope * beyond), span[1])
+    if along < 0.0:
+        return wp.vec2(span[0], wp.min(span[1], start - slope * beyond))
+    if across * beyond < 0.0:
+        return wp.vec2(1.0, -1.0)
+    return span
+
+
+@wp.func
+def raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
+    """Raise an element to a value, without an atomic operation where it is as high already."""
+    if bits[place] < value:
+        wp.atomic_max(bits, place, value)
+
+
+@wp.func
+def raise_reach(layers: Layers, direction: int, place: int, reach: float, inverse_depth: float):
+    """Raise a sample's reach in one direction; ``inverse_depth`` is the surface's where it ends."""
+    far = wp.int64(wp.cast(wp.clamp(reach, LEAST_REACH, 1.0), wp.int32))
+    value = (far << wp.int64(32)) | wp.int64(wp.cast(wp.max(inverse_depth, LEAST_INVERSE_DEPTH), wp.int32))
+    if layers.reach_key[direction, place] < value:
+        wp.atomic_max(layers.reach_key, direction, place, value)
+
+
+@wp.func
+def fill_rows(
+    image: ImageTriangle,
+    first_row: int,
+    last_row: int,
+    lane: int,
+    lane_count: int,
+    v: int,
+    triangle: int,
+    has_key: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+    width: int,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter some rows of a triangle into the key buffer and, where ``offset`` is not negative, into its layer.
+
+    Lane k of n takes the samples k, k + n, ... of each row.
+    """
+    slope0 = slope_of(image.edge0.a, image.edge0.b)
+    slope1 = slope_of(image.edge1.a, image.edge1.b)
+    slope2 = slope_of(image.edge2.a, image.edge2.b)
     for row in range(first_row, last_row + 1):
         y = float(row) + 0.5
-        first = first_inside(float(first_column) + 0.5, edge0, y)
-        first = first_inside(first, edge1, y)
-        first = first_inside(first, edge2, y)
-        last = last_inside(float(last_column) + 0.5, edge0, y)
-        last = last_inside(last, edge1, y)
-        last = last_inside(last, edge2, y)
-        # the place of column 0 of this row in the layer
-        layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
-        for column in range(int(wp.ceil(first - 0.5)), int(wp.floor(last - 0.5)) + 1):
-            w = wp.max(w0 + w_per_column * (float(column) + 0.5 - u0) + w_per_row * (y - v0), 1.0e-6)
-            bits = wp.cast(w, wp.int32)
-            wp.atomic_max(key, v, row, column, (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle))
-            if offset >= 0:
-                wp.atomic_max(layer_bits, layer_row + column, bits)
+        span = wp.vec2(0.0, float(width))
+        span = narrowed(span, image.edge0.u, image.edge0.a, image.edge0.b, slope0, y - image.edge0.v)
+        span = narrowed(span, image.edge1.u, image.edge1.a, image.edge1.b, slope1, y - image.edge1.v)
+        span = narrowed(span, image.edge2.u, image.edge2.a, image.edge2.b, slope2, y - image.edge2.v)
+        if span[0] <= span[1]:
+            first = int(span[0] + 0.5)
+            last = int(span[1] + 0.5) - 1
+            # the place of column 0 of this row in the layer
+            layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
+            for column in range(first + lane, last + 1, lane_count):
+                w = image.w + image.w_per_column * (float(column) + 0.5 - image.edge0.u)
+                w = wp.max(w + image.w_per_row * (y - image.edge0.v), LEAST_INVERSE_DEPTH)
+                bits = wp.cast(w, wp.int32)
+                if has_key:
+                    value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
+                    if key[v, row, column] < value:
+                        wp.atomic_max(key, v, row, column, value)
+                if offset >= 0:
+                    raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
+
+
+@wp.func
+def faces(camera: View, plane: wp.vec4) -> bool:
+    """Whether the camera is in front of a plane."""
+    position_ego_m = camera.position_ego_m
+    return plane[0] * position_ego_m[0] + plane[1] * position_ego_m[1] + plane[2] * position_ego_m[2] > plane[3]
+
+
+@wp.func
+def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: int) -> bool:
+    """Whether an outline can run between a triangle and its neighbour: one faces the camera and the other does not."""
+    if neighbour < 0:
+        return True
+    return faces(camera, scene.triangle_plane[neighbour]) != is_facing
+
+
+@wp.func
+def reach_over_edge(start: wp.vec3, end: wp.vec3, side: float, rectangle: wp.vec4i, offset: int, layers: Layers):
+    """Scatter how far a triangle reaches, over one of its sides, from the samples next to it in rows and columns.
+
+    ``start`` and ``end`` are (column, row, 1/z) of the side's corners; ``side`` is the sign of the triangle's area.
+    """
+    along = end - start
+    bottom = rectangle[1] + rectangle[3]
+    right = rectangle[0] + rectangle[2]
+    first_row = line_after(start[1], rectangle[1], bottom)
+    last_row = line_after(end[1], rectangle[1], bottom)
+    if first_row != last_row:
+        for row in range(wp.min(first_row, last_row), wp.max(first_row, last_row)):
+            share = (float(row) + 0.5 - start[1]) / along[1]
+            x = start[0] + share * along[0]
+            column = line_after(x, rectangle[0], right)
+            direction = TO_LEFT
+            distance = float(column) + 0.5 - x
+            if along[1] * side > 0.0:  # the triangle lies to the left
+                column -= 1
+                direction = TO_RIGHT
+                distance = 1.0 - distance
+            if column >= rectangle[0] and column < right and distance <= 1.0:
+                place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2])
+    first_column = line_after(start[0], rectangle[0], right)
+    last_column = line_after(end[0], rectangle[0], right)
+    if first_column != last_column:
+        for column in range(wp.min(first_column, last_column), wp.max(first_column, last_column)):
+            share = (float(column) + 0.5 - start[0]) / along[0]
+            y = start[1] + share * along[1]
+            row = line_after(y, rectangle[1], bottom)
+            direction = TO_TOP
+            distance = float(row) + 0.5 - y
+            if along[0] * side < 0.0:  # the triangle lies above
+                row -= 1
+                direction = TO_BOTTOM
+                distance = 1.0 - distance
+            if row >= rectangle[1] and row < bottom and distance <= 1.0:
+                place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2])
 
 
 @wp.func
@@ -252,11 +397,18 @@ def is_outside(centre_m: wp.vec3, radius_m: float, view: View, width: int, heigh
     """Whether a sphere (camera coordinates) misses the view's pyramid."""
     if centre_m[2] + radius_m < view.near_m:
         return True
-    tan_x = 0.5 * float(width) / view.focal_px
-    if wp.abs(centre_m[0]) - tan_x * centre_m[2] > radius_m * wp.sqrt(1.0 + tan_x * tan_x):
+    # distance to each side of the pyramid, which goes through the camera's centre
+    left = view.centre[0] / view.focal[0]
+    right = (float(width) - view.centre[0]) / view.focal[0]
+    top = view.centre[1] / view.focal[1]
+    bottom = (float(height) - view.centre[1]) / view.focal[1]
+    if -centre_m[0] - left * centre_m[2] > radius_m * wp.sqrt(1.0 + left * left):
         return True
-    tan_y = 0.5 * float(height) / view.focal_px
-    return wp.abs(centre_m[1]) - tan_y * centre_m[2] > radius_m * wp.sqrt(1.0 + tan_y * tan_y)
+    if centre_m[0] - right * centre_m[2] > radius_m * wp.sqrt(1.0 + right * right):
+        return True
+    if -centre_m[1] - top * centre_m[2] > radius_m * wp.sqrt(1.0 + top * top):
+        return True
+    return centre_m[1] - bottom * centre_m[2] > radius_m * wp.sqrt(1.0 + bottom * bottom)
 
 
 @wp.kernel(enable_backward=False)
@@ -264,32 +416,37 @@ def scatter_triangles_kernel(
     # in
     view: wp.array[View],
     scene: Triangles,
-    layer_rectangle: wp.array2d[wp.vec4i],
-    layer_offset: wp.array2d[wp.int32],
+    layer_count: int,
+    width: int,
+    height: int,
     first_view: int,
-    layers_only: int,
+    has_key: int,
     lane_count: int,
     # out
     key: wp.array3d[wp.int64],
-    layer_bits: wp.array[wp.int32],
+    layers: Layers,
+    strip: wp.array[wp.vec4i],
+    strip_count: wp.array[wp.int32],
 ):
-    """Scatter every triangle into the key buffer and, where its object has one, into its layer.
+    """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
     A cluster whose bounding sphere misses the view is skipped whole; a triangle that crosses the near plane is cut to
-    one or two. With ``layers_only`` 1, clusters without a layer (the environment) are left out.
+    one or two. Without a key buffer (``has_key`` 0) clusters without a layer are left out. Large triangles go to
+    the queue ``strip`` instead, as (view, triangle, part of the fan, first row), as long as it has room; a queue of
+    length 0 is for devices where one thread fills them as well as many.
 
     Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
     the cluster's triangles lane, lane + lane_count, ... Not taped.
-    Writes: ``key`` and ``layer_bits`` by atomic maximum; the caller zeroes them.
+    Writes: ``key`` and ``layers`` by atomic maximum, ``strip_count[0]`` by atomic add; the caller zeroes them.
     """
     chunk_view, cluster, lane = wp.tid()
     v = first_view + chunk_view
     layer = scene.cluster_layer[cluster]
-    if layers_only == 1 and layer < 0:
+    if layer >= layer_count:
+        layer = -1
+    if has_key == 0 and layer < 0:
         return
     camera = view[v]
-    height = key.shape[1]
-    width = key.shape[2]
     sphere = scene.cluster_sphere_ego_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
     if is_outside(centre_m, sphere[3], camera, width, height):
@@ -297,51 +454,110 @@ def scatter_triangles_kernel(
     rectangle = wp.vec4i(0, 0, 0, 0)
     offset = int(-1)
     if layer >= 0:
-        rectangle = layer_rectangle[v, layer]
-        offset = layer_offset[v, layer]
+        rectangle = layers.rectangle[v, layer]
+        offset = layers.offset[v, layer]
         if rectangle[2] == 0:
             offset = -1
-    near_m = camera.near_m
     first = scene.cluster_first[cluster]
     for k in range(lane, scene.cluster_count[cluster], lane_count):
         triangle = first + k
-        corner = scene.triangle[triangle]
-        a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
-        b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
-        c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
-        in_front = int(a[2] >= near_m) + int(b[2] >= near_m) + int(c[2] >= near_m)
-        if in_front == 3:
-            fill_triangle(a, b, c, camera.focal_px, v, triangle, rectangle, offset, key, layer_bits)
-        elif in_front == 1:
-            # turn the triangle so that p is the corner in front
-            p = a
-            q = b
-            r = c
-            if b[2] >= near_m:
-                p = b
-                q = c
-                r = a
-            elif c[2] >= near_m:
-                p = c
-                q = a
-                r = b
-            q = point_on_near_plane(p, q, near_m)
-            r = point_on_near_plane(p, r, near_m)
-            fill_triangle(p, q, r, camera.focal_px, v, triangle, rectangle, offset, key, layer_bits)
-        elif in_front == 2:
-            # turn the triangle so that r is the corner behind
-            p = a
-            q = b
-            r = c
-            if a[2] < near_m:
-                p = b
-                q = c
-                r = a
-            elif b[2] < near_m:
-                p = c
-                q = a
-                r = b
-            s = point_on_near_plane(p, r, near_m)
-            t = point_on_near_plane(q, r, near_m)
-            fill_triangle(p, q, t, camera.focal_px, v, triangle, rectangle, offset, key, layer_bits)
-            fill_triangle(p, t, s, camera.focal_px, v, triangle, rectangle, offset, key, layer_bits)
+        part = front_part(camera, scene, triangle)
+        for index in range(part.part_count):
+            image = image_triangle(camera, part, index, offset >= 0, width, height)
+            if offset >= 0 and image.side != 0.0:
+                # the near plane makes new sides
+                neighbour = wp.vec3i(-1, -1, -1)
+                is_facing = False
+                if part.is_whole:
+                    neighbour = scene.neighbour[triangle]
+                    is_facing = faces(camera, scene.triangle_plane[triangle])
+                if may_be_outline(camera, scene, is_facing, neighbour[0]):
+                    reach_over_edge(image.a, image.b, image.side, rectangle, offset, layers)
+                if may_be_outline(camera, scene, is_facing, neighbour[1]):
+                    reach_over_edge(image.b, image.c, image.side, rectangle, offset, layers)
+                if may_be_outline(camera, scene, is_facing, neighbour[2]):
+                    reach_over_edge(image.c, image.a, image.side, rectangle, offset, layers)
+            rows = image.last_row - image.first_row + 1
+            columns = image.last_column - image.first_column + 1
+            if image.side != 0.0 and rows > 0 and columns > 0:
+                room = int(-1)
+                if strip.shape[0] > 0 and rows * columns > LARGE_SAMPLES:
+                    strips = (rows + STRIP_ROWS - 1) / STRIP_ROWS
+                    room = wp.atomic_add(strip_count, 0, strips)
+                    for s in range(strips):
+                        if room + s < strip.shape[0]:
+                            strip[room + s] = wp.vec4i(v, triangle, index, image.first_row + s * STRIP_ROWS)
+                    if room + strips > strip.shape[0]:
+                        room = -1
+                if room < 0:
+                    fill_rows(
+                        image,
+                        image.first_row,
+                        image.last_row,
+                        0,
+                        1,
+                        v,
+                        triangle,
+                        has_key == 1,
+                        rectangle,
+                        offset,
+                        layers,
+                        width,
+                        key,
+                    )
+
+
+@wp.kernel(enable_backward=False)
+def fill_strips_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    layer_count: int,
+    width: int,
+    height: int,
+    has_key: int,
+    strip: wp.array[wp.vec4i],
+    strip_count: wp.array[wp.int32],
+    group_count: int,
+    lane_count: int,
+    # out
+    key: wp.array3d[wp.int64],
+    layers: Layers,
+):
+    """Fill the strips of rows of large triangles that `scatter_triangles_kernel` has queued.
+
+    Launch: ``dim=(group_count, lane_count)``; group g takes the strips g, g + group_count, ..., its lanes share the
+    samples of a row. Not taped.
+    Writes: ``key`` and ``layers`` by atomic maximum.
+    """
+    group, lane = wp.tid()
+    for s in range(group, wp.min(strip_count[0], strip.shape[0]), group_count):
+        entry = strip[s]
+        v = entry[0]
+        camera = view[v]
+        triangle = entry[1]
+        layer = scene.object_layer[scene.triangle_object[triangle]]
+        rectangle = wp.vec4i(0, 0, 0, 0)
+        offset = int(-1)
+        if layer >= 0 and layer < layer_count:
+            rectangle = layers.rectangle[v, layer]
+            offset = layers.offset[v, layer]
+            if rectangle[2] == 0:
+                offset = -1
+        image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, width, height)
+        last_row = wp.min(image.last_row, entry[3] + STRIP_ROWS - 1)
+        fill_rows(
+            image,
+            entry[3],
+            last_row,
+            lane,
+            lane_count,
+            v,
+            triangle,
+            has_key == 1,
+            rectangle,
+            offset,
+            layers,
+            width,
+            key,
+        )

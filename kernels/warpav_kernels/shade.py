@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 def resolve_depth_kernel(
     # in
     key: wp.array3d[wp.int64],
-    triangle_object: wp.array[wp.int32],
+    scene: Triangles,
     supersampling: int,
     first_view: int,
     # out
@@ -37,7 +37,7 @@ def resolve_depth_kernel(
         object_index[v, row, column] = -1
     else:
         depth_m[v, row, column] = 1.0 / inverse_depth_of(wp.int32(nearest >> wp.int64(32)))
-        object_index[v, row, column] = triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
+        object_index[v, row, column] = scene.triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
 
 
 @wp.func
@@ -73,15 +73,13 @@ def resolve_rgb_kernel(
     image = first_image + chunk_image
     v = shown_view[image]
     camera = view[v]
-    height = key.shape[1]
-    width = key.shape[2]
     total = wp.vec3(0.0, 0.0, 0.0)
     ego_from_camera = wp.transpose(camera.camera_from_ego)
     for sample in range(supersampling * supersampling):
         grid_row = GUARD + row * supersampling + sample / supersampling
         grid_column = GUARD + column * supersampling + sample % supersampling
         # one ray turned into ego axes is cheaper than three corners turned into camera axes
-        ray = ego_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5, width, height)
+        ray = ego_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
         nearest = key[v, grid_row, grid_column]
         if nearest == wp.int64(0):
             total += sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))

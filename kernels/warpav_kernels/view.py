@@ -1,9 +1,8 @@
-"""A view: one pinhole image of the scene, and the geometry that every kernel shares.
+"""A view: one image of the scene, and the geometry that every kernel shares.
 
 Sample grid of a view: the image's pixels, each cut into supersampling x supersampling samples, inside a frame of one
-guard sample on every side. Sample (row, column) has its centre at (column + 0.5, row + 0.5); the principal point is the
-middle of the grid. The guard band has weight 0 in every measure; it is there so that outlines within half a sample of
-the image's edge still carry a gradient.
+guard sample on every side. Sample (row, column) has its centre at (column + 0.5, row + 0.5). The guard band has weight
+0 in every measure; it is there so that outlines within half a sample of the image's edge still carry a gradient.
 """
 
 import warp as wp
@@ -20,13 +19,15 @@ class View:
     Attributes:
         position_ego_m: Camera centre in the ego frame [m].
         camera_from_ego: Rotation from ego axes to camera axes (x right, y down, z forward).
-        focal_px: Focal length in samples of the grid.
+        focal: Focal lengths along columns and rows, in samples of the grid.
+        centre: Principal point (column, row), in samples of the grid.
         near_m: Depth of the near plane [m].
     """
 
     position_ego_m: wp.vec3
     camera_from_ego: wp.mat33
-    focal_px: float
+    focal: wp.vec2
+    centre: wp.vec2
     near_m: float
 
 
@@ -37,9 +38,23 @@ def point_in_camera(view: View, point_ego_m: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def ray_in_camera(view: View, column: float, row: float, width: int, height: int) -> wp.vec3:
+def ray_in_camera(view: View, column: float, row: float) -> wp.vec3:
     """Ray of depth 1 through a place of the sample grid, in camera coordinates."""
-    return wp.vec3((column - 0.5 * float(width)) / view.focal_px, (row - 0.5 * float(height)) / view.focal_px, 1.0)
+    return wp.vec3((column - view.centre[0]) / view.focal[0], (row - view.centre[1]) / view.focal[1], 1.0)
+
+
+@wp.func
+def column_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the image column to a point in camera coordinates [samples/m]."""
+    w = 1.0 / point_m[2]
+    return wp.vec3(view.focal[0] * w, 0.0, -view.focal[0] * point_m[0] * w * w)
+
+
+@wp.func
+def row_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the image row to a point in camera coordinates [samples/m]."""
+    w = 1.0 / point_m[2]
+    return wp.vec3(0.0, view.focal[1] * w, -view.focal[1] * point_m[1] * w * w)
 
 
 @wp.func
@@ -53,7 +68,7 @@ def place_views_kernel(
     # in
     position_ego_m: wp.array[wp.vec3],
     camera_from_ego: wp.array[wp.mat33],
-    focal_px: wp.array[float],
+    intrinsics_px: wp.array[wp.vec4],
     near_m: wp.array[float],
     supersampling: int,
     # out
@@ -61,13 +76,18 @@ def place_views_kernel(
 ):
     """Gather each view's pose and lens into one struct.
 
+    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels.
+
     Launch: ``dim=view_count``; one thread per view. Not taped.
     Writes: every element of ``view`` once.
     """
     i = wp.tid()
+    scale = float(supersampling)
+    lens = intrinsics_px[i]
     placed = View()
     placed.position_ego_m = position_ego_m[i]
     placed.camera_from_ego = camera_from_ego[i]
-    placed.focal_px = focal_px[i] * float(supersampling)
+    placed.focal = wp.vec2(lens[0] * scale, lens[1] * scale)
+    placed.centre = wp.vec2(lens[2] * scale + float(GUARD), lens[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
     view[i] = placed

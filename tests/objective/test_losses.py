@@ -128,6 +128,7 @@ def placement_losses(
         wp.array(value.astype(np.float32), dtype=float, device=device),
         wp.array(zero if per_shift is None else per_shift, dtype=wp.vec3, device=device),
         wp.array(zero if per_spin is None else per_spin, dtype=wp.vec3, device=device),
+        wp.zeros(value.shape, dtype=float, device=device),
         wp.clone(views.position_ego_m, requires_grad=False),
         wp.clone(views.camera_from_ego, requires_grad=False),
     )

@@ -38,6 +38,43 @@ def morton_order(centre_m: np.ndarray, object_index: np.ndarray) -> np.ndarray:
     return np.lexsort((code, object_index))
 
 
+def planes(corner_m: np.ndarray) -> np.ndarray:
+    """Unit normals and their products with a point of the plane [m], float32 [triangle, 4].
+
+    ``corner_m`` is [triangle, corner, axis].
+    """
+    corner_m = corner_m.astype(np.float64)
+    normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return np.c_[normal, np.einsum("ij,ij->i", normal, corner_m[:, 0])].astype(np.float32)
+
+
+def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Triangles across the sides (0, 1), (1, 2) and (2, 0) of the wanted ones, int32 [triangle, 3].
+
+    -1 where a triangle is not wanted, and where a side has no neighbour, several, or one of the other winding.
+    Vertices at one place count as one.
+    """
+    result = np.full((len(triangle), 3), -1, np.int32)
+    row = np.flatnonzero(wanted)
+    if len(row) == 0:
+        return result
+    coordinates = np.ascontiguousarray(vertex_m, np.float32) + np.float32(0.0)  # no negative zeros
+    _, place = np.unique(coordinates.view(np.dtype((np.void, 12))).ravel(), return_inverse=True)
+    start = place[triangle[row]].astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    side = (np.minimum(start, end) * len(vertex_m) + np.maximum(start, end)).ravel()
+    order = np.argsort(side, kind="stable")
+    first = np.flatnonzero(np.diff(side[order], prepend=-1))
+    first = first[np.diff(first, append=len(side)) == 2]
+    a, b = order[first], order[first + 1]
+    is_one_winding = start.ravel()[a] == end.ravel()[b]
+    a, b = a[is_one_winding], b[is_one_winding]
+    result[row[a // 3], a % 3] = row[b // 3]
+    result[row[b // 3], b % 3] = row[a // 3]
+    return result
+
+
 @dataclass(frozen=True)
 class DeviceScene:
     """A scene on a device, ready for `Renderer`.
@@ -47,7 +84,6 @@ class DeviceScene:
     Attributes:
         name: The scene's name.
         triangles: Sorted triangles and their clusters (struct of the kernels).
-        triangle_object: Object of every sorted triangle, int32 [triangle].
         layer_object: Object of every layer, int32 [layer].
         layer_bounds_ego_m: Lowest and highest corner of every layer's object [m], vec3 [layer, 2].
         vertex_rgb: Vertex colours 0..1, vec3 [vertex].
@@ -60,7 +96,6 @@ class DeviceScene:
 
     name: str
     triangles: Any  # the struct Triangles, which is no type to a checker
-    triangle_object: wp.array
     layer_object: wp.array
     layer_bounds_ego_m: wp.array
     vertex_rgb: wp.array
@@ -108,6 +143,12 @@ class DeviceScene:
         triangles = Triangles()
         triangles.vertex_ego_m = wp.array(whole.vertex_m, dtype=wp.vec3, device=device)
         triangles.triangle = wp.array(triangle, dtype=wp.vec3i, device=device)
+        triangles.triangle_object = wp.array(object_index, dtype=wp.int32, device=device)
+        triangles.triangle_plane = wp.array(planes(corner_m.reshape(-1, 3, 3)), dtype=wp.vec4, device=device)
+        triangles.neighbour = wp.array(
+            neighbours(whole.vertex_m, triangle, layer_of_object[object_index] >= 0), dtype=wp.vec3i, device=device
+        )
+        triangles.object_layer = wp.array(layer_of_object, dtype=wp.int32, device=device)
         triangles.cluster_first = wp.array(first.astype(np.int32), dtype=wp.int32, device=device)
         triangles.cluster_count = wp.array(count.astype(np.int32), dtype=wp.int32, device=device)
         triangles.cluster_layer = wp.array(layer_of_object[object_index[first]], dtype=wp.int32, device=device)
@@ -117,7 +158,6 @@ class DeviceScene:
         return cls(
             name=scene.name,
             triangles=triangles,
-            triangle_object=wp.array(object_index, dtype=wp.int32, device=device),
             layer_object=wp.array(layer_object, dtype=wp.int32, device=device),
             layer_bounds_ego_m=wp.array(
                 np.stack([meshes[i].bounds_m() for i in layer_object]), dtype=wp.vec3, device=device

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpav.render.device_scene import DeviceScene
 from warpav.rig.camera import CameraModel
-from warpav_kernels import hide, linearise, measure, rasterise, shade, view
+from warpav_kernels import extent, hide, layers, linearise, measure, outline, rasterise, shade, view
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
 AMODAL_AREA = int(measure.AMODAL_AREA)
@@ -21,9 +21,13 @@ BOX_AREA = int(measure.BOX_AREA)
 LEFT, RIGHT = int(measure.LEFT), int(measure.RIGHT)
 TOP, BOTTOM = int(measure.TOP), int(measure.BOTTOM)
 MEASURE_COUNT = int(measure.MEASURE_COUNT)
+AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
 
-# Threads that share one cluster of triangles on a GPU; a CPU launch is one loop, where lanes would only cost.
-CUDA_LANES = 64
+# How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
+CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
+CUDA_MEASURE_LANES = (4, 32)  # rows and columns of threads that share the samples of one object in one view
+CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
+CUDA_STRIPS = 1 << 18  # room in their queue
 
 # Places in the atlas are 32-bit integers.
 MAX_ATLAS_SAMPLES = 2**31 - 1
@@ -45,12 +49,14 @@ class Occlusion(Enum):
 class Measures:
     """Measures of every vehicle in every view and their Jacobians, on the device.
 
-    The last axis is VISIBLE_AREA, AMODAL_AREA, BOX_AREA [px^2], LEFT, RIGHT, TOP, BOTTOM [px].
+    The last axis is VISIBLE_AREA, AMODAL_AREA, BOX_AREA [px^2], LEFT, RIGHT, TOP, BOTTOM [px] for `Renderer.measure`;
+    it has one element [px^2] for `Renderer.weighted_area`.
 
     Attributes:
         value: float [view, vehicle, measure].
         per_shift: Jacobian to the view's centre in ego axes [1/m], vec3 [view, vehicle, measure].
         per_spin: Jacobian to a small rotation about the camera's axes [1/rad], vec3 [view, vehicle, measure].
+        per_zoom: Jacobian to the logarithm of the focal lengths, float [view, vehicle, measure].
         position_ego_m: Centres at which it was rendered, vec3 [view].
         camera_from_ego: Rotations at which it was rendered, mat33 [view].
     """
@@ -58,30 +64,42 @@ class Measures:
     value: wp.array
     per_shift: wp.array
     per_spin: wp.array
+    per_zoom: wp.array
     position_ego_m: wp.array
     camera_from_ego: wp.array
 
-    def on_tape(self, position_ego_m: wp.array, camera_from_ego: wp.array) -> wp.array:
-        """The measures as a function of the poses, recorded on the active tape; float [view, vehicle, measure].
+    def on_tape(
+        self, position_ego_m: wp.array, camera_from_ego: wp.array, log_zoom: wp.array | None = None
+    ) -> wp.array:
+        """The measures as a function of the views, recorded on the active tape; float [view, vehicle, measure].
 
-        The value is the rendered one, the gradient to the poses is the Jacobian (first order around the rendered
-        poses).
+        The value is the rendered one, the gradient is the Jacobian (first order around what was rendered).
+
+        Args:
+            position_ego_m: Camera centres [m], vec3 [view].
+            camera_from_ego: Rotations from ego to camera axes, mat33 [view].
+            log_zoom: Logarithm of each view's focal length over the rendered one, float [view]; None: 0.
         """
+        device = self.value.device
         result = wp.empty_like(self.value, requires_grad=True)
+        if log_zoom is None:
+            log_zoom = wp.zeros(len(self.value), dtype=float, device=device)
         wp.launch(
             linearise.linearise_measures_kernel,
-            dim=self.value.shape[:2],
+            dim=len(self.value),
             inputs=[
                 position_ego_m,
                 camera_from_ego,
                 self.position_ego_m,
                 self.camera_from_ego,
+                log_zoom,
                 self.value,
                 self.per_shift,
                 self.per_spin,
+                self.per_zoom,
             ],
             outputs=[result],
-            device=self.value.device,
+            device=device,
         )
         return result
 
@@ -89,7 +107,8 @@ class Measures:
 class Renderer:
     """Renders a fixed number of views of equal size, one scene at a time, into buffers that it owns.
 
-    Call `render`, then any of `measure`, `rgb`, `depth_and_object`, `visible_mask`; they describe the last render.
+    Call `render`, then any of `measure`, `weighted_area`, `rgb`, `depth_and_object`, `visible_masks`; they describe the
+    last render.
     """
 
     def __init__(
@@ -106,7 +125,7 @@ class Renderer:
         Args:
             models: Camera model of every view; all of one image size.
             supersampling: Samples per pixel along each axis, at least 1.
-            occlusion: What hides a vehicle in `measure` and `visible_mask`.
+            occlusion: What hides a vehicle in `measure` and `visible_masks`.
             device: Warp device.
             thread_count: Threads over views on the CPU; None takes the number of cores, at most 8.
 
@@ -125,25 +144,42 @@ class Renderer:
         guard = int(view.GUARD)
         self._width = self.width_px * supersampling + 2 * guard
         self._height = self.height_px * supersampling + 2 * guard
-        self._focal_px = wp.array([model.focal_px for model in models], dtype=float, device=self.device)
+        intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
+        self._intrinsics_px = wp.array(np.array(intrinsics_px, np.float32), dtype=wp.vec4, device=self.device)
         self._near_m = wp.array([model.near_m for model in models], dtype=float, device=self.device)
-        self._view = wp.zeros(self.view_count, dtype=view.View, device=self.device)  # pyright: ignore[reportArgumentType]
-        self._position_ego_m = wp.zeros(self.view_count, dtype=wp.vec3, device=self.device)
-        self._camera_from_ego = wp.zeros(self.view_count, dtype=wp.mat33, device=self.device)
-        self._key = wp.zeros((self.view_count, self._height, self._width), dtype=wp.int64, device=self.device)
-        self._layer_bits = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self._hiding_bits = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self._sample_count = wp.zeros(1, dtype=wp.int64, device=self.device)
-        self._no_box = wp.zeros((0, 0), dtype=wp.vec4, device=self.device)
+        self._view = self._zeros(self.view_count, view.View)
+        self._position_ego_m = self._zeros(self.view_count, wp.vec3)
+        self._camera_from_ego = self._zeros(self.view_count, wp.mat33)
+        self._key = self._zeros((0, 0, 0), wp.int64)
+        self._sample_count = self._zeros(1, wp.int64)
+        self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
+        self._strip_count = self._zeros(1, wp.int32)
+        self._has_key = False
+        self._layers = layers.Layers()
+        self._hiding = outline.Hiding()
+        self._reserve_samples(0)
+        self._lanes = (1, 1) if self.device.is_cpu else CUDA_MEASURE_LANES
         self._threads = None
         if self.device.is_cpu:
             thread_count = thread_count or min(_available_cores(), 8)
             if thread_count > 1 and self.view_count > 1:
                 self._threads = ThreadPoolExecutor(thread_count)
-        self._thread_count = thread_count or 1
+        self.thread_count = thread_count or 1
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, rasterise, hide, measure, shade):
+        for module in (view, layers, rasterise, hide, measure, extent, shade):
             wp.load_module(module, device=self.device)
+
+    def _zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self.device)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def _reserve_samples(self, sample_count: int) -> None:
+        """Atlas with room for a number of samples, and a quarter more."""
+        room = sample_count + sample_count // 4
+        self._layers.inverse_depth_bits = self._zeros(room, wp.int32)
+        self._layers.reach_key = self._zeros((4, room), wp.int64)
+        self._hiding.bits = self._zeros(room, wp.int32)
+        self._hiding.source = self._zeros(room, wp.int32)
+        self._capacity = room
 
     def _over_views(self, count: int, launch: Callable[[int, int], object]) -> None:
         """Call ``launch(first, count)`` for chunks of views: all at once on a GPU, spread over threads on the CPU.
@@ -153,10 +189,14 @@ class Renderer:
         if self._threads is None:
             launch(0, count)
             return
-        chunk = -(-count // (2 * self._thread_count))
+        chunk = -(-count // (2 * self.thread_count))
         firsts = range(0, count, chunk)
         for _ in self._threads.map(lambda first: launch(first, min(chunk, count - first)), firsts):
             pass
+
+    def _launch(self, kernel: Callable, dim: int | tuple[int, ...], *, inputs: list, outputs: list) -> None:
+        """Launch a kernel that is never taped."""
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, record_tape=False)
 
     def render(
         self, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array, *, layers_only: bool = False
@@ -167,112 +207,117 @@ class Renderer:
             scene: The scene, on this renderer's device.
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
-            layers_only: Leave the environment out (for measures of vehicles alone).
+            layers_only: Render every vehicle alone and nothing else: nothing is hidden, and there are no images.
 
         Raises:
             ValueError: The silhouettes together do not fit into one buffer.
         """
-        device = self.device
         wp.copy(self._position_ego_m, position_ego_m)
         wp.copy(self._camera_from_ego, camera_from_ego)
-        wp.launch(
+        self._launch(
             view.place_views_kernel,
-            dim=self.view_count,
-            inputs=[self._position_ego_m, self._camera_from_ego, self._focal_px, self._near_m, self.supersampling],
+            self.view_count,
+            inputs=[self._position_ego_m, self._camera_from_ego, self._intrinsics_px, self._near_m, self.supersampling],
             outputs=[self._view],
-            device=device,
-            record_tape=False,
         )
-        layers = (self.view_count, scene.layer_count)
-        self._rectangle = wp.zeros(layers, dtype=wp.vec4i, device=device)
-        self._offset = wp.zeros(layers, dtype=wp.int32, device=device)
-        wp.launch(
-            rasterise.bound_layers_kernel,
-            dim=layers,
-            inputs=[self._view, scene.layer_bounds_ego_m, self._width, self._height],
-            outputs=[self._rectangle],
-            device=device,
-            record_tape=False,
-        )
-        wp.launch(
-            rasterise.place_layers_kernel,
-            dim=1,
-            inputs=[self._rectangle],
-            outputs=[self._offset, self._sample_count],
-            device=device,
-            record_tape=False,
-        )
-        sample_count = int(self._sample_count.numpy()[0])
-        if sample_count > MAX_ATLAS_SAMPLES:
-            raise ValueError(
-                f"the silhouettes of {scene.vehicle_count} vehicles in {self.view_count} views of {self._width} x "
-                f"{self._height} samples need {sample_count} samples, more than {MAX_ATLAS_SAMPLES}; render fewer views"
-            )
-        if sample_count > self._layer_bits.size:
-            room = sample_count + sample_count // 4
-            self._layer_bits = wp.zeros(room, dtype=wp.int32, device=device)
-            self._hiding_bits = wp.zeros(room, dtype=wp.int32, device=device)
-        self._key.zero_()
-        self._layer_bits.zero_()
-        lanes = 1 if device.is_cpu else CUDA_LANES
+        # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
+        needs_ego_layer = self.occlusion is Occlusion.PAIRWISE and not layers_only
+        layer_count = scene.layer_count if needs_ego_layer else scene.vehicle_count
+        self._place_layers(scene, layer_count)
+        self._has_key = not layers_only
+        if self._has_key:
+            if self._key.size == 0:
+                self._key = self._zeros((self.view_count, self._height, self._width), wp.int64)
+            self._key.zero_()
+        self._layers.inverse_depth_bits.zero_()
+        self._layers.reach_key.zero_()
+        self._hiding.bits.zero_()
+        self._strip_count.zero_()
+        sizes = [layer_count, self._width, self._height]
+        lanes = 1 if self.device.is_cpu else CUDA_CLUSTER_LANES
         self._over_views(
             self.view_count,
-            lambda first, count: wp.launch(
+            lambda first, count: self._launch(
                 rasterise.scatter_triangles_kernel,
-                dim=(count, scene.cluster_count, lanes),
-                inputs=[
-                    self._view, scene.triangles, self._rectangle, self._offset, first, int(layers_only), lanes,
-                ],
-                outputs=[self._key, self._layer_bits],
-                device=device,
-                record_tape=False,
+                (count, scene.cluster_count, lanes),
+                inputs=[self._view, scene.triangles, *sizes, first, int(self._has_key), lanes],
+                outputs=[self._key, self._layers, self._strip, self._strip_count],
             ),
-        )  # fmt: skip
-        self._hiding_bits.zero_()
-        if scene.vehicle_count and not layers_only:
+        )
+        if self._strip.size:
+            self._launch(
+                rasterise.fill_strips_kernel,
+                (CUDA_STRIP_GROUPS, CUDA_STRIP_LANES),
+                inputs=[
+                    self._view, scene.triangles, *sizes, int(self._has_key), self._strip, self._strip_count,
+                    CUDA_STRIP_GROUPS, CUDA_STRIP_LANES,
+                ],
+                outputs=[self._key, self._layers],
+            )  # fmt: skip
+        if scene.vehicle_count and self._has_key:
             self._hide(scene)
 
+    def _place_layers(self, scene: DeviceScene, layer_count: int) -> None:
+        """Rectangles and places of the first layers; the atlas grows where it is too small."""
+        shape = (self.view_count, layer_count)
+        if self._layers.rectangle is None or self._layers.rectangle.shape != shape:
+            self._layers.rectangle = self._zeros(shape, wp.vec4i)
+            self._layers.offset = self._zeros(shape, wp.int32)
+        for _ in range(2):
+            self._sample_count.zero_()
+            self._launch(
+                layers.place_layers_kernel,
+                shape,
+                inputs=[self._view, scene.layer_bounds_ego_m, self._width, self._height, self._capacity],
+                outputs=[self._layers.rectangle, self._layers.offset, self._sample_count],
+            )
+            if self.device.is_capturing:
+                return
+            sample_count = int(self._sample_count.numpy()[0])
+            if sample_count <= self._capacity:
+                return
+            if sample_count > MAX_ATLAS_SAMPLES // 2:
+                raise ValueError(
+                    f"the silhouettes of {scene.vehicle_count} vehicles in {self.view_count} views of {self._width} x "
+                    f"{self._height} samples need {sample_count} samples, more than {MAX_ATLAS_SAMPLES // 2}; render "
+                    "fewer views"
+                )
+            self._reserve_samples(sample_count)
+
     def _hide(self, scene: DeviceScene) -> None:
-        layers = [self._rectangle, self._offset]
+        hiding = [self._hiding.bits, self._hiding.source]
         if self.occlusion is Occlusion.EXACT:
+            rows, columns = self._lanes
             self._over_views(
                 self.view_count,
-                lambda first, count: wp.launch(
+                lambda first, count: self._launch(
                     hide.hide_by_nearest_surface_kernel,
-                    dim=(count, scene.vehicle_count),
-                    inputs=[self._key, scene.triangle_object, scene.layer_object, *layers, first],
-                    outputs=[self._hiding_bits],
-                    device=self.device,
-                    record_tape=False,
+                    (count, scene.vehicle_count, rows * columns),
+                    inputs=[self._key, scene.triangles, scene.layer_object, self._layers, first, rows, columns],
+                    outputs=hiding,
                 ),
             )
             return
-        is_hidden_by = wp.zeros(
-            (self.view_count, scene.vehicle_count, scene.vehicle_count), dtype=wp.int32, device=self.device
-        )
+        is_hidden_by = self._zeros((self.view_count, scene.vehicle_count, scene.vehicle_count), wp.int32)
 
         def launch(first: int, count: int) -> None:
-            wp.launch(
+            self._launch(
                 hide.order_overlapping_layers_kernel,
-                dim=(count, scene.vehicle_count, scene.vehicle_count),
-                inputs=[*layers, self._layer_bits, scene.vehicle_count, first],
+                (count, scene.vehicle_count, scene.vehicle_count),
+                inputs=[self._layers, scene.vehicle_count, first],
                 outputs=[is_hidden_by],
-                device=self.device,
-                record_tape=False,
             )
-            wp.launch(
+            self._launch(
                 hide.hide_by_ordered_layers_kernel,
-                dim=(count, scene.vehicle_count),
-                inputs=[*layers, self._layer_bits, is_hidden_by, scene.ego_layer, first],
-                outputs=[self._hiding_bits],
-                device=self.device,
-                record_tape=False,
+                (count, scene.vehicle_count),
+                inputs=[self._layers, is_hidden_by, scene.ego_layer, first],
+                outputs=hiding,
             )
 
         self._over_views(self.view_count, launch)
 
     def measure(self, scene: DeviceScene, box_px: wp.array | None = None) -> Measures:
-        """Areas and extents of every vehicle in every view, with Jacobians to the views' poses.
+        """Areas and extents of every vehicle in every view, with Jacobians to the views' poses and focal lengths.
 
         Args:
             scene: The scene of the last `render`.
@@ -282,69 +327,139 @@ class Renderer:
         Returns:
             Fresh arrays, so several scenes can stay on one tape.
         """
-        shape = (self.view_count, scene.vehicle_count)
         if box_px is None:
-            box_px = wp.zeros(shape, dtype=wp.vec4, device=self.device)
-        full = (*shape, MEASURE_COUNT)
-        result = Measures(
-            value=wp.zeros(full, dtype=float, device=self.device),
-            per_shift=wp.zeros(full, dtype=wp.vec3, device=self.device),
-            per_spin=wp.zeros(full, dtype=wp.vec3, device=self.device),
+            box_px = self._zeros((self.view_count, scene.vehicle_count), wp.vec4)
+        result = self._measures(scene, MEASURE_COUNT)
+        rows, columns = self._lanes
+        lanes = rows * columns
+        flow = self._zeros((self.view_count, scene.vehicle_count, AREA_COUNT, lanes), measure.Flow)
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
+                measure.measure_areas_kernel,
+                (count, scene.vehicle_count, lanes),
+                inputs=[
+                    self._view, scene.triangles, self._layers, self._hiding, box_px, self._width, self._height,
+                    self.supersampling, first, rows, columns,
+                ],
+                outputs=[flow],
+            ),
+        )  # fmt: skip
+        self._sum_flow(scene, flow, result)
+        found = self._zeros((self.view_count, scene.vehicle_count, EXTENT_COUNT, lanes), extent.Extent)
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
+                extent.measure_extents_kernel,
+                (count, scene.vehicle_count, lanes),
+                inputs=[self._view, self._layers, self._width, self._height, first, rows, columns],
+                outputs=[found],
+            ),
+        )
+        self._launch(
+            extent.join_extents_kernel,
+            (self.view_count, scene.vehicle_count, EXTENT_COUNT),
+            inputs=[self._view, found, self._width, self._height, self.supersampling],
+            outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
+        )
+        return result
+
+    def weighted_area(self, scene: DeviceScene, weight_image: wp.array, *, visible: bool) -> Measures:
+        """Area of every vehicle in every view, each pixel weighted, with Jacobians.
+
+        Args:
+            scene: The scene of the last `render`.
+            weight_image: Weight of every pixel, float [row, column] for all views or [view, row, column]; no gradient
+                flows to it.
+            visible: Whether to leave out what other surfaces hide; else each vehicle counts as if it stood alone.
+
+        Returns:
+            Measures with one element on the last axis, in weight x px^2.
+
+        Raises:
+            ValueError: The weights have another shape.
+        """
+        size = (self.height_px, self.width_px)
+        if weight_image.shape not in (size, (self.view_count, *size)):
+            raise ValueError(f"weight_image must be {size} or {(self.view_count, *size)}, got {weight_image.shape}")
+        if weight_image.ndim == 2:
+            weight_image = weight_image.reshape((1, *size))
+        result = self._measures(scene, 1)
+        kind = int(outline.VISIBLE if visible else outline.ALONE)
+        rows, columns = self._lanes
+        flow = self._zeros((self.view_count, scene.vehicle_count, 1, rows * columns), measure.Flow)
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
+                measure.measure_weighted_area_kernel,
+                (count, scene.vehicle_count, rows * columns),
+                inputs=[
+                    self._view, scene.triangles, self._layers, self._hiding, weight_image, kind, self._width,
+                    self._height, self.supersampling, first, rows, columns,
+                ],
+                outputs=[flow],
+            ),
+        )  # fmt: skip
+        self._sum_flow(scene, flow, result)
+        return result
+
+    def _measures(self, scene: DeviceScene, count: int) -> Measures:
+        shape = (self.view_count, scene.vehicle_count, count)
+        return Measures(
+            value=self._zeros(shape, float),
+            per_shift=self._zeros(shape, wp.vec3),
+            per_spin=self._zeros(shape, wp.vec3),
+            per_zoom=self._zeros(shape, float),
             position_ego_m=wp.clone(self._position_ego_m, requires_grad=False),
             camera_from_ego=wp.clone(self._camera_from_ego, requires_grad=False),
         )
-        self._over_views(
-            self.view_count,
-            lambda first, count: wp.launch(
-                measure.measure_objects_kernel,
-                dim=(count, scene.vehicle_count),
-                inputs=[
-                    self._view, self._rectangle, self._offset, self._layer_bits, self._hiding_bits, box_px,
-                    self._width, self._height, self.supersampling, first,
-                ],
-                outputs=[result.value, result.per_shift, result.per_spin],
-                device=self.device,
-                record_tape=False,
-            ),
-        )  # fmt: skip
-        return result
+
+    def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures) -> None:
+        """Sum what the lanes have measured into the first measures of ``result``."""
+        self._launch(
+            measure.sum_flow_kernel,
+            (self.view_count, scene.vehicle_count, flow.shape[2]),
+            inputs=[self._view, flow, self.supersampling],
+            outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
+        )
+
+    def _require_images(self) -> None:
+        if not self._has_key:
+            raise ValueError("the last render holds vehicles alone; render without layers_only first")
 
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
+        self._require_images()
         shown = list(range(self.view_count)) if shown_view is None else list(shown_view)
-        image = wp.zeros((len(shown), self.height_px, self.width_px), dtype=wp.vec3, device=self.device)
+        image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
         shown_array = wp.array(shown, dtype=wp.int32, device=self.device)
         sky = [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
         self._over_views(
             len(shown),
-            lambda first, count: wp.launch(
+            lambda first, count: self._launch(
                 shade.resolve_rgb_kernel,
-                dim=(count, self.height_px, self.width_px),
+                (count, self.height_px, self.width_px),
                 inputs=[
                     self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, shown_array, self.supersampling,
                     first,
                 ],
                 outputs=[image],
-                device=self.device,
-                record_tape=False,
             ),
         )  # fmt: skip
         return image
 
     def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
         """Depth along the optical axis [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column]."""
+        self._require_images()
         shape = (self.view_count, self.height_px, self.width_px)
-        depth_m = wp.zeros(shape, dtype=float, device=self.device)
-        object_index = wp.zeros(shape, dtype=wp.int32, device=self.device)
+        depth_m, object_index = self._zeros(shape, float), self._zeros(shape, wp.int32)
         self._over_views(
             self.view_count,
-            lambda first, count: wp.launch(
+            lambda first, count: self._launch(
                 shade.resolve_depth_kernel,
-                dim=(count, self.height_px, self.width_px),
-                inputs=[self._key, scene.triangle_object, self.supersampling, first],
+                (count, self.height_px, self.width_px),
+                inputs=[self._key, scene.triangles, self.supersampling, first],
                 outputs=[depth_m, object_index],
-                device=self.device,
-                record_tape=False,
             ),
         )
         return depth_m, object_index
@@ -356,8 +471,8 @@ class Renderer:
         mask is bool [row, column], cut to the image.
         """
         guard = int(view.GUARD)
-        rectangle, offset = self._rectangle.numpy(), self._offset.numpy()
-        visible = (self._layer_bits.numpy() != 0) & (self._hiding_bits.numpy() == 0)
+        rectangle, offset = self._layers.rectangle.numpy(), self._layers.offset.numpy()
+        visible = (self._layers.inverse_depth_bits.numpy() != 0) & (self._hiding.bits.numpy() == 0)
         masks = []
         for v in shown_view:
             row_of_masks = []

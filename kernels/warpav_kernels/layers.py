@@ -1,0 +1,130 @@
+"""Layers: what single objects cover when each stands alone, in one flat buffer for all views (the atlas).
+
+A layer is an object whose silhouette is wanted alone: every vehicle, and the ego vehicle where the pairwise occlusion
+of the thesis needs it. Its samples are those of the rectangle that holds its image, cut out of the view's sample grid;
+all rectangles of all views lie one behind the other.
+"""
+
+import warp as wp
+
+from warpav_kernels.view import View, point_in_camera
+
+wp.set_module_options({"enable_backward": False})
+
+# directions from a sample to its neighbours; the opposite of d is 3 - d
+TO_LEFT = wp.constant(0)
+TO_TOP = wp.constant(1)
+TO_BOTTOM = wp.constant(2)
+TO_RIGHT = wp.constant(3)
+
+
+@wp.struct
+class Layers:
+    """The atlas of layers.
+
+    Attributes:
+        rectangle: First column, first row, columns, rows of every layer in every view, [view, layer]; 0 columns where
+            the object is out of sight.
+        offset: Place of the rectangle's first sample, [view, layer].
+        inverse_depth_bits: Bits of 1/z of the object's nearest surface at the sample's centre, 0 where it does not
+            cover it, [sample].
+        reach_key: Bits of how far the object's surface goes on from the sample's centre towards each neighbour's, 0..1
+            in samples, solved from the edges of its triangles, and, in the lower half, of 1/z where it ends; 0 where
+            that is unknown, [direction, sample].
+    """
+
+    rectangle: wp.array2d[wp.vec4i]
+    offset: wp.array2d[wp.int32]
+    inverse_depth_bits: wp.array[wp.int32]
+    reach_key: wp.array2d[wp.int64]
+
+
+@wp.func
+def place_in(rectangle: wp.vec4i, offset: int, row: int, column: int) -> int:
+    """Place in the atlas of a sample of the grid; -1 outside the rectangle."""
+    r = row - rectangle[1]
+    c = column - rectangle[0]
+    if r < 0 or c < 0 or r >= rectangle[3] or c >= rectangle[2]:
+        return -1
+    return offset + r * rectangle[2] + c
+
+
+@wp.func
+def point_on_near_plane(a: wp.vec3, b: wp.vec3, near_m: float) -> wp.vec3:
+    """Where the edge from a to b (camera coordinates) crosses the near plane."""
+    crossing = a + (near_m - a[2]) / (b[2] - a[2]) * (b - a)
+    return wp.vec3(crossing[0], crossing[1], near_m)
+
+
+@wp.func
+def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, view: View) -> wp.vec4:
+    """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point."""
+    u = view.centre[0] + view.focal[0] * point_m[0] / point_m[2]
+    v = view.centre[1] + view.focal[1] * point_m[1] / point_m[2]
+    return wp.vec4(wp.min(rectangle[0], u), wp.min(rectangle[1], v), wp.max(rectangle[2], u), wp.max(rectangle[3], v))
+
+
+@wp.kernel(enable_backward=False)
+def place_layers_kernel(
+    # in
+    view: wp.array[View],
+    layer_bounds_ego_m: wp.array2d[wp.vec3],
+    width: int,
+    height: int,
+    capacity: wp.int64,
+    # out
+    layer_rectangle: wp.array2d[wp.vec4i],
+    layer_offset: wp.array2d[wp.int32],
+    sample_count: wp.array[wp.int64],
+):
+    """Rectangle of samples that surely holds each layer's image, one sample wider than needed on every side.
+
+    The eight corners and, where the near plane cuts the object's box, its twelve edges are projected. Rectangles get
+    their places in the atlas in any order; one that goes beyond its capacity is shut.
+
+    Launch: ``dim=(view_count, layer_count)``; one thread per pair. Not taped.
+    Writes: every element of ``layer_rectangle`` and ``layer_offset`` once, and the length that the atlas should have to
+        ``sample_count[0]`` by atomic add; the caller zeroes it.
+    """
+    v, layer = wp.tid()
+    camera = view[v]
+    low = layer_bounds_ego_m[layer, 0]
+    high = layer_bounds_ego_m[layer, 1]
+    far = 1.0e9
+    box = wp.vec4(far, far, -far, -far)
+    for corner in range(8):
+        a_ego = low
+        if (corner & 1) != 0:
+            a_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
+        if (corner & 2) != 0:
+            a_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
+        if (corner & 4) != 0:
+            a_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
+        a = point_in_camera(camera, a_ego)
+        if a[2] >= camera.near_m:
+            box = grow_rectangle(box, a, camera)
+        for axis in range(3):
+            if (corner & (1 << axis)) == 0:
+                b_ego = a_ego
+                if axis == 0:
+                    b_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
+                elif axis == 1:
+                    b_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
+                else:
+                    b_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
+                b = point_in_camera(camera, b_ego)
+                if (a[2] >= camera.near_m) != (b[2] >= camera.near_m):
+                    box = grow_rectangle(box, point_on_near_plane(a, b, camera.near_m), camera)
+    # clamp in float: the cast of a huge float to an integer is undefined
+    left = int(wp.floor(wp.clamp(box[0] - 1.0, 0.0, float(width))))
+    top = int(wp.floor(wp.clamp(box[1] - 1.0, 0.0, float(height))))
+    right = int(wp.ceil(wp.clamp(box[2] + 1.0, 0.0, float(width))))
+    bottom = int(wp.ceil(wp.clamp(box[3] + 1.0, 0.0, float(height))))
+    layer_rectangle[v, layer] = wp.vec4i(0, 0, 0, 0)
+    layer_offset[v, layer] = 0
+    if right > left and bottom > top:
+        size = wp.int64(right - left) * wp.int64(bottom - top)
+        offset = wp.atomic_add(sample_count, 0, size)
+        if offset + size <= capacity:
+            layer_rectangle[v, layer] = wp.vec4i(left, top, right - left, bottom - top)
+            layer_offset[v, layer] = wp.int32(offset)

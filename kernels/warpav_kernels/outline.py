@@ -1,0 +1,425 @@
+"""Outlines of masks, between the samples: where they cross from one sample to the next, and what lies in front there.
+
+Four neighbouring samples make a cell. Where the mask differs between two of them, its outline crosses the cell's side
+between them; where it does, the reach of the surface in front says. The outline of a cell is the straight segment
+between two such crossings (the rule of marching squares), so the outline of a mask is a closed polygon.
+"""
+
+import warp as wp
+
+from warpav_kernels.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in
+from warpav_kernels.rasterise import ImageTriangle, Triangles, front_part, image_triangle, narrowed, slope_of
+from warpav_kernels.view import View, inverse_depth_of
+
+wp.set_module_options({"enable_backward": False})
+
+SPAN_SLACK = wp.constant(1.0e-3)  # a sample on a triangle's edge is covered by it [samples]
+
+# what a mask is
+ALONE = wp.constant(0)  # the samples that the object covers
+VISIBLE = wp.constant(1)  # those of them that nothing hides
+
+
+@wp.struct
+class Hiding:
+    """What hides the layers, in their layout; see `hide`.
+
+    Attributes:
+        bits: Bits of 1/z of the hiding surface; 0 where nothing hides, [sample].
+        source: The hiding triangle, or ``-1 - layer``, [sample].
+    """
+
+    bits: wp.array[wp.int32]
+    source: wp.array[wp.int32]
+
+
+@wp.struct
+class Pair:
+    """One object in one view.
+
+    Attributes:
+        view: Index of the view.
+        rectangle: The object's rectangle of samples.
+        offset: Its place in the atlas.
+    """
+
+    view: int
+    rectangle: wp.vec4i
+    offset: int
+
+
+@wp.func
+def pair_of(v: int, layer: int, layers: Layers) -> Pair:
+    """The pair of a view and a layer."""
+    pair = Pair()
+    pair.view = v
+    pair.rectangle = layers.rectangle[v, layer]
+    pair.offset = layers.offset[v, layer]
+    return pair
+
+
+@wp.struct
+class Reach:
+    """How far a surface goes on from a sample's centre towards a neighbour's, and how far away it ends.
+
+    Attributes:
+        distance: 0..1 in samples.
+        inverse_depth: 1/z of the surface there [1/m].
+    """
+
+    distance: float
+    inverse_depth: float
+
+
+@wp.func
+def reach_from(key: wp.int64, bits: wp.int32) -> Reach:
+    """A reach from its key; half way, at the depth of the sample's ``bits``, where it is unknown."""
+    reach = Reach()
+    reach.distance = 0.5
+    reach.inverse_depth = inverse_depth_of(bits)
+    if key != wp.int64(0):
+        reach.distance = wp.cast(wp.int32(key >> wp.int64(32)), float)
+        reach.inverse_depth = inverse_depth_of(wp.int32(key & wp.int64(0xFFFFFFFF)))
+    return reach
+
+
+@wp.func
+def row_span(image: ImageTriangle, y: float) -> wp.vec2:
+    """The columns between which a triangle covers a row; the end lies before the start where it does not."""
+    span = wp.vec2(-1.0e9, 1.0e9)
+    a = image.edge0
+    span = narrowed(span, a.u, a.a, a.b, slope_of(a.a, a.b), y - a.v)
+    b = image.edge1
+    span = narrowed(span, b.u, b.a, b.b, slope_of(b.a, b.b), y - b.v)
+    c = image.edge2
+    return narrowed(span, c.u, c.a, c.b, slope_of(c.a, c.b), y - c.v)
+
+
+@wp.func
+def column_span(image: ImageTriangle, x: float) -> wp.vec2:
+    """The rows between which a triangle covers a column; the end lies before the start where it does not."""
+    span = wp.vec2(-1.0e9, 1.0e9)
+    a = image.edge0
+    span = narrowed(span, a.v, a.b, a.a, slope_of(a.b, a.a), x - a.u)
+    b = image.edge1
+    span = narrowed(span, b.v, b.b, b.a, slope_of(b.b, b.a), x - b.u)
+    c = image.edge2
+    return narrowed(span, c.v, c.b, c.a, slope_of(c.b, c.a), x - c.u)
+
+
+@wp.func
+def triangle_reach(
+    camera: View,
+    scene: Triangles,
+    triangle: int,
+    bits: wp.int32,
+    row: int,
+    column: int,
+    direction: int,
+    width: int,
+    height: int,
+) -> Reach:
+    """How far one triangle goes on from a sample's centre that it covers; half way where it covers the next as well.
+
+    For surfaces without a layer: their triangles are large, and their neighbours are not asked.
+    """
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    part = front_part(camera, scene, triangle)
+    reach = Reach()
+    for index in range(part.part_count):
+        image = image_triangle(camera, part, index, True, width, height)
+        w = image.w + image.w_per_column * (x - image.edge0.u) + image.w_per_row * (y - image.edge0.v)
+        span = wp.vec2(0.0, 0.0)
+        here = x
+        w_per_step = image.w_per_column
+        if direction == TO_LEFT or direction == TO_RIGHT:
+            span = row_span(image, y)
+        else:
+            span = column_span(image, x)
+            here = y
+            w_per_step = image.w_per_row
+        if span[0] <= here + SPAN_SLACK and span[1] >= here - SPAN_SLACK:
+            end = span[1]
+            if direction == TO_LEFT or direction == TO_TOP:
+                end = span[0]
+            if wp.abs(end - here) > reach.distance:
+                reach.distance = wp.abs(end - here)
+                reach.inverse_depth = w + w_per_step * (end - here)
+    if reach.distance <= 0.0 or reach.distance >= 1.0:
+        return reach_from(wp.int64(0), bits)
+    return reach
+
+
+@wp.func
+def step_of(direction: int) -> wp.vec2i:
+    """Row and column step to the neighbour in a direction."""
+    if direction == TO_LEFT:
+        return wp.vec2i(0, -1)
+    if direction == TO_TOP:
+        return wp.vec2i(-1, 0)
+    if direction == TO_BOTTOM:
+        return wp.vec2i(1, 0)
+    return wp.vec2i(0, 1)
+
+
+@wp.func
+def hiding_reach(
+    camera: View,
+    scene: Triangles,
+    layers: Layers,
+    source: int,
+    bits: wp.int32,
+    v: int,
+    row: int,
+    column: int,
+    direction: int,
+    width: int,
+    height: int,
+) -> Reach:
+    """How far a hiding surface goes on from a sample's centre that it hides."""
+    layer = -1 - source
+    if source >= 0:
+        layer = scene.object_layer[scene.triangle_object[source]]
+    if layer >= 0 and layer < layers.rectangle.shape[1]:
+        place = place_in(layers.rectangle[v, layer], layers.offset[v, layer], row, column)
+        if place >= 0:
+            return reach_from(layers.reach_key[direction, place], bits)
+    if source < 0:
+        return reach_from(wp.int64(0), bits)
+    return triangle_reach(camera, scene, source, bits, row, column, direction, width, height)
+
+
+@wp.struct
+class Crossing:
+    """Where an outline crosses from one sample's centre to the next.
+
+    Attributes:
+        x: Column in the grid.
+        y: Row in the grid.
+        inverse_depth: 1/z of the surface in front, whose outline it is [1/m].
+    """
+
+    x: float
+    y: float
+    inverse_depth: float
+
+
+@wp.func
+def crossing_from(
+    pair: Pair,
+    row: int,
+    column: int,
+    direction: int,
+    kind: int,
+    camera: View,
+    scene: Triangles,
+    layers: Layers,
+    hiding: Hiding,
+    width: int,
+    height: int,
+) -> Crossing:
+    """The crossing next to a sample of the mask whose neighbour in a direction is not of the mask."""
+    step = step_of(direction)
+    place = place_in(pair.rectangle, pair.offset, row, column)
+    other_row = row + step[0]
+    other_column = column + step[1]
+    other = place_in(pair.rectangle, pair.offset, other_row, other_column)
+    reach = Reach()
+    reach.distance = 1.0
+    if layers.inverse_depth_bits[other] == wp.int32(0):
+        reach = reach_from(layers.reach_key[direction, place], layers.inverse_depth_bits[place])
+    if kind == VISIBLE:
+        bits = hiding.bits[other]
+        if bits != wp.int32(0):
+            back = hiding_reach(
+                camera,
+                scene,
+                layers,
+                hiding.source[other],
+                bits,
+                pair.view,
+                other_row,
+                other_column,
+                TO_RIGHT - direction,
+                width,
+                height,
+            )
+            # what lies behind the object hides nothing; it is only what one sees beside it
+            if back.inverse_depth > reach.inverse_depth and 1.0 - back.distance <= reach.distance:
+                reach.distance = 1.0 - back.distance
+                reach.inverse_depth = back.inverse_depth
+    crossing = Crossing()
+    crossing.x = float(column) + 0.5 + reach.distance * float(step[1])
+    crossing.y = float(row) + 0.5 + reach.distance * float(step[0])
+    crossing.inverse_depth = reach.inverse_depth
+    return crossing
+
+
+@wp.struct
+class Cell:
+    """Four neighbouring samples: which of them are of the mask.
+
+    Attributes:
+        row: Row of the upper left sample in the grid.
+        column: Its column.
+        mask: Bit 0 for the upper left, 1 upper right, 2 lower right, 3 lower left sample.
+        segment_count: Segments of outline in the cell: 0, 1, or 2 where two opposite corners are of the mask.
+    """
+
+    row: int
+    column: int
+    mask: int
+    segment_count: int
+
+
+@wp.func
+def own_corners(pair: Pair, row: int, column: int, layers: Layers) -> int:
+    """Which corners of the cell at a place of the pair's rectangle the object covers; see `Cell.mask`."""
+    place = pair.offset + row * pair.rectangle[2] + column
+    below = place + pair.rectangle[2]
+    mask = int(layers.inverse_depth_bits[place] != wp.int32(0))
+    mask += 2 * int(layers.inverse_depth_bits[place + 1] != wp.int32(0))
+    mask += 4 * int(layers.inverse_depth_bits[below + 1] != wp.int32(0))
+    return mask + 8 * int(layers.inverse_depth_bits[below] != wp.int32(0))
+
+
+@wp.func
+def unhidden_corners(pair: Pair, row: int, column: int, hiding: Hiding) -> int:
+    """Which corners of the cell at a place of the pair's rectangle nothing hides; see `Cell.mask`."""
+    place = pair.offset + row * pair.rectangle[2] + column
+    below = place + pair.rectangle[2]
+    mask = int(hiding.bits[place] == wp.int32(0))
+    mask += 2 * int(hiding.bits[place + 1] == wp.int32(0))
+    mask += 4 * int(hiding.bits[below + 1] == wp.int32(0))
+    return mask + 8 * int(hiding.bits[below] == wp.int32(0))
+
+
+@wp.func
+def cell_of(pair: Pair, row: int, column: int, mask: int) -> Cell:
+    """The cell at a place of the pair's rectangle."""
+    cell = Cell()
+    cell.row = pair.rectangle[1] + row
+    cell.column = pair.rectangle[0] + column
+    cell.mask = mask
+    cell.segment_count = 1
+    if mask == 0 or mask == 15:
+        cell.segment_count = 0
+    elif mask == 5 or mask == 10:
+        cell.segment_count = 2
+    return cell
+
+
+@wp.func
+def side_from(mask: int, first: int, leaving: bool) -> int:
+    """The first side of a cell, counted clockwise from ``first``, at which the mask ends (``leaving``) or begins.
+
+    Side k leads from corner k to corner k + 1, clockwise from the upper left corner.
+    """
+    found = int(-1)
+    for k in range(4):
+        side = (first + k) % 4
+        here = (mask >> side) & 1
+        there = (mask >> ((side + 1) % 4)) & 1
+        if found < 0 and here != there and (here == 1) == leaving:
+            found = side
+    return found
+
+
+@wp.func
+def side_crossing(
+    cell: Cell,
+    side: int,
+    pair: Pair,
+    kind: int,
+    camera: View,
+    scene: Triangles,
+    layers: Layers,
+    hiding: Hiding,
+    width: int,
+    height: int,
+) -> Crossing:
+    """The outline's crossing of one side of a cell."""
+    # corners clockwise: upper left, upper right, lower right, lower left; a side's direction from its first corner
+    corner = side
+    direction = TO_RIGHT
+    if side == 1:
+        direction = TO_BOTTOM
+    elif side == 2:
+        direction = TO_LEFT
+    elif side == 3:
+        direction = TO_TOP
+    if ((cell.mask >> side) & 1) == 0:
+        corner = (side + 1) % 4
+        direction = TO_RIGHT - direction
+    row = cell.row
+    if corner >= 2:
+        row += 1
+    column = cell.column
+    if corner == 1 or corner == 2:
+        column += 1
+    return crossing_from(pair, row, column, direction, kind, camera, scene, layers, hiding, width, height)
+
+
+@wp.struct
+class Segment:
+    """A piece of outline inside one cell; seen along it, the mask lies on the right.
+
+    Attributes:
+        start: Column and row of its start in the grid.
+        end: Column and row of its end.
+        inverse_depth: 1/z of the surface in front, in its middle [1/m].
+    """
+
+    start: wp.vec2
+    end: wp.vec2
+    inverse_depth: float
+
+
+@wp.func
+def cell_segment(
+    cell: Cell,
+    index: int,
+    pair: Pair,
+    kind: int,
+    camera: View,
+    scene: Triangles,
+    layers: Layers,
+    hiding: Hiding,
+    width: int,
+    height: int,
+) -> Segment:
+    """One segment of outline of a cell. Where two opposite corners are of the mask, each is cut off by itself."""
+    start_side = side_from(cell.mask, 0, True)
+    if index == 1:
+        start_side = side_from(cell.mask, start_side + 1, True)
+    # the outline goes from where the mask ends, clockwise, backwards round its corner to where it begins
+    end_side = side_from(cell.mask, start_side + 1, False)
+    if cell.segment_count == 2:
+        end_side = (start_side + 3) % 4
+    start = side_crossing(cell, start_side, pair, kind, camera, scene, layers, hiding, width, height)
+    end = side_crossing(cell, end_side, pair, kind, camera, scene, layers, hiding, width, height)
+    segment = Segment()
+    segment.start = wp.vec2(start.x, start.y)
+    segment.end = wp.vec2(end.x, end.y)
+    segment.inverse_depth = 0.5 * (start.inverse_depth + end.inverse_depth)
+    return segment
+
+
+@wp.func
+def sorted_cut(from_value: float, to_value: float, cut: float) -> float:
+    """Share of the way from one value to another at which it passes ``cut``; 1 if it does not."""
+    if (from_value < cut) == (to_value < cut):
+        return 1.0
+    return wp.clamp((cut - from_value) / (to_value - from_value), 0.0, 1.0)
+
+
+@wp.func
+def segment_cuts(segment: Segment) -> wp.vec4:
+    """Shares of a segment at which it passes from one sample's square to the next: 0, two cuts, 1."""
+    # the middle lines of the cell between the sample centres
+    column = wp.floor(wp.min(segment.start[0], segment.end[0]) + 0.5)
+    row = wp.floor(wp.min(segment.start[1], segment.end[1]) + 0.5)
+    a = sorted_cut(segment.start[0], segment.end[0], column)
+    b = sorted_cut(segment.start[1], segment.end[1], row)
+    return wp.vec4(0.0, wp.min(a, b), wp.max(a, b), 1.0)
