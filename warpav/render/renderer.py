@@ -155,6 +155,8 @@ class Renderer:
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
         self._has_key = False
+        self._buffers: dict[str, wp.array] = {}
+        self._shown: dict[tuple[int, ...], wp.array] = {}
         self._layers = layers.Layers()
         self._hiding = outline.Hiding()
         self._reserve_samples(0)
@@ -171,6 +173,12 @@ class Renderer:
 
     def _zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def _kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
+        """A buffer for one purpose, kept from call to call as long as its shape stays; its contents are old."""
+        if name not in self._buffers or self._buffers[name].shape != shape:
+            self._buffers[name] = self._zeros(shape, dtype)
+        return self._buffers[name]
 
     def _reserve_samples(self, sample_count: int) -> None:
         """Atlas with room for a number of samples, and a quarter more."""
@@ -298,7 +306,8 @@ class Renderer:
                 ),
             )
             return
-        is_hidden_by = self._zeros((self.view_count, scene.vehicle_count, scene.vehicle_count), wp.int32)
+        is_hidden_by = self._kept("order", (self.view_count, scene.vehicle_count, scene.vehicle_count), wp.int32)
+        is_hidden_by.zero_()
 
         def launch(first: int, count: int) -> None:
             self._launch(
@@ -316,23 +325,21 @@ class Renderer:
 
         self._over_views(self.view_count, launch)
 
-    def measure(self, scene: DeviceScene, box_px: wp.array | None = None) -> Measures:
+    def measure(self, scene: DeviceScene, box_px: wp.array | None = None, *, into: Measures | None = None) -> Measures:
         """Areas and extents of every vehicle in every view, with Jacobians to the views' poses and focal lengths.
 
         Args:
             scene: The scene of the last `render`.
             box_px: Box per view and vehicle (left, top, right, bottom [px]) for BOX_AREA, vec4 [view, vehicle]; None:
                 no box.
-
-        Returns:
-            Fresh arrays, so several scenes can stay on one tape.
+            into: An earlier result to write over; None: fresh arrays, so several scenes can stay on one tape.
         """
         if box_px is None:
-            box_px = self._zeros((self.view_count, scene.vehicle_count), wp.vec4)
-        result = self._measures(scene, MEASURE_COUNT)
+            box_px = self._kept("no box", (self.view_count, scene.vehicle_count), wp.vec4)
+        result = self._measures(scene, MEASURE_COUNT, into)
         rows, columns = self._lanes
         lanes = rows * columns
-        flow = self._zeros((self.view_count, scene.vehicle_count, AREA_COUNT, lanes), measure.Flow)
+        flow = self._kept("flow", (self.view_count, scene.vehicle_count, AREA_COUNT, lanes), measure.Flow)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
@@ -346,7 +353,7 @@ class Renderer:
             ),
         )  # fmt: skip
         self._sum_flow(scene, flow, result)
-        found = self._zeros((self.view_count, scene.vehicle_count, EXTENT_COUNT, lanes), extent.Extent)
+        found = self._kept("extent", (self.view_count, scene.vehicle_count, EXTENT_COUNT, lanes), extent.Extent)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
@@ -364,7 +371,9 @@ class Renderer:
         )
         return result
 
-    def weighted_area(self, scene: DeviceScene, weight_image: wp.array, *, visible: bool) -> Measures:
+    def weighted_area(
+        self, scene: DeviceScene, weight_image: wp.array, *, visible: bool, into: Measures | None = None
+    ) -> Measures:
         """Area of every vehicle in every view, each pixel weighted, with Jacobians.
 
         Args:
@@ -372,6 +381,7 @@ class Renderer:
             weight_image: Weight of every pixel, float [row, column] for all views or [view, row, column]; no gradient
                 flows to it.
             visible: Whether to leave out what other surfaces hide; else each vehicle counts as if it stood alone.
+            into: An earlier result to write over; None: fresh arrays.
 
         Returns:
             Measures with one element on the last axis, in weight x px^2.
@@ -384,10 +394,10 @@ class Renderer:
             raise ValueError(f"weight_image must be {size} or {(self.view_count, *size)}, got {weight_image.shape}")
         if weight_image.ndim == 2:
             weight_image = weight_image.reshape((1, *size))
-        result = self._measures(scene, 1)
+        result = self._measures(scene, 1, into)
         kind = int(outline.VISIBLE if visible else outline.ALONE)
         rows, columns = self._lanes
-        flow = self._zeros((self.view_count, scene.vehicle_count, 1, rows * columns), measure.Flow)
+        flow = self._kept("weighted flow", (self.view_count, scene.vehicle_count, 1, rows * columns), measure.Flow)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
@@ -403,8 +413,12 @@ class Renderer:
         self._sum_flow(scene, flow, result)
         return result
 
-    def _measures(self, scene: DeviceScene, count: int) -> Measures:
+    def _measures(self, scene: DeviceScene, count: int, into: Measures | None) -> Measures:
         shape = (self.view_count, scene.vehicle_count, count)
+        if into is not None:
+            wp.copy(into.position_ego_m, self._position_ego_m)
+            wp.copy(into.camera_from_ego, self._camera_from_ego)
+            return into
         return Measures(
             value=self._zeros(shape, float),
             per_shift=self._zeros(shape, wp.vec3),
@@ -430,9 +444,10 @@ class Renderer:
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
         self._require_images()
-        shown = list(range(self.view_count)) if shown_view is None else list(shown_view)
+        shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
+        if shown not in self._shown:
+            self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
         image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
-        shown_array = wp.array(shown, dtype=wp.int32, device=self.device)
         sky = [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
         self._over_views(
             len(shown),
@@ -440,7 +455,7 @@ class Renderer:
                 shade.resolve_rgb_kernel,
                 (count, self.height_px, self.width_px),
                 inputs=[
-                    self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, shown_array, self.supersampling,
+                    self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, self._shown[shown], self.supersampling,
                     first,
                 ],
                 outputs=[image],
