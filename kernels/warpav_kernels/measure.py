@@ -130,11 +130,16 @@ def measure_areas_kernel(
     column_lanes: int,
     # out
     flow: wp.array4d[Flow],
+    farthest: wp.array3d[wp.int32],
 ):
     """Visible, amodal and in-box area of one object in one view, and how they flow, over one lane's samples.
 
+    On the way it finds how far the object reaches in the image to the left, right, top and bottom: ``farthest`` counts
+    the samples from the opposite side of the grid.
+
     Launch: ``dim=(views of this chunk, vehicle_count, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [view, vehicle, measure, lane] of these views, in the order VISIBLE_AREA, AMODAL_AREA, BOX_AREA.
+    Writes: ``flow`` [view, vehicle, measure, lane] of these views, in the order VISIBLE_AREA, AMODAL_AREA, BOX_AREA;
+        ``farthest`` [view, vehicle, side] by atomic maximum; the caller zeroes it.
     """
     chunk_view, vehicle, lane = wp.tid()
     v = first_view + chunk_view
@@ -145,6 +150,10 @@ def measure_areas_kernel(
     visible = Flow()
     amodal = Flow()
     boxed = Flow()
+    to_left = int(0)
+    to_right = int(0)
+    to_top = int(0)
+    to_bottom = int(0)
     for row in range(lane / column_lanes, pair.rectangle[3], row_lanes):
         for column in range(lane % column_lanes, pair.rectangle[2], column_lanes):
             place = pair.offset + row * pair.rectangle[2] + column
@@ -153,6 +162,11 @@ def measure_areas_kernel(
                 y = float(pair.rectangle[1] + row) + 0.5
                 weight = frame_weight(x, y, width, height)
                 amodal.area += weight
+                if weight > 0.0:
+                    to_left = wp.max(to_left, width - pair.rectangle[0] - column)
+                    to_right = wp.max(to_right, pair.rectangle[0] + column + 1)
+                    to_top = wp.max(to_top, height - pair.rectangle[1] - row)
+                    to_bottom = wp.max(to_bottom, pair.rectangle[1] + row + 1)
                 if hiding.bits[place] == wp.int32(0):
                     visible.area += weight
                     boxed.area += weight * box_weight(x, y, box, samples_per_px)
@@ -194,6 +208,11 @@ def measure_areas_kernel(
     flow[v, vehicle, VISIBLE_AREA, lane] = visible
     flow[v, vehicle, AMODAL_AREA, lane] = amodal
     flow[v, vehicle, BOX_AREA, lane] = boxed
+    if to_left > 0:
+        wp.atomic_max(farthest, v, vehicle, LEFT - LEFT, to_left)
+        wp.atomic_max(farthest, v, vehicle, RIGHT - LEFT, to_right)
+        wp.atomic_max(farthest, v, vehicle, TOP - LEFT, to_top)
+        wp.atomic_max(farthest, v, vehicle, BOTTOM - LEFT, to_bottom)
 
 
 @wp.kernel(enable_backward=False)
@@ -258,6 +277,37 @@ def measure_weighted_area_kernel(
     flow[v, vehicle, 0, lane] = weighted
 
 
+@wp.func
+def flow_of_lanes(flow: wp.array4d[Flow], v: int, vehicle: int, i: int, first_lane: int, end_lane: int) -> Flow:
+    """The sum of what some lanes have measured, in their order."""
+    total = Flow()
+    for lane in range(first_lane, end_lane):
+        part = flow[v, vehicle, i, lane]
+        total.area += part.area
+        total.gradient += part.gradient
+        total.moment += part.moment
+        total.zoom += part.zoom
+    return total
+
+
+@wp.kernel(enable_backward=False)
+def sum_lanes_kernel(
+    # in
+    flow: wp.array4d[Flow],
+    group_lanes: int,
+    # out
+    group_flow: wp.array4d[Flow],
+):
+    """Sum groups of neighbouring lanes, so that the last sum is short.
+
+    Launch: ``dim=(view_count, vehicle_count, area_count, group_count)``; one thread per group. Not taped.
+    Writes: every element of ``group_flow`` once.
+    """
+    v, vehicle, i, group = wp.tid()
+    first_lane = group * group_lanes
+    group_flow[v, vehicle, i, group] = flow_of_lanes(flow, v, vehicle, i, first_lane, first_lane + group_lanes)
+
+
 @wp.kernel(enable_backward=False)
 def sum_flow_kernel(
     # in
@@ -276,13 +326,7 @@ def sum_flow_kernel(
     Writes: the first ``area_count`` measures of every view and vehicle once.
     """
     v, vehicle, i = wp.tid()
-    total = Flow()
-    for lane in range(flow.shape[3]):
-        part = flow[v, vehicle, i, lane]
-        total.area += part.area
-        total.gradient += part.gradient
-        total.moment += part.moment
-        total.zoom += part.zoom
+    total = flow_of_lanes(flow, v, vehicle, i, 0, flow.shape[3])
     per_sample = 1.0 / (float(supersampling) * float(supersampling))
     measure[v, vehicle, i] = per_sample * total.area
     per_shift[v, vehicle, i] = -per_sample * (wp.transpose(view[v].camera_from_ego) * total.gradient)

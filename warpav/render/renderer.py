@@ -26,6 +26,7 @@ AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
 CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
 CUDA_MEASURE_LANES = (4, 32)  # rows and columns of threads that share the samples of one object in one view
+CUDA_SUM_LANES = 16  # of them are summed first
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
 CUDA_STRIPS = 1 << 18  # room in their queue
 
@@ -337,36 +338,28 @@ class Renderer:
         if box_px is None:
             box_px = self._kept("no box", (self.view_count, scene.vehicle_count), wp.vec4)
         result = self._measures(scene, MEASURE_COUNT, into)
+        pairs = (self.view_count, scene.vehicle_count)
+        farthest = self._kept("farthest", (*pairs, EXTENT_COUNT), wp.int32)
+        farthest.zero_()
         rows, columns = self._lanes
-        lanes = rows * columns
-        flow = self._kept("flow", (self.view_count, scene.vehicle_count, AREA_COUNT, lanes), measure.Flow)
+        flow = self._kept("flow", (*pairs, AREA_COUNT, rows * columns), measure.Flow)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
                 measure.measure_areas_kernel,
-                (count, scene.vehicle_count, lanes),
+                (count, scene.vehicle_count, rows * columns),
                 inputs=[
                     self._view, scene.triangles, self._layers, self._hiding, box_px, self._width, self._height,
                     self.supersampling, first, rows, columns,
                 ],
-                outputs=[flow],
+                outputs=[flow, farthest],
             ),
         )  # fmt: skip
         self._sum_flow(scene, flow, result)
-        found = self._kept("extent", (self.view_count, scene.vehicle_count, EXTENT_COUNT, lanes), extent.Extent)
-        self._over_views(
-            self.view_count,
-            lambda first, count: self._launch(
-                extent.measure_extents_kernel,
-                (count, scene.vehicle_count, lanes),
-                inputs=[self._view, self._layers, self._width, self._height, first, rows, columns],
-                outputs=[found],
-            ),
-        )
         self._launch(
-            extent.join_extents_kernel,
-            (self.view_count, scene.vehicle_count, EXTENT_COUNT),
-            inputs=[self._view, found, self._width, self._height, self.supersampling],
+            extent.measure_extents_kernel,
+            (*pairs, EXTENT_COUNT),
+            inputs=[self._view, self._layers, farthest, self._width, self._height, self.supersampling],
             outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
         )
         return result
@@ -430,6 +423,13 @@ class Renderer:
 
     def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures) -> None:
         """Sum what the lanes have measured into the first measures of ``result``."""
+        *pairs, area_count, lanes = flow.shape
+        if lanes > CUDA_SUM_LANES:
+            group_flow = self._kept("group flow", (*pairs, area_count, lanes // CUDA_SUM_LANES), measure.Flow)
+            self._launch(
+                measure.sum_lanes_kernel, group_flow.shape, inputs=[flow, CUDA_SUM_LANES], outputs=[group_flow]
+            )
+            flow = group_flow
         self._launch(
             measure.sum_flow_kernel,
             (self.view_count, scene.vehicle_count, flow.shape[2]),
@@ -455,8 +455,8 @@ class Renderer:
                 shade.resolve_rgb_kernel,
                 (count, self.height_px, self.width_px),
                 inputs=[
-                    self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, self._shown[shown], self.supersampling,
-                    first,
+                    self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, self._shown[shown],
+                    self.supersampling, first,
                 ],
                 outputs=[image],
             ),
