@@ -19,7 +19,7 @@ from warpav_kernels.view import View, point_in_camera
 wp.set_module_options({"enable_backward": False})
 
 # On a GPU, triangles of more samples than this are cut into strips of rows, which many threads fill together.
-LARGE_SAMPLES = wp.constant(128)
+LARGE_SAMPLES = wp.constant(64)
 STRIP_ROWS = wp.constant(8)
 
 LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)

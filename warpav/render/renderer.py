@@ -25,7 +25,7 @@ AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
 CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
-CUDA_MEASURE_LANES = (4, 32)  # rows and columns of threads that share the samples of one object in one view
+CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
 CUDA_SUM_LANES = 16  # of them are summed first
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
 CUDA_STRIPS = 1 << 18  # room in their queue
