@@ -145,9 +145,9 @@ class Renderer:
         guard = int(view.GUARD)
         self._width = self.width_px * supersampling + 2 * guard
         self._height = self.height_px * supersampling + 2 * guard
-        intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
-        self._intrinsics_px = wp.array(np.array(intrinsics_px, np.float32), dtype=wp.vec4, device=self.device)
-        self._near_m = wp.array([model.near_m for model in models], dtype=float, device=self.device)
+        self._intrinsics_px = self._zeros(self.view_count, wp.vec4)
+        self._near_m = self._zeros(self.view_count, float)
+        self.set_lenses(models)
         self._view = self._zeros(self.view_count, view.View)
         self._position_ego_m = self._zeros(self.view_count, wp.vec3)
         self._camera_from_ego = self._zeros(self.view_count, wp.mat33)
@@ -174,6 +174,19 @@ class Renderer:
 
     def _zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def set_lenses(self, models: Sequence[CameraModel]) -> None:
+        """Give every view another camera model of the same image size; the next `render` uses it.
+
+        Raises:
+            ValueError: Another number of models, or of another size.
+        """
+        size = (self.width_px, self.height_px)
+        if len(models) != self.view_count or any((model.width_px, model.height_px) != size for model in models):
+            raise ValueError(f"expected {self.view_count} camera models of {size[0]} x {size[1]} pixels")
+        intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
+        self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
+        self._near_m.assign(np.array([model.near_m for model in models], np.float32))
 
     def _kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
         """A buffer for one purpose, kept from call to call as long as its shape stays; its contents are old."""

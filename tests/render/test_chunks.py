@@ -1,0 +1,70 @@
+"""Chunks of views are the same views, and need no more memory the more there are."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import camera_pose, on_device, packed_street
+from warpav.render.chunks import chunk_view_count, render_in_chunks
+from warpav.render.renderer import Renderer
+from warpav.rig.camera import CameraModel
+
+VIEWS = 7
+
+
+def poses(rng, count):
+    return np.stack(
+        [camera_pose([rng.uniform(0, 3), rng.uniform(-1, 1), 1.8], rng.uniform(-3, 3), 0.1) for _ in range(count)]
+    )
+
+
+def test_chunks_hold_the_views_of_one_render(device, rng):
+    models = [CameraModel(96, 64, math.radians(fov_deg), 0.1) for fov_deg in rng.uniform(50, 110, VIEWS)]
+    pose, scene = poses(rng, VIEWS), packed_street(device)
+    whole = Renderer(models, device=device)
+    whole.render(scene, *on_device(pose, device))
+    depth_m, object_index = (array.numpy() for array in whole.depth_and_object(scene))
+    value = whole.measure(scene).value.numpy()
+    seen = np.zeros(VIEWS, int)
+    for views, renderer in render_in_chunks(
+        scene, models, pose[:, :3, 3], pose[:, :3, :3].transpose(0, 2, 1), views_at_once=3, device=device
+    ):
+        count = views.stop - views.start
+        seen[views] += 1
+        chunk_depth_m, chunk_object = (array.numpy()[:count] for array in renderer.depth_and_object(scene))
+        np.testing.assert_array_equal(chunk_depth_m, depth_m[views])
+        np.testing.assert_array_equal(chunk_object, object_index[views])
+        np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[:count], value[views])
+    np.testing.assert_array_equal(seen, 1)
+
+
+def test_a_renderer_can_be_used_again(device, rng):
+    model = CameraModel(64, 64)
+    pose, scene = poses(rng, 4), packed_street(device)
+    renderer = Renderer([model] * 2, device=device)
+    chunks = list(
+        render_in_chunks(
+            scene, [model] * 4, pose[:, :3, 3], pose[:, :3, :3].transpose(0, 2, 1), renderer=renderer, device=device
+        )
+    )
+    assert [views for views, _ in chunks] == [slice(0, 2), slice(2, 4)]
+    assert all(used is renderer for _, used in chunks)
+
+
+def test_chunks_are_bounded_in_memory():
+    assert chunk_view_count(CameraModel(256, 256)) == 64
+    count = chunk_view_count(CameraModel(1920, 1080), supersampling=4)
+    assert count == 2
+    assert chunk_view_count(CameraModel(4096, 4096), supersampling=8) == 1
+
+
+def test_wrong_numbers_of_views_are_refused(rng):
+    pose, scene = poses(rng, 2), packed_street("cpu")
+    rotation = pose[:, :3, :3].transpose(0, 2, 1)
+    with pytest.raises(ValueError, match="got 3, 2 and 2"):
+        next(render_in_chunks(scene, [CameraModel()] * 3, pose[:, :3, 3], rotation))
+    with pytest.raises(ValueError, match="views_at_once must be at least 1, got 0"):
+        next(render_in_chunks(scene, [CameraModel()] * 2, pose[:, :3, 3], rotation, views_at_once=0))
+    with pytest.raises(ValueError, match="expected 2 camera models of 256 x 256"):
+        Renderer([CameraModel()] * 2).set_lenses([CameraModel(64, 64)] * 2)
