@@ -305,7 +305,7 @@ class _Fields:
                 self.arrays = {name: content[name] for name in content.files}
         except FileNotFoundError:
             raise InputError(f"{file}: expected an existing .npz file, got none of that name") from None
-        except (OSError, ValueError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
             reason = " ".join(str(error).split())
             raise InputError(
                 f"{file}: expected a benchmark file (.npz), got one that is unreadable: {reason}"
