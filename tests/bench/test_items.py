@@ -11,12 +11,12 @@ from scipy.spatial import ConvexHull
 from tests.bench.small_workload import small_workload
 from tests.driving_scene import camera_pose
 from tests.oracle.ray_cast import RayCaster
-from warpav.bench import items
 from warpav.bench.items import Bench, object_type
 from warpav.bench.reference import hit_rgb, view_rays
 from warpav.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, pack_workload, read_workload
 from warpav.geometry.frames import EGO_FROM_THESIS
 from warpav.geometry.mesh import Mesh
+from warpav.render import chunks
 
 STEP = np.array([0.003, 0.003, 0.0004])  # of differences: m, m, rad
 
@@ -174,20 +174,21 @@ def test_chunks_change_nothing(device, workloads, monkeypatch):
     whole = bench_of(workload, device)
     expected = [np.concatenate(parts) for parts in zip(*((i, z) for _, i, z in whole.depth_and_object()), strict=True)]
     colour = np.concatenate([rgb for _, rgb in whole.rgb()])
-    monkeypatch.setattr(items, "MAX_CHUNK_SAMPLES", 1)
+    gradient, loss = whole.score_silhouettes(1)
+    monkeypatch.setattr(chunks, "MAX_CHUNK_VIEWS", 5)
     bench = bench_of(workload, device)
     found = list(bench.depth_and_object())
-    assert [first for first, _, _ in found] == [0, 4, 8]
+    assert [first for first, _, _ in found] == [0, 5, 10]
     np.testing.assert_array_equal(np.concatenate([i for _, i, _ in found]), expected[0])
     np.testing.assert_array_equal(np.concatenate([z for _, _, z in found]), expected[1])
     np.testing.assert_array_equal(np.concatenate([rgb for _, rgb in bench.rgb()]), colour)
-    for timing in (
-        bench.time_silhouettes(1, repeat=2),
-        bench.time_depth_and_object(repeat=2),
-        bench.time_rgb(repeat=1),
-    ):
-        assert len(timing.times_ms) in (1, 2)
-        assert min(timing.times_ms) > 0
+    for together, alone in zip((gradient, loss), bench.score_silhouettes(1), strict=True):
+        for name in WEIGHT_NAMES:
+            np.testing.assert_array_equal(together[name], alone[name])
+    for time in (functools.partial(bench.time_silhouettes, 1), bench.time_depth_and_object, bench.time_rgb):
+        timing = time(repeat=2)
+        assert len(timing.times_ms) == 2
+        assert 0 < min(timing.times_ms) <= timing.median_ms <= max(timing.times_ms)
 
 
 def test_a_workload_without_vehicles_has_no_loss(device, workloads):

@@ -10,20 +10,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warpav.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Workload
+from warpav.render.chunks import MAX_CHUNK_VIEWS, chunk_view_count, render_in_chunks
 from warpav.render.device_scene import FIRST_VEHICLE, DeviceScene
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Measures, Renderer
 from warpav.rig.camera import CameraModel
 from warpav_kernels import benchmark, linearise
 
-# Samples of the key buffers and atlases that one chunk of cameras may have; more cameras are rendered in turn.
-MAX_CHUNK_SAMPLES = 1 << 25
-SCORED_CAMERAS = 4  # scored poses that are rendered together
+MAX_SILHOUETTE_SAMPLES = 1 << 26  # of the images of silhouettes that are measured together
+SCORED_AT_ONCE = 4  # poses
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,6 @@ class Bench:
         self.workload = workload
         self.scene = scene
         self.device = wp.get_device(device)
-        self._renderer: Renderer | None = None
-        self._renderer_of: tuple[Any, ...] = ()
-        self._images: Any = None  # of the last run: what a recorded run writes into must not be freed
 
     def time_silhouettes(self, supersampling: int, *, repeat: int) -> Timing:
         """Time W1: forward and backward for all cameras of the workload with white weights.
@@ -76,20 +72,22 @@ class Bench:
             repeat: Measured runs, after one that is not measured.
         """
         compile_ms = self._load_kernels()
-        weight = wp.array(self.workload.weight["white"], dtype=float, device=self.device)
-        passes: list[_SilhouettePass] = []
+        began = time.perf_counter()
+        workload = self.workload
+        camera = np.arange(len(workload.pose))
+        weight = wp.array(workload.weight["white"], dtype=float, device=self.device)
+        at_once = min(self._cameras_at_once(supersampling), len(camera))
+        silhouettes = _Silhouettes(self, at_once, supersampling)
+        firsts = range(0, len(camera), at_once)
+        silhouettes.put(workload.pose[:at_once], camera[:at_once])
 
         def run() -> None:
-            if len(chunks) == 1:  # everything stays on the device
-                passes[:] = passes or [_SilhouettePass(self, self.workload.pose, chunks[0])]
-                passes[0].run(self._render_with(chunks[0], supersampling), weight)
-                return
-            for chunk in chunks:
-                each = _SilhouettePass(self, self.workload.pose[chunk], chunk)
-                each.run(self._render_with(chunk, supersampling), weight)
+            for first in firsts:
+                if len(firsts) > 1:
+                    silhouettes.put(workload.pose[first : first + at_once], camera[first : first + at_once])
+                silhouettes.run(weight)
 
-        chunks = list(self._chunks(supersampling))
-        return self._time(run, repeat, compile_ms, is_capturable=len(chunks) == 1)
+        return self._time(run, repeat, silhouettes.renderer, began, compile_ms, is_capturable=len(firsts) == 1)
 
     def score_silhouettes(self, supersampling: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Loss and gradient of W1 at every scored pose, each pose alone, for every weight.
@@ -104,14 +102,13 @@ class Bench:
         gradient = {name: np.zeros(pose.shape) for name in WEIGHT_NAMES}
         loss = {name: np.zeros(len(pose)) for name in WEIGHT_NAMES}
         weight = {n: wp.array(w, dtype=float, device=self.device) for n, w in self.workload.weight.items()}
-        for first in range(0, len(pose), SCORED_CAMERAS):
-            chosen = np.arange(first, min(first + SCORED_CAMERAS, len(pose)))
-            camera = chosen % camera_count
-            silhouettes = _SilhouettePass(self, pose[chosen], camera)
+        at_once = min(self._cameras_at_once(supersampling), SCORED_AT_ONCE)
+        silhouettes = _Silhouettes(self, at_once, supersampling)
+        for first in range(0, len(pose), at_once):
+            chosen = np.arange(first, min(first + at_once, len(pose)))
+            silhouettes.put(pose[chosen], chosen % camera_count)
             for name in WEIGHT_NAMES:
-                found = silhouettes.run(self._render_with(camera, supersampling), weight[name])
-                loss[name][chosen] = found.numpy().reshape(-1, ROTATION_COUNT).sum(axis=1, dtype=np.float64)
-                gradient[name][chosen] = silhouettes.gradient()
+                loss[name][chosen], gradient[name][chosen] = silhouettes.run(weight[name]).on_host(len(chosen))
         return gradient, loss
 
     def time_depth_and_object(self, *, repeat: int) -> Timing:
@@ -128,12 +125,12 @@ class Bench:
         Yields:
             First view; object, integers [view, row, column], -1: none; depth [m], float32, -1 where nothing is.
         """
-        object_count = len(self.workload.triangle_count)
-        integer = object_type(object_count)
-        for first, renderer in self._rendered():
-            depth, index = (array.numpy() for array in renderer.depth_and_object(self.scene))
+        integer = object_type(len(self.workload.triangle_count))
+        for chunk, renderer in self._rendered():
+            count = chunk.stop - chunk.start
+            depth, index = (array.numpy()[:count] for array in renderer.depth_and_object(self.scene))
             index = np.where(index >= FIRST_VEHICLE, index - FIRST_VEHICLE, -1).astype(integer)
-            yield first, index, np.where(index >= 0, depth, np.float32(-1.0))
+            yield chunk.start, index, np.where(index >= 0, depth, np.float32(-1.0))
 
     def rgb(self) -> Iterator[tuple[int, np.ndarray]]:
         """W3, some views at a time.
@@ -141,45 +138,60 @@ class Bench:
         Yields:
             First view; colour 0..1, float32 [view, row, column, 3], 0 where nothing is.
         """
-        for first, renderer in self._rendered():
-            yield first, renderer.rgb(self.scene).numpy()
+        for chunk, renderer in self._rendered():
+            yield chunk.start, renderer.rgb(self.scene).numpy()[: chunk.stop - chunk.start]
 
-    def _rendered(self) -> Iterator[tuple[int, Renderer]]:
-        for chunk in self._chunks(1):
-            renderer = self._render_with(chunk, 1)
-            views = _SilhouettePass(self, self.workload.pose[chunk], chunk).place()
-            renderer.render(self.scene, *views)
-            yield ROTATION_COUNT * int(chunk[0]), renderer
+    def peak_mib(self) -> float | None:
+        """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
+        if self.device.is_cuda:
+            return wp.get_mempool_used_mem_high(self.device) / 2**20
+        return peak_process_mib()
 
-    def _time_images(self, resolve: Callable[[Renderer], Any], repeat: int) -> Timing:
+    def _models(self) -> list[CameraModel]:
+        return self.workload.models(range(len(self.workload.pose)))
+
+    def _placed(self) -> tuple[wp.array, wp.array]:
+        """Centres and rotations of all views."""
+        workload = self.workload
+        pose = wp.array(workload.pose.astype(np.float32), dtype=wp.vec3, device=self.device)
+        height_m = wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device)
+        return place_cameras(pose, height_m)
+
+    def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Renderer]]:
+        """All views at one sample per pixel, some at a time."""
+        position_ego_m, camera_from_ego = (array.numpy() for array in self._placed())
+        device = self.device.alias
+        return render_in_chunks(
+            self.scene, self._models(), position_ego_m, camera_from_ego, renderer=renderer, device=device
+        )
+
+    def _time_images(self, resolve: Callable[[Renderer], object], repeat: int) -> Timing:
         compile_ms = self._load_kernels()
-        chunks = list(self._chunks(1))
-        views = [_SilhouettePass(self, self.workload.pose[chunk], chunk).place() for chunk in chunks]
+        began = time.perf_counter()
+        models = self._models()
+        at_once = min(chunk_view_count(models[0]), len(models))
+        renderer = Renderer(models[:at_once], device=self.device.alias)
+        views = self._placed()
+        images: list[object] = [None]  # what a recorded run writes into must not be freed
 
         def run() -> None:
-            for chunk, placed in zip(chunks, views, strict=True):
-                renderer = self._render_with(chunk, 1)
-                renderer.render(self.scene, *placed)
-                self._images = resolve(renderer)
+            if at_once == len(models):
+                renderer.render(self.scene, *views)
+                images[0] = resolve(renderer)
+                return
+            for _ in self._rendered(renderer):
+                images[0] = resolve(renderer)
 
-        return self._time(run, repeat, compile_ms, is_capturable=len(chunks) == 1)
+        return self._time(run, repeat, renderer, began, compile_ms, is_capturable=at_once == len(models))
 
-    def _chunks(self, supersampling: int) -> Iterator[np.ndarray]:
-        """Cameras that are rendered together."""
-        samples = ROTATION_COUNT * (self.workload.size_px * supersampling) ** 2
-        count = max(1, MAX_CHUNK_SAMPLES // samples)
-        for first in range(0, len(self.workload.pose), count):
-            yield np.arange(first, min(first + count, len(self.workload.pose)))
-
-    def _render_with(self, camera: np.ndarray, supersampling: int) -> Renderer:
-        """A renderer for these cameras' views; the last one is kept, and its buffers, while the lenses are the same."""
-        models = self.workload.models(camera.tolist())
-        wanted = (supersampling, *models)
-        if self._renderer is None or self._renderer_of != wanted:
-            self._renderer = None  # its buffers go before new ones come
-            self._renderer = Renderer(models, supersampling=supersampling, device=self.device.alias)
-            self._renderer_of = wanted
-        return self._renderer
+    def _cameras_at_once(self, supersampling: int) -> int:
+        """Cameras whose silhouettes are measured together; more are measured in turn."""
+        if self.workload.is_visible:
+            view_count = chunk_view_count(self._models()[0], supersampling=supersampling)
+        else:  # no keys: the silhouettes alone, which fill a small part of the images
+            samples = (self.workload.size_px * supersampling) ** 2
+            view_count = min(MAX_CHUNK_VIEWS, MAX_SILHOUETTE_SAMPLES // samples)
+        return max(1, view_count // ROTATION_COUNT)
 
     def _load_kernels(self) -> float:
         """Compile or load all kernels; returns the time that this took [ms]."""
@@ -189,8 +201,17 @@ class Bench:
             wp.load_module(module, device=self.device)
         return 1000.0 * (time.perf_counter() - began)
 
-    def _time(self, run: Callable[[], None], repeat: int, compile_ms: float, *, is_capturable: bool) -> Timing:
-        began = time.perf_counter()
+    def _time(
+        self,
+        run: Callable[[], None],
+        repeat: int,
+        renderer: Renderer,
+        began: float,
+        compile_ms: float,
+        *,
+        is_capturable: bool,
+    ) -> Timing:
+        """Run once, then ``repeat`` times with a clock; on a GPU as one recorded graph."""
         run()
         again = run
         if self.device.is_cuda and is_capturable:
@@ -207,67 +228,86 @@ class Bench:
             again()
             wp.synchronize_device(self.device)
             times_ms.append(1000.0 * (time.perf_counter() - began))
-        threads = self._renderer.thread_count if self._renderer is not None and self.device.is_cpu else 1
-        return Timing(times_ms, threads, setup_ms, compile_ms, self.peak_mib())
-
-    def peak_mib(self) -> float | None:
-        """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
-        if self.device.is_cuda:
-            return wp.get_mempool_used_mem_high(self.device) / 2**20
-        return peak_process_mib()
+        return Timing(times_ms, renderer.thread_count, setup_ms, compile_ms, self.peak_mib())
 
 
-class _SilhouettePass:
-    """W1 for some cameras: what stays on the device between runs, and the way from poses to a gradient."""
+class _Silhouettes:
+    """W1 for a fixed number of cameras: what stays on the device from run to run, from poses to a gradient."""
 
-    def __init__(self, bench: Bench, pose: np.ndarray, camera: np.ndarray) -> None:
-        """Poses [camera, 3] of cameras with the heights of the workload's cameras ``camera``."""
-        self._bench, self._device, workload = bench, bench.device, bench.workload
-        self._pose = wp.array(pose.astype(np.float32), dtype=wp.vec3, device=self._device)
-        self._pose.grad = self._gradient = wp.zeros_like(self._pose)
-        self._height_m = wp.array(workload.height_m[camera].astype(np.float32), dtype=float, device=self._device)
-        self._vehicle_weight = wp.array(workload.vehicle_weight.astype(np.float32), dtype=float, device=self._device)
-        self._ones = wp.full(ROTATION_COUNT * len(pose), 1.0, dtype=float, device=self._device)
+    def __init__(self, bench: Bench, camera_count: int, supersampling: int) -> None:
+        """Room for ``camera_count`` cameras, without poses yet."""
+        workload, device = bench.workload, bench.device
+        self._workload, self._scene, self._device = workload, bench.scene, device
+        self._camera_count = camera_count
+        self.renderer = Renderer(workload.models([0] * camera_count), supersampling=supersampling, device=device.alias)
+        self._pose = wp.zeros(camera_count, dtype=wp.vec3, device=device, requires_grad=True)
+        self._gradient = wp.zeros(camera_count, dtype=wp.vec3, device=device)
+        self._pose.grad = self._gradient
+        self._height_m = wp.zeros(camera_count, dtype=float, device=device)
+        self._measures: Measures | None = None
+        self._vehicle_weight = wp.array(workload.vehicle_weight.astype(np.float32), dtype=float, device=device)
+        self._ones = wp.full(ROTATION_COUNT * camera_count, 1.0, dtype=float, device=device)
+        self._loss = wp.zeros(ROTATION_COUNT * camera_count, dtype=float, device=device, requires_grad=True)
 
-    def place(self) -> tuple[wp.array, wp.array]:
-        """Centres and rotations of all views; recorded on the active tape."""
-        view_count = len(self._ones)
-        position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self._device, requires_grad=True)
-        camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self._device, requires_grad=True)
-        wp.launch(
-            benchmark.place_level_cameras_kernel,
-            dim=(len(self._pose), ROTATION_COUNT),
-            inputs=[self._pose, self._height_m],
-            outputs=[position_ego_m, camera_from_ego],
-            device=self._device,
-        )
-        return position_ego_m, camera_from_ego
+    def put(self, pose: np.ndarray, camera: np.ndarray) -> None:
+        """Set poses [camera, 3], and heights, lenses and near planes, those of the workload's cameras ``camera``.
 
-    def run(self, renderer: Renderer, weight: wp.array) -> wp.array:
-        """Loss of every view, float [view]; its gradient to the poses is left in `gradient`."""
-        scene, is_visible = self._bench.scene, self._bench.workload.is_visible
+        Where there is room for more, the last pose is repeated.
+        """
+        chosen = np.minimum(np.arange(self._camera_count), len(pose) - 1)
+        self._pose.assign(pose[chosen].astype(np.float32))
+        self._height_m.assign(self._workload.height_m[camera[chosen]].astype(np.float32))
+        self.renderer.set_lenses(self._workload.models(camera[chosen].tolist()))
+
+    def run(self, weight: wp.array) -> _Silhouettes:
+        """Loss and gradient for one weight image; `on_host` gets them."""
         self._gradient.zero_()
         tape = wp.Tape()
         with tape:
-            views = self.place()
-        renderer.render(scene, *views, layers_only=not is_visible)
-        measures = renderer.weighted_area(scene, weight, visible=is_visible)
+            views = place_cameras(self._pose, self._height_m)
+        self.renderer.render(self._scene, *views, layers_only=not self._workload.is_visible)
+        self._measures = self.renderer.weighted_area(
+            self._scene, weight, visible=self._workload.is_visible, into=self._measures
+        )
         with tape:
-            area = measures.on_tape(*views)
-            loss = wp.zeros(len(self._ones), dtype=float, device=self._device, requires_grad=True)
+            area = self._measures.on_tape(*views)
             wp.launch(
                 benchmark.sum_target_areas_kernel,
-                dim=len(self._ones),
+                dim=len(self._loss),
                 inputs=[area, self._vehicle_weight],
-                outputs=[loss],
+                outputs=[self._loss],
                 device=self._device,
             )
-        tape.backward(grads={loss: self._ones})
-        return loss
+        tape.backward(grads={self._loss: self._ones})
+        return self
 
-    def gradient(self) -> np.ndarray:
-        """Gradient of the last run to x, z [per m] and yaw [per rad], float64 [camera, 3]."""
-        return self._gradient.numpy().astype(np.float64)
+    def on_host(self, camera_count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Loss, float64 [camera], and gradient to x, z [per m] and yaw [per rad], float64 [camera, 3], of the first."""
+        loss = self._loss.numpy().astype(np.float64).reshape(-1, ROTATION_COUNT).sum(axis=1)
+        return loss[:camera_count], self._gradient.numpy()[:camera_count].astype(np.float64)
+
+
+def place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.array]:
+    """Views of cameras that stand level; recorded on the active tape.
+
+    Args:
+        pose: x, z [m], yaw [rad] of every camera in the workload's world, vec3 [camera].
+        height_m: Height of every camera, float [camera].
+
+    Returns:
+        Centres in the ego frame [m], vec3 [view], and rotations from ego to camera axes, mat33 [view].
+    """
+    view_count, device = ROTATION_COUNT * len(pose), pose.device
+    position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=device, requires_grad=True)
+    camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=device, requires_grad=True)
+    wp.launch(
+        benchmark.place_level_cameras_kernel,
+        dim=(len(pose), ROTATION_COUNT),
+        inputs=[pose, height_m],
+        outputs=[position_ego_m, camera_from_ego],
+        device=device,
+    )
+    return position_ego_m, camera_from_ego
 
 
 def object_type(object_count: int) -> np.dtype:
