@@ -1,0 +1,153 @@
+"""The ladder: W2 for more and more views of finer and finer scenes, each rung in a process of its own.
+
+``pytest -m slow -s tests/benchmarks/test_ladder.py`` prints the rungs; WARPAV_LADDER=FILE.json keeps them. The scenes
+are those of the outside ``workload.py`` where WARPAV_TEST_WORKLOADS names its folder, else the embedded scene, and the
+same with every triangle cut into four, once and twice.
+"""
+
+import importlib.util
+import itertools
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpav.bench.workload import embedded_workload
+
+VIEWS = (8, 16, 64, 256, 1024)
+FULL_CHUNK = 64  # views; memory is flat from here on
+COMMAND = "import sys; from warpav.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+def subdivided(vertex, rgb, triangle):
+    """Every triangle cut into four at the middles of its sides; the middles come last, without repeats."""
+    side = np.sort(triangle[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    side, of = np.unique(side, axis=0, return_inverse=True)
+    ab, bc, ca = (of.reshape(-1, 3) + len(vertex)).T
+    a, b, c = triangle.T
+    fine = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return np.r_[vertex, vertex[side].mean(axis=1)], np.r_[rgb, rgb[side].mean(axis=1)], fine
+
+
+def scaled(level):
+    """Arrays of the embedded scene with ``4 ** level`` times its triangles."""
+    workload = embedded_workload()
+    parts, first, face_first = [], 0, 0
+    for end, count in zip(workload.vertex_end, workload.triangle_count, strict=True):
+        part = (
+            workload.vertex_m[first:end],
+            workload.vertex_rgb[first:end],
+            workload.triangle[face_first : face_first + count] - first,
+        )
+        for _ in range(level):
+            part = subdivided(*part)
+        parts.append(part)
+        first, face_first = end, face_first + count
+    vertex_end = np.cumsum([len(vertex) for vertex, _, _ in parts])
+    triangle = [part[2] + at for part, at in zip(parts, np.r_[0, vertex_end[:-1]], strict=True)]
+    return {
+        "verts": np.concatenate([part[0] for part in parts]).astype(np.float32),
+        "colors": np.concatenate([part[1] for part in parts]).astype(np.float32),
+        "faces": np.concatenate(triangle).astype(np.int32),
+        "face_counts": np.array([len(part[2]) for part in parts]),
+        "vert_ends": vertex_end,
+        "n_targets": np.int64(workload.vehicle_count),
+        "target_w": workload.vehicle_weight,
+        "res": np.int64(workload.size_px),
+        "visible": np.int64(workload.is_visible),
+        "w_white": workload.weight["white"],
+        "w_smooth": workload.weight["smooth"],
+        "poses20": workload.scored_pose,
+        "seed": np.int64(workload.seed),
+        "format": np.int64(1),
+    }
+
+
+def cameras(view_count):
+    """Arrays of the embedded cameras and, where more are wanted, of random ones near them."""
+    workload = embedded_workload()
+    count = view_count // 4
+    more = np.random.default_rng([workload.seed, 1]).uniform([-0.8, -2.0, -np.pi], [0.8, 2.0, np.pi], (count, 3))
+    return {
+        "cams": np.concatenate([workload.pose, more])[:count],
+        "cam_y": np.full(count, workload.height_m[0]),
+        "fov_deg": np.full(count, workload.fov_deg[0]),
+        "near": np.full(count, workload.near_m[0]),
+    }
+
+
+def scenes():
+    """Scale, and a function from the number of views to the workload's arrays."""
+    folder = os.environ.get("WARPAV_TEST_WORKLOADS")
+    file = Path(folder or "") / "workload.py"
+    if folder and file.is_file():
+        spec = importlib.util.spec_from_file_location("outside_workload", file)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        for scale in (0.5, 1.0, 2.0, 4.0):
+            yield scale, lambda views, scale=scale: module.build(7, scale, views)
+        return
+    for level in (0, 1, 2):
+        scene = scaled(level)
+        yield 2.0**level, lambda views, scene=scene: scene | cameras(views)
+
+
+def climb(folder, arrays, device):
+    """One rung."""
+    np.savez(folder / "rung.npz", **arrays)
+    repeat = 3 if 4 * len(arrays["cams"]) <= FULL_CHUNK else 1
+    argv = ["bench", "--workload", "rung.npz", "--items", "w2", "--repeat", repeat, "--device", device, "--no-embree"]
+    subprocess.run(
+        [sys.executable, "-c", COMMAND, *map(str, argv), "--json", "rung.json"],
+        cwd=folder,
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    content = json.loads((folder / "rung.json").read_text())
+    (folder / "rung.w2.npz").unlink()
+    entry, work = content["items"]["w2"], content["workload"]
+    second = 1e-3 * entry["median_ms"]
+    return {
+        "faces": work["faces"],
+        "views": work["views"],
+        "median_ms": entry["median_ms"],
+        "min_ms": entry["min_ms"],
+        "views_per_s": work["views"] / second,
+        "face_views_per_s": work["faces"] * work["views"] / second,
+        "peak_mib": entry.get("peak_rss_mib", entry.get("peak_device_mib")),
+        "device": content["device"],
+    }
+
+
+@pytest.mark.slow
+def test_time_grows_with_the_work_and_memory_does_not_grow_with_views(tmp_path, device):
+    rungs = []
+    for scale, build in scenes():
+        for views in VIEWS:
+            rung = {"scale": scale, **climb(tmp_path, build(views), device)}
+            rungs.append(rung)
+            sys.stdout.write(
+                f"scale {scale:g}: {rung['faces']} faces, {views} views: {rung['median_ms']:.1f} ms, "
+                f"{rung['views_per_s']:.0f} views/s, {rung['face_views_per_s']:.3g} faces x views/s, "
+                f"{rung['peak_mib']:.0f} MiB\n"
+            )
+    if "WARPAV_LADDER" in os.environ:
+        Path(os.environ["WARPAV_LADDER"]).write_text(json.dumps(rungs, indent=1))
+    for scale in {rung["scale"] for rung in rungs}:
+        row = {rung["views"]: rung for rung in rungs if rung["scale"] == scale}
+        # memory stays what a full chunk takes
+        assert row[VIEWS[-1]]["peak_mib"] < row[FULL_CHUNK]["peak_mib"] + 20
+        # four times the views take four times as long; half as much again leaves room for a busy machine
+        per_view = [row[views]["min_ms"] / views for views in VIEWS[1:]]
+        assert max(per_view) < 1.5 * min(per_view)
+    for views in VIEWS[1:]:
+        column = sorted((rung["faces"], rung["min_ms"]) for rung in rungs if rung["views"] == views)
+        # between two scenes, time grows at most as much as the number of triangles
+        for (few, short), (many, long) in itertools.pairwise(column):
+            assert long < 1.2 * short * many / few
