@@ -4,6 +4,10 @@ import warp as wp
 
 from warpav_kernels.mount_pose import X_M, Y_M
 
+# the losses, in the order of their array
+OUT_OF_BOUNDS = wp.constant(0)
+CAMERA_SPACING = wp.constant(1)
+
 
 @wp.func
 def bound_violation(excess_m: float) -> float:
@@ -23,19 +27,21 @@ def out_of_bounds_loss_kernel(
     # out
     loss: wp.array[float],
 ):
-    """Add every camera's penalty for leaving the mount surface's bounding rectangle.
+    """Sum of all cameras' penalties for leaving the mount surface's bounding rectangle.
 
     Equation: 6 (as printed)
 
-    Launch: ``dim=camera_count``; one thread per camera.
-    Writes: ``loss[0]`` by atomic add; the caller zeroes it.
+    Launch: ``dim=1``; cameras are few, and one thread sums them in a fixed order.
+    Writes: ``loss[OUT_OF_BOUNDS]`` once.
     """
-    camera = wp.tid()
-    x_m = mount_pose[camera, X_M]
-    y_m = mount_pose[camera, Y_M]
-    along_x = bound_violation(low_m[0] - x_m) + bound_violation(x_m - high_m[0])
-    along_y = bound_violation(low_m[1] - y_m) + bound_violation(y_m - high_m[1])
-    wp.atomic_add(loss, 0, along_x + along_y)  # Eq. 6
+    total = float(0.0)
+    for camera in range(mount_pose.shape[0]):
+        x_m = mount_pose[camera, X_M]
+        y_m = mount_pose[camera, Y_M]
+        along_x = bound_violation(low_m[0] - x_m) + bound_violation(x_m - high_m[0])
+        along_y = bound_violation(low_m[1] - y_m) + bound_violation(y_m - high_m[1])
+        total += along_x + along_y
+    loss[OUT_OF_BOUNDS] = total  # Eq. 6
 
 
 @wp.func
@@ -56,19 +62,22 @@ def camera_spacing_loss_kernel(
     # out
     loss: wp.array[float],
 ):
-    """Add every camera pair's share of the spacing loss.
+    """Mean over all pairs of cameras of the spacing violation.
 
     Equation: 7, 9 (as printed)
 
-    Launch: ``dim=(camera_count, camera_count)``; thread (i, j) with j <= i does nothing. Camera i stands where view
+    Launch: ``dim=1``; cameras are few, and one thread sums them in a fixed order. Camera i stands where view
     ``i * view_stride`` does.
-    Writes: ``loss[1]`` by atomic add; the caller zeroes it.
+    Writes: ``loss[CAMERA_SPACING]`` once.
     """
-    i, j = wp.tid()
-    if j <= i:
-        return
     camera_count = position_ego_m.shape[0] / view_stride
     pair_count = 0.5 * float(camera_count * (camera_count - 1))
-    between_m = position_ego_m[i * view_stride] - position_ego_m[j * view_stride]
-    distance_m = wp.length(between_m)  # Eq. 7
-    wp.atomic_add(loss, 1, spacing_violation(distance_m, min_spacing_m) / pair_count)  # Eq. 9
+    total = float(0.0)
+    for pair in range(camera_count * camera_count):
+        i = pair / camera_count
+        j = pair % camera_count
+        if j > i:
+            between_m = position_ego_m[i * view_stride] - position_ego_m[j * view_stride]
+            distance_m = wp.length(between_m)  # Eq. 7
+            total += spacing_violation(distance_m, min_spacing_m) / pair_count
+    loss[CAMERA_SPACING] = total  # Eq. 9

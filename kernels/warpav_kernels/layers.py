@@ -76,6 +76,7 @@ def place_layers_kernel(
     layer_rectangle: wp.array2d[wp.vec4i],
     layer_offset: wp.array2d[wp.int32],
     sample_count: wp.array[wp.int64],
+    needed_samples: wp.array[wp.int64],
 ):
     """Rectangle of samples that surely holds each layer's image, one sample wider than needed on every side.
 
@@ -83,8 +84,9 @@ def place_layers_kernel(
     their places in the atlas in any order; one that goes beyond its capacity is shut.
 
     Launch: ``dim=(view_count, layer_count)``; one thread per pair. Not taped.
-    Writes: every element of ``layer_rectangle`` and ``layer_offset`` once, and the length that the atlas should have to
-        ``sample_count[0]`` by atomic add; the caller zeroes it.
+    Writes: every element of ``layer_rectangle`` and ``layer_offset`` once; the samples of this render to
+        ``sample_count[0]`` by atomic add, the caller zeroes it; the most samples of any render so far to
+        ``needed_samples[0]`` by atomic maximum.
     """
     v, layer = wp.tid()
     camera = view[v]
@@ -125,6 +127,7 @@ def place_layers_kernel(
     if right > left and bottom > top:
         size = wp.int64(right - left) * wp.int64(bottom - top)
         offset = wp.atomic_add(sample_count, 0, size)
+        wp.atomic_max(needed_samples, 0, offset + size)
         if offset + size <= capacity:
             layer_rectangle[v, layer] = wp.vec4i(left, top, right - left, bottom - top)
             layer_offset[v, layer] = wp.int32(offset)

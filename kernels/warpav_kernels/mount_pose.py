@@ -63,15 +63,19 @@ def place_on_surface_kernel(
 
     Equation: 3 (as printed)
 
-    Launch: ``dim=(camera_count, rotation_count)``; view = camera * rotation_count + rotation.
+    Launch: ``dim=camera_count``; one thread per camera, so that its pose's gradient is summed in a fixed order; its
+    views are camera * rotation_count + rotation.
     Writes: every element of ``position_ego_m`` and ``camera_from_ego`` once.
     """
-    camera, rotation = wp.tid()
-    v = camera * rotation_count + rotation
+    camera = wp.tid()
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
     z_m = mount_height_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m
-    position_ego_m[v] = wp.vec3(x_m, y_m, z_m)
-    # Eq. 3: theta_a = a F_closest
-    yaw_rad = mount_pose[camera, YAW_RAD] + float(rotation) * rotation_step_rad
-    camera_from_ego[v] = camera_from_ego_rotation(yaw_rad, mount_pose[camera, PITCH_RAD], mount_pose[camera, ROLL_RAD])
+    for rotation in range(rotation_count):
+        v = camera * rotation_count + rotation
+        position_ego_m[v] = wp.vec3(x_m, y_m, z_m)
+        # Eq. 3: theta_a = a F_closest
+        yaw_rad = mount_pose[camera, YAW_RAD] + float(rotation) * rotation_step_rad
+        camera_from_ego[v] = camera_from_ego_rotation(
+            yaw_rad, mount_pose[camera, PITCH_RAD], mount_pose[camera, ROLL_RAD]
+        )

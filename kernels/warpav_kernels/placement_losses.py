@@ -9,6 +9,10 @@ import warp as wp
 from warpav_kernels.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav_kernels.mount_pose import YAW_RAD
 
+# the losses, in the order of their arrays
+IN_FRAME_ROTATION = wp.constant(0)
+DETECTED_AREA = wp.constant(1)
+
 # what is known of a vehicle's bearing
 NEVER_SEEN = wp.constant(0)
 SEEN_OUT_OF_FRAME = wp.constant(1)
@@ -114,34 +118,34 @@ def in_frame_rotation_loss_kernel(
     bearing_rad: wp.array[wp.vec2],
     sight: wp.array[wp.int32],
     epsilon: float,
-    weight: float,
     # out
-    loss: wp.array[float],
+    vehicle_loss: wp.array2d[float],
 ):
-    """Add every assigned vehicle's share of the in-frame rotation loss: how far its camera must turn to see it.
+    """In-frame rotation loss of every assigned vehicle: how far its camera must turn to see it.
 
     A vehicle that the camera sees in no direction counts 1, the largest loss, and gives no gradient (the thesis leaves
     that case open). Gradients flow to the cameras' yaw only, because the bearings are held fixed.
 
     Equation: 12, 13 (as printed)
 
-    Launch: ``dim=vehicle_count``; one thread per vehicle; ``weight`` is 1 over the number of assigned vehicles.
-    Writes: ``loss[0]`` by atomic add; the caller zeroes it.
+    Launch: ``dim=camera_count``; one thread per camera, so that a yaw's gradient is summed in a fixed order.
+    Writes: ``vehicle_loss[IN_FRAME_ROTATION, vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
-    vehicle = wp.tid()
-    camera = assigned_camera[vehicle]
-    if camera < 0:
-        return
-    if sight[vehicle] == NEVER_SEEN:
-        wp.atomic_add(loss, 0, weight)
-        return
-    yaw_rad = mount_pose[camera, YAW_RAD]
-    ends_rad = bearing_rad[vehicle]
-    turn_rad = wp.min(circular_distance_rad(ends_rad[0], yaw_rad), circular_distance_rad(ends_rad[1], yaw_rad))
-    scale = float(1.0)
-    if sight[vehicle] == IN_FRAME:
-        scale = epsilon  # Eq. 12
-    wp.atomic_add(loss, 0, weight * scale * turn_rad / wp.pi)  # Eq. 13
+    camera = wp.tid()
+    for vehicle in range(assigned_camera.shape[0]):
+        if assigned_camera[vehicle] == camera:
+            if sight[vehicle] == NEVER_SEEN:
+                vehicle_loss[IN_FRAME_ROTATION, vehicle] = 1.0
+            else:
+                yaw_rad = mount_pose[camera, YAW_RAD]
+                ends_rad = bearing_rad[vehicle]
+                turn_rad = wp.min(
+                    circular_distance_rad(ends_rad[0], yaw_rad), circular_distance_rad(ends_rad[1], yaw_rad)
+                )
+                if sight[vehicle] == IN_FRAME:
+                    vehicle_loss[IN_FRAME_ROTATION, vehicle] = epsilon * turn_rad / wp.pi  # Eq. 12, 13
+                else:
+                    vehicle_loss[IN_FRAME_ROTATION, vehicle] = turn_rad / wp.pi  # Eq. 13
 
 
 @wp.func
@@ -191,11 +195,10 @@ def detected_area_loss_kernel(
     rotation_count: int,
     min_visibility: float,
     epsilon: float,
-    weight: float,
     # out
-    loss: wp.array[float],
+    vehicle_loss: wp.array2d[float],
 ):
-    """Add every assigned vehicle's share of the detected-area loss.
+    """Detected-area loss of every assigned vehicle.
 
     The visibility is the silhouette inside the matched detection's box where the camera really looks, over
     ``area_around``; with the non-occluded silhouette in all directions that is what Eq. 14 reduces to. BOX_AREA is 0
@@ -205,8 +208,8 @@ def detected_area_loss_kernel(
     Equation: 14 (same value: sum - (sum - S_dm) is S_dm)
     Equation: 15, 16 (as printed)
 
-    Launch: ``dim=vehicle_count``; one thread per vehicle; ``weight`` is 1 over the number of assigned vehicles.
-    Writes: ``loss[1]`` by atomic add; the caller zeroes it.
+    Launch: ``dim=vehicle_count``; one thread per vehicle.
+    Writes: ``vehicle_loss[DETECTED_AREA, vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
     vehicle = wp.tid()
     camera = assigned_camera[vehicle]
@@ -214,9 +217,31 @@ def detected_area_loss_kernel(
         return
     around = area_around[vehicle]
     if around < 0.5:
-        wp.atomic_add(loss, 1, weight)
+        vehicle_loss[DETECTED_AREA, vehicle] = 1.0
         return
     ahead = camera * rotation_count
     detected = soft_masked_area(measure[ahead, vehicle, BOX_AREA], measure[ahead, vehicle, VISIBLE_AREA], epsilon)
     visibility = detected / around  # Eq. 14
-    wp.atomic_add(loss, 1, weight * wp.max(min_visibility - visibility, 0.0) / min_visibility)  # Eq. 15, 16
+    vehicle_loss[DETECTED_AREA, vehicle] = wp.max(min_visibility - visibility, 0.0) / min_visibility  # Eq. 15, 16
+
+
+@wp.kernel
+def mean_vehicle_loss_kernel(
+    # in
+    vehicle_loss: wp.array2d[float],
+    assigned_count: int,
+    # out
+    loss: wp.array[float],
+):
+    """Mean of every loss over the assigned vehicles, summed in a fixed order.
+
+    Equation: 13, 16 (as printed)
+
+    Launch: ``dim=number of losses``; one thread per loss; vehicles that are not assigned hold 0.
+    Writes: every element of ``loss`` once.
+    """
+    i = wp.tid()
+    total = float(0.0)
+    for vehicle in range(vehicle_loss.shape[1]):
+        total += vehicle_loss[i, vehicle] / float(assigned_count)
+    loss[i] = total

@@ -12,7 +12,7 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.oracle import thesis
 from warpav.objective.constraints import constraint_losses_of
-from warpav.objective.losses import LossSettings, Reference, add_placement_losses, lagrangian_of
+from warpav.objective.losses import LossSettings, Reference, lagrangian_of, placement_losses_of
 from warpav.objective.mount import CameraMount
 from warpav.render.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.rig.camera import CameraModel
@@ -122,7 +122,6 @@ def placement_losses(
     tape = wp.Tape()
     with tape:
         views = mount.place(array)
-        loss = wp.zeros(2, dtype=float, device=device, requires_grad=True)
     zero = np.zeros((*value.shape, 3), np.float32)
     measures = Measures(
         wp.array(value.astype(np.float32), dtype=float, device=device),
@@ -133,14 +132,12 @@ def placement_losses(
         wp.clone(views.camera_from_ego, requires_grad=False),
     )
     with tape:
-        add_placement_losses(
-            loss,
-            mount=mount,
-            views=views,
-            rendered=measures,
-            assigned_camera=wp.array(assigned, dtype=wp.int32, device=device),
+        loss = placement_losses_of(
+            mount,
+            views,
+            measures,
+            wp.array(assigned, dtype=wp.int32, device=device),
             assigned_count=int((assigned >= 0).sum()),
-            scene_weight=1.0,
             settings=LossSettings(**settings),
         )
     tape.backward(grads={loss: wp.array(np.array(weight, np.float32), dtype=float, device=device)})

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.ground_truth import largest_component_box
@@ -53,6 +54,7 @@ def observe(
     scene: DeviceScene,
     detector: Detector,
     *,
+    image: wp.array | None = None,
     ahead_view: Sequence[int],
     confidence_min: float,
     iou_min: float,
@@ -64,6 +66,7 @@ def observe(
         renderer: Has rendered ``scene``.
         scene: The scene.
         detector: Finds vehicles.
+        image: What the renderer shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
         ahead_view: The view of each camera in which it looks straight ahead.
         confidence_min: Least confidence of a match.
         iou_min: Least intersection over union of a match.
@@ -72,7 +75,9 @@ def observe(
     Returns:
         The observation; nothing here carries a gradient.
     """
-    image_rgb = (renderer.rgb(scene, ahead_view).numpy() * 255.0 + 0.5).astype(np.uint8)
+    if image is None:
+        image = renderer.rgb(scene, ahead_view)
+    image_rgb = (image.numpy() * 255.0 + 0.5).astype(np.uint8)
     detections = detector.detect(image_rgb)
     masks = renderer.visible_masks(scene, ahead_view)
     samples = renderer.supersampling

@@ -36,19 +36,18 @@ def constraint_losses_of(
         float [2] in the order of `CONSTRAINTS`; gradients flow to the mount pose.
     """
     device = views.mount_pose.device
-    camera_count = views.mount_pose.shape[0]
     loss = wp.zeros(len(CONSTRAINTS), dtype=float, device=device, requires_grad=True)
     low_m, high_m = surface.bounds_m
     wp.launch(
         constraint_losses.out_of_bounds_loss_kernel,
-        dim=camera_count,
+        dim=1,
         inputs=[views.mount_pose, wp.vec2(*low_m), wp.vec2(*high_m)],
         outputs=[loss],
         device=device,
     )
     wp.launch(
         constraint_losses.camera_spacing_loss_kernel,
-        dim=(camera_count, camera_count),
+        dim=1,
         inputs=[views.position_ego_m, rotation_count, min_spacing_m],
         outputs=[loss],
         device=device,

@@ -60,34 +60,34 @@ class LossSettings:
         return sum(scale > 0.0 for scale in self.objective_scale)
 
 
-def add_placement_losses(
-    loss: wp.array,
-    *,
+def placement_losses_of(
     mount: CameraMount,
     views: PlacedViews,
     rendered: Measures,
     assigned_camera: wp.array,
+    *,
     assigned_count: int,
-    scene_weight: float,
     settings: LossSettings,
-) -> None:
-    """Add one scene's in-frame rotation and detected-area loss to ``loss``, recorded on the active tape.
+) -> wp.array:
+    """One scene's in-frame rotation and detected-area loss, recorded on the active tape.
 
     Args:
-        loss: Sums in the order of `OBJECTIVES`, float [2].
         mount: Knows the rotational additions and the lens.
         views: Placed views; gradients flow to their poses and yaw.
         rendered: Measures of the scene in these views.
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
-        assigned_count: Number of vehicles that have a camera; a scene without any adds nothing.
-        scene_weight: Weight of the scene in the batch.
+        assigned_count: Number of vehicles that have a camera; a scene without any costs nothing.
         settings: Parameters of the losses.
+
+    Returns:
+        float [2] in the order of `OBJECTIVES`.
     """
+    device = rendered.value.device
+    loss = wp.zeros(len(OBJECTIVES), dtype=float, device=device, requires_grad=True)
     if assigned_count == 0:
-        return
-    device = loss.device
+        return loss
     vehicle_count = assigned_camera.shape[0]
-    weight = scene_weight / assigned_count
+    vehicle_loss = wp.zeros((len(OBJECTIVES), vehicle_count), dtype=float, device=device, requires_grad=True)
     bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
     sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
     wp.launch(
@@ -108,9 +108,9 @@ def add_placement_losses(
     )
     wp.launch(
         placement_losses.in_frame_rotation_loss_kernel,
-        dim=vehicle_count,
-        inputs=[views.mount_pose, assigned_camera, bearing_rad, sight, settings.epsilon, weight],
-        outputs=[loss],
+        dim=views.mount_pose.shape[0],
+        inputs=[views.mount_pose, assigned_camera, bearing_rad, sight, settings.epsilon],
+        outputs=[vehicle_loss],
         device=device,
     )
     measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego)
@@ -132,11 +132,18 @@ def add_placement_losses(
             mount.rotation_count,
             settings.min_detected_area,
             settings.epsilon,
-            weight,
         ],
+        outputs=[vehicle_loss],
+        device=device,
+    )
+    wp.launch(
+        placement_losses.mean_vehicle_loss_kernel,
+        dim=len(OBJECTIVES),
+        inputs=[vehicle_loss, assigned_count],
         outputs=[loss],
         device=device,
     )
+    return loss
 
 
 def lagrangian_of(

@@ -61,7 +61,7 @@ class CameraMount:
         camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
         wp.launch(
             kernels.place_on_surface_kernel,
-            dim=(camera_count, self.rotation_count),
+            dim=camera_count,
             inputs=[
                 mount_pose,
                 self._height_m,

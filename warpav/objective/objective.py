@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
@@ -12,24 +13,11 @@ import warp as wp
 from warpav.detection.detector import Detector
 from warpav.detection.observe import Observation, observe
 from warpav.objective.constraints import CONSTRAINTS, constraint_losses_of
-from warpav.objective.losses import OBJECTIVES, LossSettings, add_placement_losses, lagrangian_of
-from warpav.objective.mount import CameraMount, PlacedViews, views_of_rig
-from warpav.render.device_scene import DeviceScene
+from warpav.objective.losses import OBJECTIVES, LossSettings, lagrangian_of, placement_losses_of
+from warpav.objective.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
+from warpav.objective.scene_step import AssignedScene, SceneStep
 from warpav.render.renderer import Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
-
-
-@dataclass(frozen=True)
-class AssignedScene:
-    """A scene and the camera that answers for each of its vehicles.
-
-    Attributes:
-        scene: The scene on the device.
-        assigned_camera: Index of the camera of every vehicle, -1 for none, int32 [vehicle].
-    """
-
-    scene: DeviceScene
-    assigned_camera: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -96,6 +84,9 @@ class ThesisObjective:
             occlusion=occlusion,
             device=mount.device,
         )
+        self._pose = wp.zeros((camera_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device, requires_grad=True)
+        self._seed = wp.zeros(len(OBJECTIVES), dtype=float, device=mount.device)
+        self._steps: WeakKeyDictionary[AssignedScene, SceneStep] = WeakKeyDictionary()
 
     def evaluate(
         self,
@@ -115,22 +106,28 @@ class ThesisObjective:
         """
         started = time.perf_counter()
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
-        pose = wp.array(np.asarray(mount_pose, np.float32), dtype=float, device=self.device, requires_grad=True)
+        self._pose.assign(np.asarray(mount_pose, np.float32))
+        # the mean over scenes is linear, so every scene can send its share of the gradient back at once
+        self._seed.assign(np.array(self.settings.objective_scale, np.float32) / len(scenes))
+        steps = [self._step_of(assigned) for assigned in scenes]
+        while True:
+            assert self._pose.grad is not None
+            self._pose.grad.zero_()
+            losses = [self._run(step, seconds, gradient=gradient) for step in steps]
+            objectives = np.array([loss.numpy() for loss in losses], np.float64).mean(axis=0)
+            if not self._renderer.grew():
+                break
+
         multiplier_array = wp.array(
             np.zeros(len(CONSTRAINTS), np.float32) if multiplier is None else multiplier,
             dtype=float,
             device=self.device,
             requires_grad=True,
         )
+        objective_loss = wp.array(objectives.astype(np.float32), dtype=float, device=self.device)
         tape = wp.Tape()
         with tape:
-            views = self.mount.place(pose)
-            objective_loss = wp.zeros(len(OBJECTIVES), dtype=float, device=self.device, requires_grad=True)
-        for assigned in scenes:
-            _, measures = self._observe(assigned.scene, views, seconds)
-            with tape:
-                self._add_scene(objective_loss, views, assigned, measures, 1.0 / len(scenes))
-        with tape:
+            views = self.mount.place(self._pose)
             constraint_loss = constraint_losses_of(
                 views,
                 self.mount.surface,
@@ -142,13 +139,11 @@ class ThesisObjective:
         if gradient:
             backward_started = time.perf_counter()
             tape.backward(total)
-            wp.synchronize_device(self.device)
-            assert pose.grad is not None
             assert multiplier_array.grad is not None
-            pose_gradient, multiplier_gradient = pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
-            seconds["backward"] = time.perf_counter() - backward_started
+            pose_gradient, multiplier_gradient = self._pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
+            seconds["backward"] += time.perf_counter() - backward_started
+        constraints = constraint_loss.numpy()
         seconds["total"] = time.perf_counter() - started
-        objectives, constraints = objective_loss.numpy(), constraint_loss.numpy()
         return Evaluation(
             total=float(total.numpy()[0]),
             objective=float(np.dot(objectives, self.settings.objective_scale)),
@@ -160,6 +155,42 @@ class ThesisObjective:
             multiplier_gradient=multiplier_gradient,
             seconds=seconds,
         )
+
+    def _step_of(self, assigned: AssignedScene) -> SceneStep:
+        """The step of a scene, with what it has recorded."""
+        if assigned not in self._steps:
+            self._steps[assigned] = SceneStep(
+                self.mount,
+                self._renderer,
+                assigned,
+                pose=self._pose,
+                seed=self._seed,
+                ahead_view=self.ahead_view,
+                settings=self.settings,
+            )
+        return self._steps[assigned]
+
+    def _run(self, step: SceneStep, seconds: dict[str, float], *, gradient: bool) -> wp.array:
+        """Decide, detect, measure, differentiate; adds the wall time to ``seconds`` and gives the scene's losses."""
+        start = time.perf_counter()
+        step.look()
+        looked = time.perf_counter()
+        observation = observe(
+            self._renderer,
+            step.scene,
+            self.detector,
+            image=step.image,
+            ahead_view=self.ahead_view,
+            confidence_min=self.confidence_min,
+            iou_min=self.iou_min,
+        )
+        step.set_boxes(observation.matched_box_px())
+        detected = time.perf_counter()
+        loss = step.learn() if gradient else step.judge()
+        seconds["render"] += looked - start
+        seconds["detect"] += detected - looked
+        seconds["backward"] += time.perf_counter() - detected
+        return loss
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.
@@ -173,18 +204,8 @@ class ThesisObjective:
             rotation_step_rad=self.mount.rotation_step_rad,
             device=self.device,
         )
-        observation, measures = self._observe(assigned.scene, views, {})
-        loss = wp.zeros(len(OBJECTIVES), dtype=float, device=self.device)
-        self._add_scene(loss, views, assigned, measures, 1.0)
-        return observation, measures, float(np.dot(loss.numpy(), self.settings.objective_scale))
-
-    def _observe(
-        self, scene: DeviceScene, views: PlacedViews, seconds: dict[str, float]
-    ) -> tuple[Observation, Measures]:
-        """Decide, detect, measure; adds the wall time to ``seconds``."""
-        start = time.perf_counter()
+        scene = assigned.scene
         self._renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-        rendered = time.perf_counter()
         observation = observe(
             self._renderer,
             scene,
@@ -193,25 +214,15 @@ class ThesisObjective:
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )
-        detected = time.perf_counter()
         box_px = np.zeros((self._renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[self.ahead_view] = observation.matched_box_px()
         measures = self._renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
-        measured = time.perf_counter()
-        seconds["render"] = seconds.get("render", 0.0) + (rendered - start) + (measured - detected)
-        seconds["detect"] = seconds.get("detect", 0.0) + (detected - rendered)
-        return observation, measures
-
-    def _add_scene(
-        self, loss: wp.array, views: PlacedViews, assigned: AssignedScene, measures: Measures, weight: float
-    ) -> None:
-        add_placement_losses(
-            loss,
-            mount=self.mount,
-            views=views,
-            rendered=measures,
-            assigned_camera=wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
+        loss = placement_losses_of(
+            self.mount,
+            views,
+            measures,
+            wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
             assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
-            scene_weight=weight,
             settings=self.settings,
         )
+        return observation, measures, float(np.dot(loss.numpy(), self.settings.objective_scale))

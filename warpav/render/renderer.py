@@ -153,10 +153,12 @@ class Renderer:
         self._camera_from_ego = self._zeros(self.view_count, wp.mat33)
         self._key = self._zeros((0, 0, 0), wp.int64)
         self._sample_count = self._zeros(1, wp.int64)
+        self._needed_samples = self._zeros(1, wp.int64)
+        self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
         self._has_key = False
-        self._buffers: dict[str, wp.array] = {}
+        self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
         self._layers = layers.Layers()
         self._hiding = outline.Hiding()
@@ -189,10 +191,11 @@ class Renderer:
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
 
     def _kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
-        """A buffer for one purpose, kept from call to call as long as its shape stays; its contents are old."""
-        if name not in self._buffers or self._buffers[name].shape != shape:
-            self._buffers[name] = self._zeros(shape, dtype)
-        return self._buffers[name]
+        """A buffer for one purpose and shape, the same from call to call; its contents are old."""
+        key = (name, shape)
+        if key not in self._buffers:
+            self._buffers[key] = self._zeros(shape, dtype)
+        return self._buffers[key]
 
     def _reserve_samples(self, sample_count: int) -> None:
         """Atlas with room for a number of samples, and a quarter more."""
@@ -202,6 +205,7 @@ class Renderer:
         self._hiding.bits = self._zeros(room, wp.int32)
         self._hiding.source = self._zeros(room, wp.int32)
         self._capacity = room
+        self.generation += 1
 
     def _over_views(self, count: int, launch: Callable[[int, int], object]) -> None:
         """Call ``launch(first, count)`` for chunks of views: all at once on a GPU, spread over threads on the CPU.
@@ -282,29 +286,39 @@ class Renderer:
     def _place_layers(self, scene: DeviceScene, layer_count: int) -> None:
         """Rectangles and places of the first layers; the atlas grows where it is too small."""
         shape = (self.view_count, layer_count)
-        if self._layers.rectangle is None or self._layers.rectangle.shape != shape:
-            self._layers.rectangle = self._zeros(shape, wp.vec4i)
-            self._layers.offset = self._zeros(shape, wp.int32)
+        self._layers.rectangle = self._kept("rectangle", shape, wp.vec4i)
+        self._layers.offset = self._kept("offset", shape, wp.int32)
         for _ in range(2):
             self._sample_count.zero_()
             self._launch(
                 layers.place_layers_kernel,
                 shape,
                 inputs=[self._view, scene.layer_bounds_ego_m, self._width, self._height, self._capacity],
-                outputs=[self._layers.rectangle, self._layers.offset, self._sample_count],
+                outputs=[self._layers.rectangle, self._layers.offset, self._sample_count, self._needed_samples],
             )
-            if self.device.is_capturing:
+            # a recording cannot be asked; see `grew`
+            if self.device.is_capturing or not self.grew():
                 return
-            sample_count = int(self._sample_count.numpy()[0])
-            if sample_count <= self._capacity:
-                return
-            if sample_count > MAX_ATLAS_SAMPLES // 2:
-                raise ValueError(
-                    f"the silhouettes of {scene.vehicle_count} vehicles in {self.view_count} views of {self._width} x "
-                    f"{self._height} samples need {sample_count} samples, more than {MAX_ATLAS_SAMPLES // 2}; render "
-                    "fewer views"
-                )
-            self._reserve_samples(sample_count)
+
+    def grew(self) -> bool:
+        """Whether a render since the last call needed more samples than there was room for, and had to leave some out.
+
+        If so, there is room now, and the render has to be done again. Only recorded launches need this question; it
+        waits for the device.
+
+        Raises:
+            ValueError: The silhouettes together do not fit into one buffer.
+        """
+        needed = int(self._needed_samples.numpy()[0])
+        if needed <= self._capacity:
+            return False
+        if needed > MAX_ATLAS_SAMPLES // 2:
+            raise ValueError(
+                f"the silhouettes in {self.view_count} views of {self._width} x {self._height} samples need {needed} "
+                f"samples, more than {MAX_ATLAS_SAMPLES // 2}; render fewer views"
+            )
+        self._reserve_samples(needed)
+        return True
 
     def _hide(self, scene: DeviceScene) -> None:
         hiding = [self._hiding.bits, self._hiding.source]

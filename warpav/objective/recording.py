@@ -1,0 +1,45 @@
+"""Launches that are recorded once as a CUDA graph and replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import warp as wp
+
+from warpav.render.renderer import Renderer
+
+
+class Recording:
+    """A function that only launches kernels on fixed arrays; on a GPU its second call is recorded, later ones replay.
+
+    The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
+    moved its buffers, this starts again.
+    """
+
+    def __init__(self, function: Callable[[], None], renderer: Renderer, *, enabled: bool | None = None) -> None:
+        """Record ``function``, which may use ``renderer``.
+
+        Args:
+            function: Launches kernels; neither reads arrays on the host nor depends on numbers that change.
+            renderer: Its buffers' addresses are part of a recording.
+            enabled: Whether to record; None: on a GPU. A recording on the CPU needs a renderer of one thread.
+        """
+        self._function = function
+        self._renderer = renderer
+        self._enabled = renderer.device.is_cuda if enabled is None else enabled
+        self._graph: wp.Graph | None = None
+        self._generation = -1
+
+    def __call__(self) -> None:
+        """Run the function."""
+        if not self._enabled or self._generation != self._renderer.generation:
+            self._graph = None
+            self._function()
+            self._generation = self._renderer.generation
+            return
+        if self._graph is None:
+            with wp.ScopedCapture(device=self._renderer.device) as capture:
+                self._function()
+            self._graph = capture.graph
+        assert self._graph is not None
+        wp.capture_launch(self._graph)

@@ -1,0 +1,122 @@
+"""One scene's share of an optimisation step, as launches on fixed arrays that a GPU records and replays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpav.objective.losses import LossSettings, placement_losses_of
+from warpav.objective.mount import CameraMount
+from warpav.objective.recording import Recording
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Renderer
+
+
+@dataclass(frozen=True, eq=False)
+class AssignedScene:
+    """A scene and the camera that answers for each of its vehicles; equal only to itself.
+
+    Attributes:
+        scene: The scene on the device.
+        assigned_camera: Index of the camera of every vehicle, -1 for none, int32 [vehicle].
+    """
+
+    scene: DeviceScene
+    assigned_camera: np.ndarray
+
+
+class SceneStep:
+    """Looks at a scene from the present poses, then learns from what was detected there.
+
+    `look` decides what every view sees and draws what the cameras see ahead. The caller may run a detector on ``image``
+    and hand its boxes over with `set_boxes`. `learn` measures, adds up the losses, and adds the gradient of their
+    weighted sum to the poses' gradient. Nothing in between waits for the device.
+
+    Attributes:
+        scene: The scene.
+        image: What the cameras see ahead after `look`, 0..1, vec3 [camera, row, column].
+    """
+
+    def __init__(
+        self,
+        mount: CameraMount,
+        renderer: Renderer,
+        assigned: AssignedScene,
+        *,
+        pose: wp.array,
+        seed: wp.array,
+        ahead_view: Sequence[int],
+        settings: LossSettings,
+        recorded: bool | None = None,
+    ) -> None:
+        """Prepare the step.
+
+        Args:
+            mount: Places the cameras.
+            renderer: Renders all views; shared by the steps of all scenes.
+            assigned: The scene.
+            pose: Mount poses, float [camera, 5], with a gradient, to which `learn` adds.
+            seed: Weight of each loss in that gradient, float [loss].
+            ahead_view: The view of each camera in which it looks straight ahead.
+            settings: Parameters of the losses.
+            recorded: Whether to record the launches; None: on a GPU.
+        """
+        self.scene = scene = assigned.scene
+        device = renderer.device
+        self._mount, self._renderer, self._settings = mount, renderer, settings
+        self._pose, self._seed, self._ahead_view = pose, seed, list(ahead_view)
+        self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
+        self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
+        self._assigned_count = int(np.count_nonzero(assigned.assigned_camera >= 0))
+        self._recordings = [
+            Recording(function, renderer, enabled=recorded) for function in (self._look, self._learn, self._judge)
+        ]
+
+    def look(self) -> None:
+        """Render the scene from the present poses."""
+        self._recordings[0]()
+
+    def set_boxes(self, ahead_box_px: np.ndarray) -> None:
+        """Boxes of the detections matched to every vehicle ahead (0 for none) [px], float [camera, vehicle, 4]."""
+        box_px = np.zeros((*self._box_px.shape, 4), np.float32)
+        box_px[self._ahead_view] = ahead_box_px
+        self._box_px.assign(box_px)
+
+    def learn(self) -> wp.array:
+        """The losses of the last look, float [loss]; their gradient is added to the poses'."""
+        self._recordings[1]()
+        return self._learned_loss
+
+    def judge(self) -> wp.array:
+        """The losses of the last look, float [loss], without a gradient."""
+        self._recordings[2]()
+        return self._judged_loss
+
+    def _look(self) -> None:
+        views = self._mount.place(self._pose)
+        self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego)
+        self.image = self._renderer.rgb(self.scene, self._ahead_view)
+
+    def _loss(self) -> wp.array:
+        measures = self._renderer.measure(self.scene, self._box_px)
+        return placement_losses_of(
+            self._mount,
+            self._mount.place(self._pose),
+            measures,
+            self._assigned_camera,
+            assigned_count=self._assigned_count,
+            settings=self._settings,
+        )
+
+    def _learn(self) -> None:
+        # kept: a recording goes on using the arrays of the tape
+        self._tape = wp.Tape()
+        with self._tape:
+            self._learned_loss = self._loss()
+        self._tape.backward(grads={self._learned_loss: self._seed})
+
+    def _judge(self) -> None:
+        self._judged_loss = self._loss()
