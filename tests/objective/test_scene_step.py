@@ -1,0 +1,82 @@
+"""One scene's step: recorded launches do what launches do, and the same again and again."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.driving_scene import packed_street, roof
+from warpav.objective.losses import LossSettings, Reference
+from warpav.objective.mount import CameraMount
+from warpav.objective.scene_step import AssignedScene, SceneStep
+from warpav.render.renderer import Occlusion, Renderer
+from warpav.rig.camera import CameraModel
+
+MODEL = CameraModel(128, 128)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
+SEED = np.array([1.0, 10.0], np.float32)
+
+
+class Steps:
+    """A step of two cameras on a street, with boxes that cut through what they see."""
+
+    def __init__(self, device, *, recorded, occlusion=Occlusion.EXACT, car_count=10):
+        mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
+        self.renderer = Renderer(
+            [MODEL] * (2 * mount.rotation_count), occlusion=occlusion, device=device, thread_count=1
+        )
+        self.pose = wp.zeros(POSE.shape, dtype=float, device=device, requires_grad=True)
+        scene = packed_street(device, car_count, 1)
+        self.step = SceneStep(
+            mount,
+            self.renderer,
+            AssignedScene(scene, (np.arange(car_count) % 2).astype(np.int32)),
+            pose=self.pose,
+            seed=wp.array(SEED, dtype=float, device=device),
+            ahead_view=[0, mount.rotation_count],
+            settings=LossSettings(epsilon=0.05, reference=Reference.ALONE),
+            recorded=recorded,
+        )
+        self.box_px = np.tile(np.float32([20.0, 30.0, 100.0, 90.0]), (2, car_count, 1))
+
+    def at(self, pose):
+        """Image, losses and gradient there."""
+        self.pose.assign(pose)
+        self.pose.grad.zero_()
+        self.step.look()
+        self.step.set_boxes(self.box_px)
+        loss = self.step.learn().numpy().copy()
+        np.testing.assert_array_equal(self.step.judge().numpy(), loss)
+        return self.step.image.numpy().copy(), loss, self.pose.grad.numpy().copy()
+
+
+@pytest.mark.parametrize("occlusion", list(Occlusion))
+def test_recorded_steps_equal_launched_ones(device, rng, occlusion):
+    launched = Steps(device, recorded=False, occlusion=occlusion)
+    recorded = Steps(device, recorded=True, occlusion=occlusion)
+    for _ in range(4):  # the first call launches, the second records, the others replay
+        pose = POSE + rng.uniform(-0.1, 0.1, POSE.shape).astype(np.float32)
+        expected, found = launched.at(pose), recorded.at(pose)
+        assert np.abs(expected[2][:, :3]).max() > 0.05
+        for one, other in zip(expected, found, strict=True):
+            np.testing.assert_array_equal(other, one)
+
+
+def test_steps_repeat_bit_by_bit(device):
+    steps = Steps(device, recorded=None)
+    first = steps.at(POSE)
+    for _ in range(3):
+        for one, other in zip(first, steps.at(POSE), strict=True):
+            np.testing.assert_array_equal(other, one)
+
+
+def test_a_recording_that_ran_out_of_room_is_made_again(device):
+    steps, fresh = Steps(device, recorded=True), Steps(device, recorded=False)
+    far_above = np.array([[0.0, 0.0, 0.0, -1.5, 0.0]] * 2, np.float32)  # sees hardly a car
+    for _ in range(3):
+        steps.at(far_above)
+    while True:
+        found = steps.at(POSE)
+        if not steps.renderer.grew():
+            break
+    for one, other in zip(fresh.at(POSE), found, strict=True):
+        np.testing.assert_array_equal(other, one)
