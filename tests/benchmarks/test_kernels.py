@@ -13,7 +13,7 @@ import warp as wp
 
 from warpav.bench.items import place_cameras
 from warpav.bench.workload import embedded_workload, pack_workload
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Content, Renderer
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ class Frame:
     def renderer(self, supersampling=1):
         return Renderer(self.models, supersampling=supersampling, device=self.device)
 
-    def rendered(self, supersampling=1, *, layers_only=False):
+    def rendered(self, supersampling=1, *, content=Content.ALL):
         renderer = self.renderer(supersampling)
-        renderer.render(self.scene, *self.views, layers_only=layers_only)
+        renderer.render(self.scene, *self.views, content=content)
         return renderer
 
 
@@ -96,21 +96,21 @@ def measure(benchmark, monkeypatch, device, call):
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
-@pytest.mark.parametrize("layers_only", [False, True], ids=["whole", "layers"])
-def test_render(benchmark, monkeypatch, frame, supersampling, layers_only):
+@pytest.mark.parametrize("content", list(Content), ids=lambda content: content.value)
+def test_render(benchmark, monkeypatch, frame, supersampling, content):
     renderer = frame.renderer(supersampling)
     measure(
         benchmark,
         monkeypatch,
         frame.device,
-        lambda: renderer.render(frame.scene, *frame.views, layers_only=layers_only),
+        lambda: renderer.render(frame.scene, *frame.views, content=content),
     )
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 @pytest.mark.parametrize("visible", [False, True], ids=["alone", "visible"])
 def test_weighted_area(benchmark, monkeypatch, frame, supersampling, visible):
-    renderer = frame.rendered(supersampling, layers_only=not visible)
+    renderer = frame.rendered(supersampling, content=Content.ALL if visible else Content.VEHICLES)
     first = renderer.weighted_area(frame.scene, frame.weight, visible=visible)
     measure(
         benchmark,
@@ -138,7 +138,7 @@ def test_depth_and_object(benchmark, monkeypatch, frame):
 
 
 def test_taped_part(benchmark, monkeypatch, frame):
-    measures = frame.rendered(layers_only=True).weighted_area(frame.scene, frame.weight, visible=False)
+    measures = frame.rendered(content=Content.VEHICLES).weighted_area(frame.scene, frame.weight, visible=False)
     ones = wp.full(measures.value.shape, 1.0, dtype=float, device=frame.device)
 
     def call():

@@ -22,6 +22,7 @@ from warpav.render.renderer import (
     RIGHT,
     TOP,
     VISIBLE_AREA,
+    Content,
     Renderer,
 )
 from warpav.rig.camera import CameraModel
@@ -286,7 +287,7 @@ def test_taped_gradients_match_the_truth_of_the_benchmark(device, workload_folde
         with tape:
             views = mount.place(pose)
         renderer = Renderer([model] * 4, device=device)
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego, layers_only=True)
+        renderer.render(scene, views.position_ego_m, views.camera_from_ego, content=Content.VEHICLES)
         measures = renderer.measure(scene)
         with tape:
             taped = measures.on_tape(views.position_ego_m, views.camera_from_ego)

@@ -23,7 +23,7 @@ from tests.oracle.ray_cast import RayCaster, cast_scene
 from warpav.geometry.mesh import Mesh
 from warpav.render.device_scene import DeviceScene
 from warpav.render.images import render_images
-from warpav.render.renderer import AMODAL_AREA, VISIBLE_AREA, Renderer
+from warpav.render.renderer import AMODAL_AREA, VISIBLE_AREA, Content, Renderer
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene
@@ -163,14 +163,14 @@ def test_sky_is_graded_by_elevation(device):
     np.testing.assert_allclose(rgb[0, -1, 64] * 255.0, street().sky.horizon_rgb, atol=2.0)
 
 
-def test_layers_only_renders_vehicles_alone(device, rng):
+def test_vehicles_alone_have_no_images(device, rng):
     poses = poses_on_ego(rng, 8)
     scene = packed_street(device)
     renderer = Renderer([MODEL] * 8, device=device)
-    renderer.render(scene, *on_device(poses, device), layers_only=True)
+    renderer.render(scene, *on_device(poses, device), content=Content.VEHICLES)
     value = renderer.measure(scene).value.numpy()
     for images in (renderer.rgb, renderer.depth_and_object):
-        with pytest.raises(ValueError, match="vehicles alone"):
+        with pytest.raises(ValueError, match="holds vehicles only"):
             images(scene)
     assert ((value[..., AMODAL_AREA] > 0).sum(axis=0) > 0).sum() >= 5
     np.testing.assert_array_equal(value[..., VISIBLE_AREA], value[..., AMODAL_AREA])
@@ -269,7 +269,7 @@ def test_renders_do_not_leak_into_each_other(device, rng):
     for one, other in zip(images_of(used, few, poses), images_of(fresh, few, poses), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(used_measures, fresh.measure(few).value.numpy())
-    used.render(few, *on_device(poses, device), layers_only=True)
+    used.render(few, *on_device(poses, device), content=Content.VEHICLES)
     for one, other in zip(images_of(used, many, poses), first, strict=True):
         np.testing.assert_array_equal(one, other)
 

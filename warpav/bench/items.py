@@ -17,7 +17,7 @@ import warp as wp
 from warpav.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Workload
 from warpav.render.chunks import MAX_CHUNK_VIEWS, chunk_view_count, render_in_chunks
 from warpav.render.device_scene import FIRST_VEHICLE, DeviceScene
-from warpav.render.renderer import Measures, Renderer
+from warpav.render.renderer import Content, Measures, Renderer
 from warpav.rig.camera import CameraModel
 from warpav_kernels import benchmark, linearise
 
@@ -162,7 +162,13 @@ class Bench:
         position_ego_m, camera_from_ego = (array.numpy() for array in self._placed())
         device = self.device.alias
         return render_in_chunks(
-            self.scene, self._models(), position_ego_m, camera_from_ego, renderer=renderer, device=device
+            self.scene,
+            self._models(),
+            position_ego_m,
+            camera_from_ego,
+            renderer=renderer,
+            content=Content.IMAGES,
+            device=device,
         )
 
     def _time_images(self, resolve: Callable[[Renderer], object], repeat: int) -> Timing:
@@ -176,7 +182,7 @@ class Bench:
 
         def run() -> None:
             if at_once == len(models):
-                renderer.render(self.scene, *views)
+                renderer.render(self.scene, *views, content=Content.IMAGES)
                 images[0] = resolve(renderer)
                 return
             for _ in self._rendered(renderer):
@@ -265,7 +271,9 @@ class _Silhouettes:
         tape = wp.Tape()
         with tape:
             views = place_cameras(self._pose, self._height_m)
-        self.renderer.render(self._scene, *views, layers_only=not self._workload.is_visible)
+        self.renderer.render(
+            self._scene, *views, content=Content.ALL if self._workload.is_visible else Content.VEHICLES
+        )
         self._measures = self.renderer.weighted_area(
             self._scene, weight, visible=self._workload.is_visible, into=self._measures
         )

@@ -13,7 +13,7 @@ import warp as wp
 from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.objective.objective import AssignedScene
 from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import AMODAL_AREA, Renderer
+from warpav.render.renderer import AMODAL_AREA, Content, Renderer
 from warpav.rig.camera import CameraModel
 
 
@@ -43,7 +43,7 @@ def areas_around(
     position_ego_m = wp.array(place, dtype=wp.vec3, device=device)
     areas = []
     for scene in scenes:
-        renderer.render(scene, position_ego_m, camera_from_ego, layers_only=True)
+        renderer.render(scene, position_ego_m, camera_from_ego, content=Content.VEHICLES)
         areas.append(renderer.measure(scene).value.numpy()[:, :, AMODAL_AREA].T)
     return areas
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Content, Renderer
 from warpav.rig.camera import CameraModel
 
 CHUNK_KEY_BYTES = 2**28
@@ -30,7 +30,7 @@ def render_in_chunks(
     renderer: Renderer | None = None,
     views_at_once: int | None = None,
     supersampling: int = 1,
-    layers_only: bool = False,
+    content: Content = Content.ALL,
     device: str = "cpu",
 ) -> Iterator[tuple[slice, Renderer]]:
     """Render views chunk by chunk; no gradient.
@@ -43,7 +43,7 @@ def render_in_chunks(
         renderer: Renderer to use, of ``views_at_once`` views, whose lenses are replaced; None: a new one.
         views_at_once: Views per chunk, at least 1; None: `chunk_view_count`.
         supersampling: Samples per pixel along each axis.
-        layers_only: As in `Renderer.render`.
+        content: What is wanted of the renders.
         device: Warp device.
 
     Yields:
@@ -76,6 +76,6 @@ def render_in_chunks(
             scene,
             wp.array(np.asarray(position_ego_m)[chunk].astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(np.asarray(camera_from_ego)[chunk].astype(np.float32), dtype=wp.mat33, device=device),
-            layers_only=layers_only,
+            content=content,
         )
         yield slice(first, min(first + views_at_once, view_count)), renderer

@@ -27,6 +27,7 @@ AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
 CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
 CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
 CUDA_SUM_LANES = 16  # of them are summed first
+CUDA_ROW_LANES = 128  # share one row of an image
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
 CUDA_STRIPS = 1 << 18  # room in their queue
 
@@ -37,6 +38,14 @@ MAX_ATLAS_SAMPLES = 2**31 - 1
 def _available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Content(Enum):
+    """What a render holds."""
+
+    ALL = "all"  # images, and every vehicle alone
+    IMAGES = "images"  # depth, objects and colours only
+    VEHICLES = "vehicles"  # every vehicle alone only: nothing is hidden, and there are no images
 
 
 class Occlusion(Enum):
@@ -157,6 +166,7 @@ class Renderer:
         self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
+        self._content: Content | None = None
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
@@ -225,7 +235,12 @@ class Renderer:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, record_tape=False)
 
     def render(
-        self, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array, *, layers_only: bool = False
+        self,
+        scene: DeviceScene,
+        position_ego_m: wp.array,
+        camera_from_ego: wp.array,
+        *,
+        content: Content = Content.ALL,
     ) -> None:
         """Decide which surface every sample sees, and what every vehicle covers alone. Nothing is taped.
 
@@ -233,7 +248,7 @@ class Renderer:
             scene: The scene, on this renderer's device.
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
-            layers_only: Render every vehicle alone and nothing else: nothing is hidden, and there are no images.
+            content: What is wanted of the render.
 
         Raises:
             ValueError: The silhouettes together do not fit into one buffer.
@@ -247,10 +262,14 @@ class Renderer:
             outputs=[self._view],
         )
         # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
-        needs_ego_layer = self.occlusion is Occlusion.PAIRWISE and not layers_only
-        layer_count = scene.layer_count if needs_ego_layer else scene.vehicle_count
+        self._content = content
+        layer_count = scene.vehicle_count
+        if content is Content.IMAGES:
+            layer_count = 0
+        elif content is Content.ALL and self.occlusion is Occlusion.PAIRWISE:
+            layer_count = scene.layer_count
         self._place_layers(scene, layer_count)
-        self._has_key = not layers_only
+        self._has_key = content is not Content.VEHICLES
         if self._has_key:
             if self._key.size == 0:
                 self._key = self._zeros((self.view_count, self._height, self._width), wp.int64)
@@ -280,7 +299,7 @@ class Renderer:
                 ],
                 outputs=[self._key, self._layers],
             )  # fmt: skip
-        if scene.vehicle_count and self._has_key:
+        if scene.vehicle_count and content is Content.ALL:
             self._hide(scene)
 
     def _place_layers(self, scene: DeviceScene, layer_count: int) -> None:
@@ -362,6 +381,7 @@ class Renderer:
                 no box.
             into: An earlier result to write over; None: fresh arrays, so several scenes can stay on one tape.
         """
+        self._require(Content.VEHICLES)
         if box_px is None:
             box_px = self._kept("no box", (self.view_count, scene.vehicle_count), wp.vec4)
         result = self._measures(scene, MEASURE_COUNT, into)
@@ -409,6 +429,7 @@ class Renderer:
         Raises:
             ValueError: The weights have another shape.
         """
+        self._require(Content.ALL if visible else Content.VEHICLES)
         size = (self.height_px, self.width_px)
         if weight_image.shape not in (size, (self.view_count, *size)):
             raise ValueError(f"weight_image must be {size} or {(self.view_count, *size)}, got {weight_image.shape}")
@@ -464,26 +485,29 @@ class Renderer:
             outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
         )
 
-    def _require_images(self) -> None:
-        if not self._has_key:
-            raise ValueError("the last render holds vehicles alone; render without layers_only first")
+    def _require(self, content: Content) -> None:
+        """Check that the last render holds what is asked for."""
+        if self._content not in (content, Content.ALL):
+            held = "nothing" if self._content is None else self._content.value
+            raise ValueError(f"the last render holds {held} only; render with content {content.value} first")
 
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
-        self._require_images()
+        self._require(Content.IMAGES)
         shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
         if shown not in self._shown:
             self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
+        lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
         sky = [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
         self._over_views(
             len(shown),
             lambda first, count: self._launch(
                 shade.resolve_rgb_kernel,
-                (count, self.height_px, self.width_px),
+                (count, self.height_px, lanes),
                 inputs=[
                     self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, self._shown[shown],
-                    self.supersampling, first,
+                    self.supersampling, first, lanes,
                 ],
                 outputs=[image],
             ),
@@ -492,15 +516,16 @@ class Renderer:
 
     def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
         """Depth along the optical axis [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column]."""
-        self._require_images()
+        self._require(Content.IMAGES)
+        lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         shape = (self.view_count, self.height_px, self.width_px)
         depth_m, object_index = self._zeros(shape, float), self._zeros(shape, wp.int32)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
                 shade.resolve_depth_kernel,
-                (count, self.height_px, self.width_px),
-                inputs=[self._key, scene.triangles, self.supersampling, first],
+                (count, self.height_px, lanes),
+                inputs=[self._key, scene.triangles, self.supersampling, first, lanes],
                 outputs=[depth_m, object_index],
             ),
         )
@@ -512,6 +537,7 @@ class Renderer:
         ``left`` and ``top`` are the crop's first column and row in samples of the image (supersampling per pixel); the
         mask is bool [row, column], cut to the image.
         """
+        self._require(Content.ALL)
         guard = int(view.GUARD)
         rectangle, offset = self._layers.rectangle.numpy(), self._layers.offset.numpy()
         visible = (self._layers.inverse_depth_bits.numpy() != 0) & (self._hiding.bits.numpy() == 0)
