@@ -10,7 +10,7 @@ from warpav.render.renderer import Renderer
 
 
 class Recording:
-    """A function that only launches kernels on fixed arrays; on a GPU its second call is recorded, later ones replay.
+    """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
 
     The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
     moved its buffers, this starts again.
@@ -22,11 +22,11 @@ class Recording:
         Args:
             function: Launches kernels; neither reads arrays on the host nor depends on numbers that change.
             renderer: Its buffers' addresses are part of a recording.
-            enabled: Whether to record; None: on a GPU. A recording on the CPU needs a renderer of one thread.
+            enabled: Whether to record; None: wherever it can be done, on a GPU and on the CPU with one thread.
         """
         self._function = function
         self._renderer = renderer
-        self._enabled = renderer.device.is_cuda if enabled is None else enabled
+        self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled
         self._graph: wp.Graph | None = None
         self._generation = -1
 
