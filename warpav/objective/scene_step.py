@@ -72,7 +72,8 @@ class SceneStep:
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self._assigned_count = int(np.count_nonzero(assigned.assigned_camera >= 0))
         self._recordings = [
-            Recording(function, renderer, enabled=recorded) for function in (self._look, self._learn, self._judge)
+            Recording(function, renderer, enabled=recorded)
+            for function in (self._look, self._learn, self._judge, self._look_and_learn)
         ]
 
     def look(self) -> None:
@@ -94,6 +95,15 @@ class SceneStep:
         """The losses of the last look, float [loss], without a gradient."""
         self._recordings[2]()
         return self._judged_loss
+
+    def run(self) -> wp.array:
+        """`look` and `learn` at once, with the boxes as they are: a step without a detector."""
+        self._recordings[3]()
+        return self._learned_loss
+
+    def _look_and_learn(self) -> None:
+        self._look()
+        self._learn()
 
     def _look(self) -> None:
         views = self._mount.place(self._pose)

@@ -1,0 +1,83 @@
+"""Time of an optimisation step without a detector, on the embedded workload: 16 views, 10 vehicles, 112,768 triangles.
+
+Left out of the ordinary run; ``pytest tests/benchmarks --benchmark-only`` runs it.
+"""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warpav.bench.workload import embedded_workload, pack_workload
+from warpav.geometry.mount_surface import MountSurface
+from warpav.objective.losses import LossSettings
+from warpav.objective.mount import CameraMount
+from warpav.objective.scene_step import AssignedScene, SceneStep
+from warpav.optimise.gradient import AdamW
+from warpav.render.renderer import Occlusion, Renderer
+
+SCENES, ITERATIONS = 4, 100
+
+
+class Steps:
+    """Steps of one rig on some scenes, with boxes that cut through what its cameras see."""
+
+    def __init__(self, device, occlusion=Occlusion.EXACT):
+        workload = embedded_workload()
+        (model,) = set(workload.models(range(len(workload.pose))))
+        surface = MountSurface(np.full((64, 64), workload.height_m[0] - 0.25, np.float32), np.array([-3.0, -3.0]), 0.1)
+        mount = CameraMount(surface, camera=model, height_offset_m=0.25, device=device)
+        cameras = len(workload.pose)
+        self.start = np.zeros((cameras, 5), np.float32)
+        self.start[:, :3] = workload.pose[:, [1, 0, 2]]  # the workload's z is the ego frame's x
+        self.pose = wp.array(self.start, dtype=float, device=device, requires_grad=True)
+        self.device = device
+        self.renderer = Renderer([model] * (cameras * mount.rotation_count), occlusion=occlusion, device=device)
+        scene = pack_workload(workload, device=device)
+        vehicles = scene.vehicle_count
+        self.steps = [
+            SceneStep(
+                mount,
+                self.renderer,
+                AssignedScene(scene, (np.arange(vehicles) % cameras).astype(np.int32)),
+                pose=self.pose,
+                seed=wp.array([1.0, 10.0], dtype=float, device=device),
+                ahead_view=[camera * mount.rotation_count for camera in range(cameras)],
+                settings=LossSettings(),
+            )
+            for _ in range(SCENES)
+        ]
+        for step in self.steps:
+            step.set_boxes(np.tile(np.float32([60.0, 60.0, 200.0, 200.0]), (cameras, vehicles, 1)))
+
+    def descend(self):
+        """A hundred iterations on four scenes."""
+        rate = np.zeros_like(self.start)
+        rate[:, :3] = 1e-3
+        adam = AdamW(self.start, weight_decay=1e-3, device=self.device)
+        for _ in range(ITERATIONS):
+            self.pose.assign(adam.value)
+            self.pose.grad.zero_()
+            losses = [step.run() for step in self.steps]
+            gradient = self.pose.grad.numpy()
+            assert np.isfinite([loss.numpy() for loss in losses]).all()
+            adam.step(gradient, rate)
+
+
+@pytest.mark.parametrize("occlusion", list(Occlusion), ids=lambda occlusion: occlusion.value)
+def test_step(benchmark, device, occlusion):
+    steps = Steps(device, occlusion)
+
+    def call():
+        steps.steps[0].run()
+        wp.synchronize_device(device)
+
+    benchmark.pedantic(call, rounds=15, warmup_rounds=3)
+    assert not steps.renderer.grew()
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
+def test_four_scenes_a_hundred_times(benchmark):
+    steps = Steps("cuda:0")
+    benchmark.pedantic(steps.descend, rounds=3, warmup_rounds=1)
+    assert not steps.renderer.grew()
