@@ -13,7 +13,14 @@ from tests.driving_scene import camera_pose
 from tests.oracle.ray_cast import RayCaster
 from warpav.bench.items import Bench, object_type
 from warpav.bench.reference import hit_rgb, view_rays
-from warpav.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, pack_workload, read_workload
+from warpav.bench.workload import (
+    ROTATION_COUNT,
+    WEIGHT_NAMES,
+    embedded_truth,
+    embedded_workload,
+    pack_workload,
+    read_workload,
+)
 from warpav.geometry.frames import EGO_FROM_THESIS
 from warpav.geometry.mesh import Mesh
 from warpav.render import chunks
@@ -152,7 +159,18 @@ def scanline_loss(workload, pose, camera, sub_scanlines=64):
 def test_gradient_matches_differences_of_exact_areas(
     device, workloads, supersampling, value_tolerance, gradient_tolerance
 ):
-    workload = dataclasses.replace(workloads[0], scored_pose=workloads[0].scored_pose[:3])
+    check_gradient(device, workloads[0], supersampling, value_tolerance, gradient_tolerance)
+
+
+@pytest.mark.xfail(strict=True, reason="at the cut of the near plane the outline does not move with the surface")
+def test_gradient_of_vehicles_cut_by_the_near_plane_matches_differences(device, workloads):
+    workload = dataclasses.replace(workloads[0], near_m=np.array([6.0, 7.0, 8.0]))
+    check_gradient(device, workload, 4, 0.01, (0.03, 0.02, 0.02))  # seen .65 of white weights
+
+
+def check_gradient(device, workload, supersampling, value_tolerance, gradient_tolerance):
+    """Compare the first three scored poses with differences of exact areas."""
+    workload = dataclasses.replace(workload, scored_pose=workload.scored_pose[:3])
     gradient, loss = bench_of(workload, device).score_silhouettes(supersampling)
     expected = {name: np.zeros((3, 3)) for name in WEIGHT_NAMES}
     for i, pose in enumerate(workload.scored_pose):
@@ -167,6 +185,25 @@ def test_gradient_matches_differences_of_exact_areas(
     for name, bound in zip(WEIGHT_NAMES, gradient_tolerance, strict=True):
         error = np.linalg.norm((gradient[name] - expected[name]) * scale) / np.linalg.norm(expected[name] * scale)
         assert error < bound, (name, error)
+
+
+@pytest.mark.slow
+def test_the_error_at_x4_is_the_steps_of_the_truth(device):
+    # the truth of the embedded workload is differences over steps, within which white weights jump from pixel to pixel:
+    # the gradient averaged over the steps, by Gauss's rule, is what it should be compared with
+    workload = embedded_workload()
+    truth = embedded_truth(workload)
+    step = np.array([0.003, 0.003, 0.0004])
+    node, share = np.polynomial.legendre.leggauss(4)
+    moved = workload.scored_pose[:, None, None] + node[:, None] * (step * np.eye(3))[:, None]
+    # pose i takes the lens of camera i mod 4, and these are all alike
+    assert all(len(set(values)) == 1 for values in (workload.height_m, workload.fov_deg, workload.near_m))
+    bench = bench_of(dataclasses.replace(workload, scored_pose=moved.reshape(-1, 3)), device)
+    gradient, _ = bench.score_silhouettes(4)
+    for name, bound in zip(WEIGHT_NAMES, (0.01, 0.0012, 0.0015), strict=True):  # seen .0071, .0006, .0010
+        average = 0.5 * np.einsum("pcnc,n->pc", gradient[name].reshape(20, 3, 4, 3), share)
+        expected = truth.gradient[name]
+        assert np.linalg.norm(average - expected) / np.linalg.norm(expected) < bound, name
 
 
 def test_chunks_change_nothing(device, workloads, monkeypatch):
