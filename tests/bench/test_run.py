@@ -56,7 +56,7 @@ def test_results_follow_the_schema(files, device, capsys):
         assert all(entry[name] >= 0 for name in NUMBERS)
         assert entry["min_ms"] <= entry["median_ms"] <= entry["max_ms"]
         assert entry["n"] == 1
-        assert entry["peak_rss_mib" if device == "cpu" else "peak_device_mib"] > 10
+        assert entry["peak_rss_mib" if device == "cpu" else "peak_device_mib"] > 0
     w1 = content["items"]["w1"]
     for name in WEIGHT_NAMES:
         assert np.shape(w1["grad"][name]) == (20, 3)
