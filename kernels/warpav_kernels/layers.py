@@ -18,6 +18,10 @@ TO_BOTTOM = wp.constant(2)
 TO_RIGHT = wp.constant(3)
 
 
+# set in the lower half of a reach's key where the near plane ends the surface
+NEAR_CUT = wp.constant(wp.int64(0x80000000))
+
+
 @wp.struct
 class Layers:
     """The atlas of layers.
@@ -29,8 +33,9 @@ class Layers:
         inverse_depth_bits: Bits of 1/z of the object's nearest surface at the sample's centre, 0 where it does not
             cover it, [sample].
         reach_key: Bits of how far the object's surface goes on from the sample's centre towards each neighbour's, 0..1
-            in samples, solved from the edges of its triangles, and, in the lower half, of 1/z where it ends; 0 where
-            that is unknown, [direction, sample].
+            in samples, solved from the edges of its triangles. In the lower half the bits of 1/z where it ends; where
+            the near plane ends it, which triangle it cuts, with the highest bit set. 0 where all that is unknown,
+            [direction, sample].
     """
 
     rectangle: wp.array2d[wp.vec4i]

@@ -52,6 +52,9 @@ MEASURE_COUNT = wp.constant(7)
 AREA_COUNT = wp.constant(3)
 EXTENT_COUNT = wp.constant(4)
 
+LEAST_LEVEL = wp.constant(1.0e-6)  # squared sine of the angle between a surface and the near plane that cuts it
+LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts that have a corner
+
 
 @wp.struct
 class Flow:
@@ -71,12 +74,44 @@ class Flow:
 
 
 @wp.func
-def with_step(flow: Flow, camera: View, segment: Segment, across_columns: float, across_rows: float) -> Flow:
+def cut_gradient(
+    camera: View, scene: Triangles, start_triangle: int, end_triangle: int, across: wp.vec2, otherwise: wp.vec3
+) -> wp.vec3:
+    """Gradient of the flow across a segment along which the near plane cuts a surface, to the surface's point.
+
+    The cut is no point of the surface: it slides along it and stays on the near plane. Where a surface of normal n is
+    displaced by dq, its cut moves by a step d in the near plane with ``m . d = n . dq``, m being the part of n along
+    that plane. Two surfaces that meet in the segment give two equations, and so the step of their corner; one alone
+    gives its step along m. ``otherwise`` is for surfaces as level as the near plane.
+    """
+    start_plane = scene.triangle_plane[start_triangle]
+    end_plane = scene.triangle_plane[end_triangle]
+    a = camera.camera_from_ego * wp.vec3(start_plane[0], start_plane[1], start_plane[2])
+    b = camera.camera_from_ego * wp.vec3(end_plane[0], end_plane[1], end_plane[2])
+    a_level = a[0] * a[0] + a[1] * a[1]
+    b_level = b[0] * b[0] + b[1] * b[1]
+    if wp.min(a_level, b_level) < LEAST_LEVEL:
+        return otherwise
+    x = across[0] * camera.focal[0] / camera.near_m
+    y = across[1] * camera.focal[1] / camera.near_m
+    turn = a[0] * b[1] - a[1] * b[0]
+    if turn * turn > LEAST_TURN * a_level * b_level:
+        return ((x * b[1] - y * b[0]) * a + (y * a[0] - x * a[1]) * b) / turn
+    return 0.5 * ((x * a[0] + y * a[1]) / a_level * a + (x * b[0] + y * b[1]) / b_level * b)
+
+
+@wp.func
+def with_step(
+    flow: Flow, camera: View, scene: Triangles, segment: Segment, across_columns: float, across_rows: float
+) -> Flow:
     """The flow with one more segment, whose weighted normal is (across_columns, across_rows)."""
     column = 0.5 * (segment.start[0] + segment.end[0])
     row = 0.5 * (segment.start[1] + segment.end[1])
     point_m = ray_in_camera(camera, column, row) / segment.inverse_depth
     g = across_columns * column_gradient(camera, point_m) + across_rows * row_gradient(camera, point_m)
+    if segment.start_cut >= 0 and segment.end_cut >= 0:
+        across = wp.vec2(across_columns, across_rows)
+        g = cut_gradient(camera, scene, segment.start_cut, segment.end_cut, across, g)
     moved = flow
     moved.gradient += g
     moved.moment += wp.cross(point_m, g)
@@ -186,7 +221,7 @@ def measure_areas_kernel(
                             for k in range(3):
                                 middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
                                 inside += (cut[k + 1] - cut[k]) * frame_weight(middle[0], middle[1], width, height)
-                            amodal = with_step(amodal, camera, segment, inside * extent[1], -inside * extent[0])
+                            amodal = with_step(amodal, camera, scene, segment, inside * extent[1], -inside * extent[0])
                     if seen != 0 and seen != 15:
                         cell = cell_of(pair, row, column, seen)
                         for index in range(cell.segment_count):
@@ -202,9 +237,13 @@ def measure_areas_kernel(
                                 share = (cut[k + 1] - cut[k]) * frame_weight(middle[0], middle[1], width, height)
                                 inside += share
                                 in_box += share * box_weight(middle[0], middle[1], box, samples_per_px)
-                            visible = with_step(visible, camera, segment, inside * extent[1], -inside * extent[0])
+                            visible = with_step(
+                                visible, camera, scene, segment, inside * extent[1], -inside * extent[0]
+                            )
                             if in_box > 0.0:
-                                boxed = with_step(boxed, camera, segment, in_box * extent[1], -in_box * extent[0])
+                                boxed = with_step(
+                                    boxed, camera, scene, segment, in_box * extent[1], -in_box * extent[0]
+                                )
     flow[v, vehicle, VISIBLE_AREA, lane] = visible
     flow[v, vehicle, AMODAL_AREA, lane] = amodal
     flow[v, vehicle, BOX_AREA, lane] = boxed
@@ -273,7 +312,7 @@ def measure_weighted_area_kernel(
                             weight += (cut[k + 1] - cut[k]) * image_weight(
                                 middle[0], middle[1], weight_image, v, samples_per_px
                             )
-                        weighted = with_step(weighted, camera, segment, weight * extent[1], -weight * extent[0])
+                        weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
     flow[v, vehicle, 0, lane] = weighted
 
 

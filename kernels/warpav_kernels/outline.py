@@ -7,13 +7,15 @@ between two such crossings (the rule of marching squares), so the outline of a m
 
 import warp as wp
 
-from warpav_kernels.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in
+from warpav_kernels.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in
 from warpav_kernels.rasterise import ImageTriangle, Triangles, front_part, image_triangle, narrowed, slope_of
 from warpav_kernels.view import View, inverse_depth_of
 
 wp.set_module_options({"enable_backward": False})
 
 SPAN_SLACK = wp.constant(1.0e-3)  # a sample on a triangle's edge is covered by it [samples]
+
+NEAR_TOLERANCE = wp.constant(1.0e-4)  # of 1/z, by which a surface ends at the near plane
 
 # what a mask is
 ALONE = wp.constant(0)  # the samples that the object covers
@@ -65,21 +67,29 @@ class Reach:
     Attributes:
         distance: 0..1 in samples.
         inverse_depth: 1/z of the surface there [1/m].
+        cut_triangle: The triangle that the near plane ends there; -1 where something else does.
     """
 
     distance: float
     inverse_depth: float
+    cut_triangle: int
 
 
 @wp.func
-def reach_from(key: wp.int64, bits: wp.int32) -> Reach:
+def reach_from(key: wp.int64, bits: wp.int32, near_m: float) -> Reach:
     """A reach from its key; half way, at the depth of the sample's ``bits``, where it is unknown."""
     reach = Reach()
     reach.distance = 0.5
     reach.inverse_depth = inverse_depth_of(bits)
+    reach.cut_triangle = -1
     if key != wp.int64(0):
         reach.distance = wp.cast(wp.int32(key >> wp.int64(32)), float)
-        reach.inverse_depth = inverse_depth_of(wp.int32(key & wp.int64(0xFFFFFFFF)))
+        end = wp.int32(key & wp.int64(0x7FFFFFFF))
+        if (key & NEAR_CUT) == wp.int64(0):
+            reach.inverse_depth = inverse_depth_of(end)
+        else:
+            reach.inverse_depth = 1.0 / near_m
+            reach.cut_triangle = end
     return reach
 
 
@@ -127,6 +137,7 @@ def triangle_reach(
     y = float(row) + 0.5
     part = front_part(camera, scene, triangle)
     reach = Reach()
+    reach.cut_triangle = -1
     for index in range(part.part_count):
         image = image_triangle(camera, part, index, True, width, height)
         w = image.w + image.w_per_column * (x - image.edge0.u) + image.w_per_row * (y - image.edge0.v)
@@ -147,7 +158,9 @@ def triangle_reach(
                 reach.distance = wp.abs(end - here)
                 reach.inverse_depth = w + w_per_step * (end - here)
     if reach.distance <= 0.0 or reach.distance >= 1.0:
-        return reach_from(wp.int64(0), bits)
+        return reach_from(wp.int64(0), bits, camera.near_m)
+    if not part.is_whole and reach.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
+        reach.cut_triangle = triangle
     return reach
 
 
@@ -184,9 +197,9 @@ def hiding_reach(
     if layer >= 0 and layer < layers.rectangle.shape[1]:
         place = place_in(layers.rectangle[v, layer], layers.offset[v, layer], row, column)
         if place >= 0:
-            return reach_from(layers.reach_key[direction, place], bits)
+            return reach_from(layers.reach_key[direction, place], bits, camera.near_m)
     if source < 0:
-        return reach_from(wp.int64(0), bits)
+        return reach_from(wp.int64(0), bits, camera.near_m)
     return triangle_reach(camera, scene, source, bits, row, column, direction, width, height)
 
 
@@ -198,11 +211,13 @@ class Crossing:
         x: Column in the grid.
         y: Row in the grid.
         inverse_depth: 1/z of the surface in front, whose outline it is [1/m].
+        cut_triangle: Its triangle, where the near plane cuts it there; else -1.
     """
 
     x: float
     y: float
     inverse_depth: float
+    cut_triangle: int
 
 
 @wp.func
@@ -227,8 +242,9 @@ def crossing_from(
     other = place_in(pair.rectangle, pair.offset, other_row, other_column)
     reach = Reach()
     reach.distance = 1.0
+    reach.cut_triangle = -1
     if layers.inverse_depth_bits[other] == wp.int32(0):
-        reach = reach_from(layers.reach_key[direction, place], layers.inverse_depth_bits[place])
+        reach = reach_from(layers.reach_key[direction, place], layers.inverse_depth_bits[place], camera.near_m)
     if kind == VISIBLE:
         bits = hiding.bits[other]
         if bits != wp.int32(0):
@@ -249,10 +265,12 @@ def crossing_from(
             if back.inverse_depth > reach.inverse_depth and 1.0 - back.distance <= reach.distance:
                 reach.distance = 1.0 - back.distance
                 reach.inverse_depth = back.inverse_depth
+                reach.cut_triangle = back.cut_triangle
     crossing = Crossing()
     crossing.x = float(column) + 0.5 + reach.distance * float(step[1])
     crossing.y = float(row) + 0.5 + reach.distance * float(step[0])
     crossing.inverse_depth = reach.inverse_depth
+    crossing.cut_triangle = reach.cut_triangle
     return crossing
 
 
@@ -369,11 +387,15 @@ class Segment:
         start: Column and row of its start in the grid.
         end: Column and row of its end.
         inverse_depth: 1/z of the surface in front, in its middle [1/m].
+        start_cut: The triangle that the near plane cuts at its start; -1 where there is none.
+        end_cut: The same at its end.
     """
 
     start: wp.vec2
     end: wp.vec2
     inverse_depth: float
+    start_cut: int
+    end_cut: int
 
 
 @wp.func
@@ -403,6 +425,8 @@ def cell_segment(
     segment.start = wp.vec2(start.x, start.y)
     segment.end = wp.vec2(end.x, end.y)
     segment.inverse_depth = 0.5 * (start.inverse_depth + end.inverse_depth)
+    segment.start_cut = start.cut_triangle
+    segment.end_cut = end.cut_triangle
     return segment
 
 

@@ -13,7 +13,7 @@ reach alone.
 
 import warp as wp
 
-from warpav_kernels.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
+from warpav_kernels.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
 from warpav_kernels.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -280,10 +280,17 @@ def raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
 
 
 @wp.func
-def raise_reach(layers: Layers, direction: int, place: int, reach: float, inverse_depth: float):
-    """Raise a sample's reach in one direction; ``inverse_depth`` is the surface's where it ends."""
+def raise_reach(layers: Layers, direction: int, place: int, reach: float, inverse_depth: float, cut_triangle: int):
+    """Raise a sample's reach in one direction.
+
+    ``inverse_depth`` is the surface's where it ends; ``cut_triangle`` the triangle that the near plane ends there, or
+    -1.
+    """
     far = wp.int64(wp.cast(wp.clamp(reach, LEAST_REACH, 1.0), wp.int32))
-    value = (far << wp.int64(32)) | wp.int64(wp.cast(wp.max(inverse_depth, LEAST_INVERSE_DEPTH), wp.int32))
+    end = wp.int64(wp.cast(wp.max(inverse_depth, LEAST_INVERSE_DEPTH), wp.int32))
+    if cut_triangle >= 0:
+        end = NEAR_CUT | wp.int64(cut_triangle)
+    value = (far << wp.int64(32)) | end
     if layers.reach_key[direction, place] < value:
         wp.atomic_max(layers.reach_key, direction, place, value)
 
@@ -350,10 +357,13 @@ def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: i
 
 
 @wp.func
-def reach_over_edge(start: wp.vec3, end: wp.vec3, side: float, rectangle: wp.vec4i, offset: int, layers: Layers):
+def reach_over_edge(
+    start: wp.vec3, end: wp.vec3, side: float, cut_triangle: int, rectangle: wp.vec4i, offset: int, layers: Layers
+):
     """Scatter how far a triangle reaches, over one of its sides, from the samples next to it in rows and columns.
 
     ``start`` and ``end`` are (column, row, 1/z) of the side's corners; ``side`` is the sign of the triangle's area.
+    Where the near plane has made the side, ``cut_triangle`` is the triangle, else -1.
     """
     along = end - start
     bottom = rectangle[1] + rectangle[3]
@@ -373,7 +383,7 @@ def reach_over_edge(start: wp.vec3, end: wp.vec3, side: float, rectangle: wp.vec
                 distance = 1.0 - distance
             if column >= rectangle[0] and column < right and distance <= 1.0:
                 place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
-                raise_reach(layers, direction, place, distance, start[2] + share * along[2])
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
     first_column = line_after(start[0], rectangle[0], right)
     last_column = line_after(end[0], rectangle[0], right)
     if first_column != last_column:
@@ -389,7 +399,7 @@ def reach_over_edge(start: wp.vec3, end: wp.vec3, side: float, rectangle: wp.vec
                 distance = 1.0 - distance
             if row >= rectangle[1] and row < bottom and distance <= 1.0:
                 place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
-                raise_reach(layers, direction, place, distance, start[2] + share * along[2])
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
 
 
 @wp.func
@@ -472,11 +482,15 @@ def scatter_triangles_kernel(
                     neighbour = scene.neighbour[triangle]
                     is_facing = faces(camera, scene.triangle_plane[triangle])
                 if may_be_outline(camera, scene, is_facing, neighbour[0]):
-                    reach_over_edge(image.a, image.b, image.side, rectangle, offset, layers)
+                    reach_over_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[1]):
-                    reach_over_edge(image.b, image.c, image.side, rectangle, offset, layers)
+                    # the last triangle of a fan has the side that the near plane made
+                    cut_triangle = int(-1)
+                    if not part.is_whole and index == part.part_count - 1:
+                        cut_triangle = triangle
+                    reach_over_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[2]):
-                    reach_over_edge(image.c, image.a, image.side, rectangle, offset, layers)
+                    reach_over_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
             rows = image.last_row - image.first_row + 1
             columns = image.last_column - image.first_column + 1
             if image.side != 0.0 and rows > 0 and columns > 0:

@@ -162,7 +162,6 @@ def test_gradient_matches_differences_of_exact_areas(
     check_gradient(device, workloads[0], supersampling, value_tolerance, gradient_tolerance)
 
 
-@pytest.mark.xfail(strict=True, reason="at the cut of the near plane the outline does not move with the surface")
 def test_gradient_of_vehicles_cut_by_the_near_plane_matches_differences(device, workloads):
     workload = dataclasses.replace(workloads[0], near_m=np.array([6.0, 7.0, 8.0]))
     check_gradient(device, workload, 4, 0.01, (0.03, 0.02, 0.02))  # seen .65 of white weights
