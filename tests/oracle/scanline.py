@@ -1,0 +1,190 @@
+"""Areas of objects in an image, exact to rounding: a scanline renderer in double precision, for small scenes.
+
+The image is cut into slabs of rows at every corner and wherever two lines cross: sides of triangles, lines where two
+surfaces pass through each other, borders of pixels. In a slab every outline is straight, so the scanline in its middle
+stands for all of it. That scanline is cut into intervals in the same way; what is nearest in an interval's middle is
+nearest in all of it. Shares no code with the rasteriser.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+SHIFTS, SPINS, ZOOM = (0, 1, 2), (3, 4, 5), 6
+
+
+def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
+    """Weighted areas of every mesh: what is visible of it and what it covers alone [px^2], float64 [2, mesh].
+
+    Args:
+        meshes: Objects with ``vertex_m`` [vertex, 3] and ``triangle`` [triangle, 3]; a few hundred triangles.
+        ego_from_camera: Pose, [4, 4].
+        model: Size, field of view and near plane of a pinhole camera.
+        weight: Weight of every pixel, [row, column]; None: 1.
+        log_zoom: Logarithm of a factor of the focal length.
+    """
+    width, height = model.width_px, model.height_px
+    focal = 0.5 * width / np.tan(0.5 * model.fov_rad) * np.exp(log_zoom)
+    parts = [_image_triangles(mesh, ego_from_camera, model, focal) for mesh in meshes]
+    corner = np.concatenate(parts)
+    owner = np.repeat(np.arange(len(meshes)), [len(part) for part in parts])
+    columns = np.array([0.0, width]) if weight is None else np.arange(width + 1.0)
+    total = np.outer(np.ones(height), columns) if weight is None else np.c_[np.zeros(height), np.cumsum(weight, axis=1)]
+    rows = _event_rows(corner, owner, columns, height)
+    result = np.zeros((2, len(meshes)))
+    for low, high in pairwise(rows):
+        start, end, w_start, w_end, of = _intervals(corner, owner, 0.5 * (low + high), width)
+        if len(start) == 0:
+            continue
+        cut = np.unique(np.r_[start, end, _passes(start, end, w_start, w_end, of)])
+        middle = 0.5 * (cut[1:] + cut[:-1])
+        share = (middle - start[:, None]) / (end - start)[:, None]
+        w = np.where((share > 0.0) & (share < 1.0), w_start[:, None] + share * (w_end - w_start)[:, None], 0.0)
+        gain = (high - low) * np.diff(np.interp(cut, columns, total[int(low + 1e-6)]))
+        result[0] += np.bincount(of[w.argmax(axis=0)], gain * (w.max(axis=0) > 0.0), len(meshes))
+        for k in np.unique(of):
+            result[1, k] += gain[(w[of == k] > 0.0).any(axis=0)].sum()
+    return result
+
+
+def gradients(meshes, ego_from_camera, model, *, shift_m, spin_rad, **settings):
+    """Central differences of `areas`: to ego x, y, z [1/m], spins about camera axes [1/rad], the log focal length.
+
+    Args:
+        meshes: See `areas`.
+        ego_from_camera: See `areas`.
+        model: See `areas`.
+        shift_m: Step of the shifts; a thousandth of the distance or less.
+        spin_rad: Step of the spins and of the logarithm of the focal length.
+        settings: More arguments of `areas`.
+
+    Returns:
+        Float64 [visible or alone, mesh, 7].
+    """
+    columns = []
+    for direction in (*SHIFTS, *SPINS, ZOOM):
+        step = shift_m if direction in SHIFTS else spin_rad
+        high, low = (
+            areas(
+                meshes,
+                moved(ego_from_camera, direction, sign * step),
+                model,
+                log_zoom=sign * step * (direction == ZOOM),
+                **settings,
+            )
+            for sign in (1, -1)
+        )
+        columns.append((high - low) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def moved(ego_from_camera, direction, step):
+    """The pose, its centre shifted along an ego axis or its points spun about a camera axis."""
+    result = np.array(ego_from_camera, float)
+    if direction in SHIFTS:
+        result[direction, 3] += step
+    elif direction in SPINS:
+        spin = Rotation.from_rotvec(step * np.eye(3)[direction - SPINS[0]]).as_matrix()
+        result[:3, :3] = result[:3, :3] @ spin.T
+    return result
+
+
+def _image_triangles(mesh, ego_from_camera, model, focal):
+    """Triangles before the near plane: column, row, 1/z of their corners, [triangle, 3, 3]."""
+    camera = (np.asarray(mesh.vertex_m, float) - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
+    fans = []
+    for polygon in camera[mesh.triangle]:
+        kept = []
+        for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            if a[2] >= model.near_m:
+                kept.append(a)
+            if (a[2] >= model.near_m) != (b[2] >= model.near_m):
+                kept.append(a + (model.near_m - a[2]) / (b[2] - a[2]) * (b - a))
+        fans += [(kept[0], kept[i], kept[i + 1]) for i in range(1, len(kept) - 1)]
+    q = np.array(fans).reshape(-1, 3, 3)
+    centre = 0.5 * np.array([model.width_px, model.height_px])
+    return np.concatenate([centre + focal * q[..., :2] / q[..., 2:], 1.0 / q[..., 2:]], axis=2)
+
+
+def _event_rows(corner, owner, columns, height_px):
+    """Rows between which every outline is straight and crosses no other, nor a border of pixels."""
+    start, end = corner[..., :2].reshape(-1, 2), np.roll(corner, -1, axis=1)[..., :2].reshape(-1, 2)
+    pass_start, pass_end = _pass_lines(corner, owner)
+    top, bottom = np.c_[columns, np.full(len(columns), -1.0)], np.c_[columns, np.full(len(columns), height_px + 1.0)]
+    start, end = np.r_[start, pass_start, top], np.r_[end, pass_end, bottom]
+    rows = np.r_[np.arange(height_px + 1.0), start[:, 1], end[:, 1], _crossing_rows(start, end)]
+    rows = np.unique(rows[(rows >= 0.0) & (rows <= height_px)])
+    return rows[np.diff(rows, prepend=-1.0) > 1e-10]
+
+
+def _crossing_rows(start, end):
+    """Rows where two lines cross."""
+    along = end - start
+    between = start[None] - start[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cross = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
+        s = (between[..., 0] * along[None, :, 1] - between[..., 1] * along[None, :, 0]) / cross
+        t = (between[..., 0] * along[:, None, 1] - between[..., 1] * along[:, None, 0]) / cross
+        row = start[:, None, 1] + s * along[:, None, 1]
+    return row[(s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)]
+
+
+def _pass_lines(corner, owner):
+    """Start and end of the lines in the image along which triangles of two objects pass through each other."""
+    u, v = corner[..., 0], corner[..., 1]
+    doubled = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
+    kept = np.abs(doubled) > 1e-12
+    corner, owner = corner[kept], owner[kept]
+    # 1/z is linear in the image: w = plane . (u, v, 1); inside is side . (u, v, 1) >= 0
+    ones = np.ones((*corner.shape[:2], 1))
+    image = np.concatenate([corner[..., :2], ones], axis=2)
+    plane = np.linalg.solve(image, corner[..., 2:])[..., 0]
+    side = np.cross(image, np.roll(image, -1, axis=1)) * np.sign(doubled[kept])[:, None, None]
+    starts, ends = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for i in range(len(corner)):
+        j = np.flatnonzero(owner > owner[i])
+        line = plane[j] - plane[i]
+        norm = np.linalg.norm(line[:, :2], axis=1)
+        j, line, norm = j[norm > 1e-12], line[norm > 1e-12], norm[norm > 1e-12]
+        origin = -line[:, :2] * (line[:, 2] / norm**2)[:, None]
+        along = np.c_[-line[:, 1], line[:, 0]] / norm[:, None]
+        low, high = np.full(len(j), -np.inf), np.full(len(j), np.inf)
+        for bound in (*(np.broadcast_to(s, (len(j), 3)) for s in side[i]), *np.moveaxis(side[j], 1, 0)):
+            at, rate = (bound[:, :2] * origin).sum(axis=1) + bound[:, 2], (bound[:, :2] * along).sum(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                cut = -at / rate
+            low = np.where(rate > 0, np.maximum(low, cut), low)
+            high = np.where(rate < 0, np.minimum(high, cut), high)
+            high = np.where((rate == 0) & (at < 0), -np.inf, high)
+        crosses = low < high
+        starts.append((origin + low[:, None] * along)[crosses])
+        ends.append((origin + high[:, None] * along)[crosses])
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def _intervals(corner, owner, y, width_px):
+    """What a scanline cuts out of every triangle, inside the image: start, end, 1/z at both, owner."""
+    a, b = corner, np.roll(corner, -1, axis=1)
+    crosses = (a[..., 1] < y) != (b[..., 1] < y)
+    hit = crosses.sum(axis=1) == 2
+    a, b, crosses = a[hit], b[hit], crosses[hit]
+    share = (y - a[crosses][:, 1]) / (b[crosses][:, 1] - a[crosses][:, 1])
+    point = (a[crosses] + share[:, None] * (b[crosses] - a[crosses])).reshape(-1, 2, 3)
+    x = np.sort(point[..., 0], axis=1)
+    kept = (x[:, 1] - x[:, 0] > 1e-12) & (x[:, 1] > 0.0) & (x[:, 0] < width_px)
+    point, x, of = point[kept], x[kept], owner[hit][kept]
+    slope = (point[:, 1, 2] - point[:, 0, 2]) / (point[:, 1, 0] - point[:, 0, 0])
+    start, end = np.clip(x, 0.0, width_px).T
+    w_start, w_end = (point[:, 0, 2] + slope * (place - point[:, 0, 0]) for place in (start, end))
+    return start, end, w_start, w_end, of
+
+
+def _passes(start, end, w_start, w_end, of):
+    """Places where surfaces of two objects pass through each other."""
+    slope = (w_end - w_start) / (end - start)
+    zero = w_start - slope * start
+    i, j = np.nonzero(of[:, None] < of[None, :])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (zero[j] - zero[i]) / (slope[i] - slope[j])
+    return x[(x > np.maximum(start[i], start[j])) & (x < np.minimum(end[i], end[j]))]
