@@ -52,6 +52,10 @@ MEASURE_COUNT = wp.constant(7)
 AREA_COUNT = wp.constant(3)
 EXTENT_COUNT = wp.constant(4)
 
+# A gradient is meant for steps, and within a step an outline moves: where weights jump from pixel to pixel, those so
+# far [px] to either side of it count.
+OUTLINE_STEP = wp.constant(1.0 / 16.0)
+
 LEAST_LEVEL = wp.constant(1.0e-6)  # squared sine of the angle between a surface and the near plane that cuts it
 LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts that have a corner
 
@@ -140,13 +144,41 @@ def box_weight(column: float, row: float, box_px: wp.vec4, samples_per_px: float
 
 
 @wp.func
+def pixel_weight(column: int, row: int, weight_image: wp.array3d[float], v: int) -> float:
+    """Weight of a pixel; 0 beyond the image. One image may serve all views."""
+    if column < 0 or row < 0 or column >= weight_image.shape[2] or row >= weight_image.shape[1]:
+        return 0.0
+    return weight_image[v % weight_image.shape[0], row, column]
+
+
+@wp.func
 def image_weight(column: float, row: float, weight_image: wp.array3d[float], v: int, samples_per_px: float) -> float:
-    """The weight image's pixel that holds a place of the grid; 0 beyond the image. One image may serve all views."""
+    """The weight of the pixel that holds a sample's centre."""
     x = int(wp.floor((column - float(GUARD)) / samples_per_px))
     y = int(wp.floor((row - float(GUARD)) / samples_per_px))
-    if x < 0 or y < 0 or x >= weight_image.shape[2] or y >= weight_image.shape[1]:
-        return 0.0
-    return weight_image[v % weight_image.shape[0], y, x]
+    return pixel_weight(x, y, weight_image, v)
+
+
+@wp.func
+def outline_weight(column: float, row: float, weight_image: wp.array3d[float], v: int, samples_per_px: float) -> float:
+    """Weight at a place of an outline: the mean over as far as it moves in a small step, see `OUTLINE_STEP`."""
+    x = (column - float(GUARD)) / samples_per_px - OUTLINE_STEP
+    y = (row - float(GUARD)) / samples_per_px - OUTLINE_STEP
+    left = wp.floor(x)
+    top = wp.floor(y)
+    # shares of the next column and row of pixels in the square of twice the step
+    right_share = wp.clamp((x - left - 1.0) / (2.0 * OUTLINE_STEP) + 1.0, 0.0, 1.0)
+    bottom_share = wp.clamp((y - top - 1.0) / (2.0 * OUTLINE_STEP) + 1.0, 0.0, 1.0)
+    i = int(top)
+    j = int(left)
+    weight = (1.0 - right_share) * (1.0 - bottom_share) * pixel_weight(j, i, weight_image, v)
+    if right_share > 0.0:
+        weight += right_share * (1.0 - bottom_share) * pixel_weight(j + 1, i, weight_image, v)
+    if bottom_share > 0.0:
+        weight += (1.0 - right_share) * bottom_share * pixel_weight(j, i + 1, weight_image, v)
+        if right_share > 0.0:
+            weight += right_share * bottom_share * pixel_weight(j + 1, i + 1, weight_image, v)
+    return weight
 
 
 @wp.kernel(enable_backward=False)
@@ -309,7 +341,7 @@ def measure_weighted_area_kernel(
                         weight = float(0.0)
                         for k in range(3):
                             middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
-                            weight += (cut[k + 1] - cut[k]) * image_weight(
+                            weight += (cut[k + 1] - cut[k]) * outline_weight(
                                 middle[0], middle[1], weight_image, v, samples_per_px
                             )
                         weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
