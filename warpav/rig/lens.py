@@ -1,0 +1,235 @@
+"""Lenses: where the image of a direction lies, in focal lengths from the principal point, and back. Plain NumPy.
+
+``x`` goes right, ``y`` down. A pinhole images the point (X, Y, Z) at (X / Z, Y / Z). The others, with OpenCV's
+coefficients in OpenCV's order:
+
+* Brown-Conrady: the pinhole's image, moved along the radius ``r`` to ``r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 +
+  k5 r^4 + k6 r^6)`` and sideways by ``p1`` and ``p2``;
+* fisheye (Kannala-Brandt, KB4): a direction at the angle t from the optical axis at the radius ``t (1 + k1 t^2 +
+  k2 t^4 + k3 t^6 + k4 t^8)``, also behind the camera;
+* panorama: a cylinder about the camera's y axis; x is the azimuth, y the tangent of the angle below the horizon.
+
+The first two grow along the radius only up to some angle. Beyond it the polynomial says nothing about the lens, so
+directions beyond have no image, and places of the image beyond see nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+MAX_TANGENT = 100.0
+"""A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
+
+_TURN_SHARE = 0.995  # of the place where the radius stops growing: just before it the image has no width
+_RADIUS_STEPS = 60  # halvings of a bracket end below float64's resolution
+_PLACE_STEPS = 12
+_PLACE_TOLERANCE = 1e-4
+
+
+class Lens(StrEnum):
+    """How directions become places in the image."""
+
+    PINHOLE = "pinhole"
+    BROWN_CONRADY = "brown_conrady"
+    FISHEYE = "fisheye"
+    PANORAMA = "panorama"
+
+
+COEFFICIENT_COUNTS = {
+    Lens.PINHOLE: (0,),
+    Lens.BROWN_CONRADY: (0, 4, 5, 8),
+    Lens.FISHEYE: (0, 4),
+    Lens.PANORAMA: (0,),
+}
+"""How many coefficients each lens may have."""
+
+
+@dataclass(frozen=True)
+class LensShape:
+    """A lens without its focal length.
+
+    Attributes:
+        lens: Which kind.
+        distortion: Coefficients: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` of Brown-Conrady, ``k1 k2 k3 k4`` of a fisheye, in
+            OpenCV's order; none counts as zeros.
+    """
+
+    lens: Lens
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def is_radial(self) -> bool:
+        """Whether the image lies on a radius that depends on the angle from the optical axis."""
+        return self.lens is not Lens.PANORAMA
+
+    @property
+    def has_unit_rays(self) -> bool:
+        """Whether depths are distances from the camera's centre; else they lie along the optical axis."""
+        return self.lens in (Lens.FISHEYE, Lens.PANORAMA)
+
+    @cached_property
+    def coefficients(self) -> np.ndarray:
+        """Always eight numbers: the distortion, filled up with zeros."""
+        return np.pad(np.asarray(self.distortion, np.float64), (0, 8 - len(self.distortion)))
+
+    @cached_property
+    def limit(self) -> float:
+        """The angle from the axis [rad] up to which a fisheye's image grows, at most pi; for the others its tangent."""
+        growth = _polynomial([1.0])
+        end = MAX_TANGENT
+        if self.lens is Lens.BROWN_CONRADY:
+            above, below = self._fraction
+            squared = _polynomial([0.0, 2.0])
+            growth = (above + squared * above.deriv()) * below - squared * above * below.deriv()
+            growth *= below  # a pole ends it as well
+        elif self.lens is Lens.FISHEYE:
+            growth = _polynomial([1.0, *(self.coefficients[:4] * [3.0, 5.0, 7.0, 9.0])])
+            end = math.pi
+        # terms too small to matter anywhere would only spoil the roots
+        scale = np.abs(growth.coef) * float(end) ** (2.0 * np.arange(len(growth.coef)))
+        root = growth.cutdeg(int(np.flatnonzero(scale > 1e-12)[-1])).roots()
+        turns = np.sqrt(root.real[(np.abs(root.imag) < 1e-9) & (root.real > 0.0)])
+        return min([end, *(_TURN_SHARE * turns)])
+
+    @property
+    def limit_rad(self) -> float:
+        """The angle from the axis up to which the lens sees [rad]; pi where nothing ends it."""
+        if self.lens is Lens.PANORAMA:
+            return math.pi
+        return self.limit if self.lens is Lens.FISHEYE else math.atan(self.limit)
+
+    @cached_property
+    def edge(self) -> float:
+        """Radius of the image at the limit, in focal lengths."""
+        return float(self.radius(np.array(self.limit))[0])
+
+    @cached_property
+    def _fraction(self) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
+        """Polynomials in the squared radius: a Brown-Conrady radius grows by the first over the second."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.coefficients
+        return _polynomial([1.0, k1, k2, k3]), _polynomial([1.0, k4, k5, k6])
+
+    def radius(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Radius of the image and its growth, at an angle from the axis (fisheye) or at its tangent (else)."""
+        squared = angle * angle
+        if self.lens is Lens.BROWN_CONRADY:
+            above, below = self._fraction
+            factor = above(squared) / below(squared)
+            slope = (above.deriv()(squared) - factor * below.deriv()(squared)) / below(squared)
+        elif self.lens is Lens.FISHEYE:
+            series = _polynomial([1.0, *self.coefficients[:4]])
+            factor, slope = series(squared), series.deriv()(squared)
+        else:
+            factor, slope = np.ones_like(angle), np.zeros_like(angle)
+        return factor * angle, factor + 2.0 * squared * slope
+
+    def angle(self, radius: np.ndarray) -> np.ndarray:
+        """The inverse of `radius`, at most `limit`: Newton's steps, halvings where they would leave the bracket."""
+        radius = np.minimum(radius, self.edge)
+        low, high = np.zeros_like(radius), np.full_like(radius, self.limit)
+        angle = np.minimum(radius, high)
+        for _ in range(_RADIUS_STEPS):
+            reached, growth = self.radius(angle)
+            low, high = np.where(reached <= radius, angle, low), np.where(reached <= radius, high, angle)
+            newton = angle - (reached - radius) / growth
+            old, angle = angle, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+            if np.all(np.abs(angle - old) <= 1e-15):
+                break
+        return angle
+
+    def place(self, point: np.ndarray) -> np.ndarray:
+        """Image of points in camera coordinates, [..., 3] -> [..., 2]; NaN where there is none."""
+        x, y, z = np.moveaxis(np.asarray(point, np.float64), -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.lens is Lens.PANORAMA:
+                level = np.hypot(x, z)
+                found, seen = np.stack([np.arctan2(x, z), y / level], axis=-1), level > 0.0
+            elif self.lens is Lens.FISHEYE:
+                across = np.hypot(x, y)
+                angle = np.arctan2(across, z)
+                factor = np.where(across > 0.0, self.radius(angle)[0] / across, 1.0 / z)
+                found = np.stack([factor * x, factor * y], axis=-1)
+                seen = (angle <= self.limit) & ((across > 0.0) | (z > 0.0))
+            else:
+                seen = (z > 0.0) & (np.hypot(x, y) <= self.limit * z)
+                if self.lens is Lens.PINHOLE:
+                    seen = z > 0.0
+                found = self._moved(np.stack([x / z, y / z], axis=-1))[0]
+        return np.where(seen[..., None], found, np.nan)
+
+    def ray(self, place: np.ndarray) -> np.ndarray:
+        """Directions that have their image at places, [..., 2] -> [..., 3]; NaN where nothing is seen.
+
+        Their z is 1 for pinhole and Brown-Conrady lenses; the others' have unit length.
+        """
+        place = np.asarray(place, np.float64)
+        x, y = np.moveaxis(place, -1, 0)
+        if self.lens is Lens.PINHOLE:
+            return np.stack([x, y, np.ones_like(x)], axis=-1)
+        if self.lens is Lens.PANORAMA:
+            ray = np.stack([np.sin(x), y, np.cos(x)], axis=-1)
+            return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        radius = np.hypot(x, y)
+        angle = self.angle(radius)
+        if self.lens is Lens.FISHEYE:
+            share = np.where(radius > 0.0, np.sin(angle) / np.maximum(radius, 1e-300), 1.0)
+            ray = np.stack([share * x, share * y, np.cos(angle)], axis=-1)
+            return np.where((radius <= self.edge)[..., None], ray, np.nan)
+        share = np.where(radius > 0.0, angle / np.maximum(radius, 1e-300), 1.0)
+        pinhole = share[..., None] * place
+        with np.errstate(all="ignore"):  # places that see nothing may run away
+            for _ in range(_PLACE_STEPS):
+                reached, slope = self._moved(pinhole)
+                excess = reached - place
+                turn = slope[..., 0, 0] * slope[..., 1, 1] - slope[..., 0, 1] * slope[..., 1, 0]
+                step_x = slope[..., 1, 1] * excess[..., 0] - slope[..., 0, 1] * excess[..., 1]
+                step_y = slope[..., 0, 0] * excess[..., 1] - slope[..., 1, 0] * excess[..., 0]
+                pinhole = pinhole - np.stack([step_x, step_y], axis=-1) / turn[..., None]
+            error = np.linalg.norm(self._moved(pinhole)[0] - place, axis=-1)
+            seen = (error < _PLACE_TOLERANCE) & (np.linalg.norm(pinhole, axis=-1) <= self.limit)
+        ray = np.concatenate([pinhole, np.ones_like(x)[..., None]], axis=-1)
+        return np.where(seen[..., None], ray, np.nan)
+
+    def _moved(self, pinhole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Brown-Conrady image of a pinhole's image, [..., 2], and its Jacobian, [..., 2, 2]."""
+        x, y = np.moveaxis(pinhole, -1, 0)
+        squared = x * x + y * y
+        above, below = self._fraction
+        factor = above(squared) / below(squared)
+        slope = (above.deriv()(squared) - factor * below.deriv()(squared)) / below(squared)
+        p1, p2 = self.coefficients[2:4] if self.lens is Lens.BROWN_CONRADY else (0.0, 0.0)
+        moved = [
+            factor * x + 2.0 * p1 * x * y + p2 * (squared + 2.0 * x * x),
+            factor * y + p1 * (squared + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ]
+        mixed = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        along_x = factor + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        along_y = factor + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        jacobian = [np.stack([along_x, mixed], axis=-1), np.stack([mixed, along_y], axis=-1)]
+        return np.stack(moved, axis=-1), np.stack(jacobian, axis=-2)
+
+
+def checked_distortion(lens: Lens, distortion: Sequence[float]) -> tuple[float, ...]:
+    """The coefficients as a tuple of floats.
+
+    Raises:
+        ValueError: Not the number of coefficients that the lens has, or one that is not finite.
+    """
+    counts = COEFFICIENT_COUNTS[lens]
+    if len(distortion) not in counts:
+        wanted = " or ".join(str(count) for count in counts)
+        raise ValueError(f"a {lens} lens has {wanted} distortion coefficients, got {len(distortion)}")
+    for i, value in enumerate(distortion):
+        if not math.isfinite(value):
+            raise ValueError(f"distortion[{i}] must be finite, got {value}")
+    return tuple(float(value) for value in distortion)
+
+
+def _polynomial(coefficient: Sequence[float] | np.ndarray) -> np.polynomial.Polynomial:
+    return np.polynomial.Polynomial(np.asarray(coefficient, np.float64))
