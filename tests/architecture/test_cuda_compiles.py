@@ -1,0 +1,48 @@
+"""Every module of kernels compiles for CUDA GPUs, on a machine without one too; nothing is run."""
+
+import functools
+import importlib
+import re
+import tempfile
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from tests.architecture.kernel_style import read_modules
+
+ARCHITECTURES = (75, 80, 90)  # Turing, Ampere, Hopper
+MODULES = [
+    pytest.param(module, id=Path(module.path).stem)
+    for module in read_modules(Path(__file__).parents[2] / "kernels" / "warpav_kernels")
+    if any(function.kind == "kernel" for function in module.functions)
+]
+
+
+@functools.cache
+def ptx(name, architecture):
+    """The assembly of one module."""
+    module = importlib.import_module(f"warpav_kernels.{name}")
+    with tempfile.TemporaryDirectory() as folder:
+        (file,) = wp.compile_aot_module(module, device=None, arch=architecture, module_dir=folder, use_ptx=True)
+        return Path(file).read_text()
+
+
+# all together 35 s of one core
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("module", MODULES)
+def test_module_compiles_for_cuda(module, architecture):
+    text = ptx(Path(module.path).stem, architecture)
+    assert f".target sm_{architecture}" in text
+    entries = re.findall(r"\.entry (\w+?)_[0-9a-f]{8}_cuda_kernel_(forward|backward)\(", text)
+    for kernel in (function for function in module.functions if function.kind == "kernel"):
+        assert (kernel.name, "forward") in entries
+        assert ((kernel.name, "backward") in entries) == kernel.is_differentiable(module.enable_backward)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_the_nearest_surface_is_kept_by_native_atomics(architecture):
+    # the keys of depth buffers have 64 bits; without the instruction it would be a loop of compare and swap
+    text = ptx("rasterise", architecture)
+    assert re.search(r"\b(atom|red)(\.\w+)*\.max\.s64\b", text)
+    assert not re.search(r"\b(atom|red)(\.\w+)*\.cas\.b64\b", text)
