@@ -1,0 +1,224 @@
+"""Lenses other than the pinhole: rays of image places, and how the image of a point moves.
+
+Image places are in focal lengths from the principal point, x to the right and y down. Rays are in camera axes; they
+have z = 1 for pinhole and Brown-Conrady lenses and unit length for the others. The inverse of a lens has no closed
+form; it is solved by a fixed number of Newton's steps.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# kinds of lenses
+PINHOLE = wp.constant(0)
+BROWN_CONRADY = wp.constant(1)
+FISHEYE = wp.constant(2)
+PANORAMA = wp.constant(3)
+
+RADIUS_STEPS = wp.constant(16)
+PLACE_STEPS = wp.constant(8)
+PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
+LEAST_ACROSS = wp.constant(1.0e-6)  # of a fisheye's ray: nearer to the axis it is a pinhole
+
+vec8 = wp.types.vector(length=8, dtype=float)
+mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
+
+
+@wp.struct
+class Lens:
+    """A lens without its focal length.
+
+    Attributes:
+        kind: PINHOLE, BROWN_CONRADY, FISHEYE or PANORAMA.
+        limit: Up to which the radius grows: the angle from the axis of a FISHEYE [rad], its tangent for BROWN_CONRADY.
+        edge: The radius there; places beyond see nothing.
+        distortion: k1 k2 p1 p2 k3 k4 k5 k6 of BROWN_CONRADY, k1 k2 k3 k4 of a FISHEYE.
+    """
+
+    kind: int
+    limit: float
+    edge: float
+    distortion: vec8
+
+
+@wp.struct
+class Factor:
+    """By how much a Brown-Conrady lens moves places along the radius.
+
+    Attributes:
+        value: New radius over old.
+        slope: Its derivative to the old radius squared.
+    """
+
+    value: float
+    slope: float
+
+
+@wp.func
+def radial_factor(lens: Lens, squared: float) -> Factor:
+    """The factor of a Brown-Conrady lens at a squared radius."""
+    k = lens.distortion
+    above = 1.0 + squared * (k[0] + squared * (k[1] + squared * k[4]))
+    below = 1.0 + squared * (k[5] + squared * (k[6] + squared * k[7]))
+    above_slope = k[0] + squared * (2.0 * k[1] + squared * 3.0 * k[4])
+    below_slope = k[5] + squared * (2.0 * k[6] + squared * 3.0 * k[7])
+    factor = Factor()
+    factor.value = above / below
+    factor.slope = (above_slope - factor.value * below_slope) / below
+    return factor
+
+
+@wp.func
+def radius_and_growth(lens: Lens, angle: float) -> wp.vec2:
+    """Radius of the image at an angle from the axis (FISHEYE) or at its tangent, and its derivative."""
+    squared = angle * angle
+    if lens.kind == FISHEYE:
+        k = lens.distortion
+        series = 1.0 + squared * (k[0] + squared * (k[1] + squared * (k[2] + squared * k[3])))
+        slope = k[0] + squared * (2.0 * k[1] + squared * (3.0 * k[2] + squared * 4.0 * k[3]))
+        return wp.vec2(series * angle, series + 2.0 * squared * slope)
+    factor = radial_factor(lens, squared)
+    return wp.vec2(factor.value * angle, factor.value + 2.0 * squared * factor.slope)
+
+
+@wp.func
+def angle_at(lens: Lens, radius: float) -> float:
+    """The inverse of `radius_and_growth`: Newton's steps, or halvings where they would leave the bracket."""
+    low = float(0.0)
+    high = lens.limit
+    angle = wp.min(radius, high)
+    for _ in range(RADIUS_STEPS):
+        reached = radius_and_growth(lens, angle)
+        if reached[0] <= radius:
+            low = angle
+        else:
+            high = angle
+        newton = angle - (reached[0] - radius) / reached[1]
+        angle = 0.5 * (low + high)
+        if newton >= low and newton <= high:
+            angle = newton
+    return angle
+
+
+@wp.func
+def moved_place(lens: Lens, x: float, y: float) -> wp.vec2:
+    """Where a Brown-Conrady lens moves the image of a pinhole."""
+    p1 = lens.distortion[2]
+    p2 = lens.distortion[3]
+    squared = x * x + y * y
+    factor = radial_factor(lens, squared)
+    return wp.vec2(
+        factor.value * x + 2.0 * p1 * x * y + p2 * (squared + 2.0 * x * x),
+        factor.value * y + p1 * (squared + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+@wp.func
+def moved_place_jacobian(lens: Lens, x: float, y: float) -> wp.mat22:
+    """Derivative of `moved_place` to the image of the pinhole."""
+    p1 = lens.distortion[2]
+    p2 = lens.distortion[3]
+    factor = radial_factor(lens, x * x + y * y)
+    mixed = 2.0 * factor.slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    return wp.mat22(
+        factor.value + 2.0 * factor.slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        mixed,
+        mixed,
+        factor.value + 2.0 * factor.slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
+@wp.func
+def brown_conrady_ray(lens: Lens, x: float, y: float) -> wp.vec3:
+    """Ray with z = 1 of a place in a Brown-Conrady image; zero where nothing is seen."""
+    radius = wp.sqrt(x * x + y * y)
+    place = wp.vec2(x, y)
+    pinhole = place
+    if radius > 0.0:
+        pinhole = angle_at(lens, wp.min(radius, lens.edge)) / radius * place
+    if lens.distortion[2] != 0.0 or lens.distortion[3] != 0.0:
+        for _ in range(PLACE_STEPS):
+            slope = moved_place_jacobian(lens, pinhole[0], pinhole[1])
+            pinhole = pinhole - wp.inverse(slope) * (moved_place(lens, pinhole[0], pinhole[1]) - place)
+    error = wp.length(moved_place(lens, pinhole[0], pinhole[1]) - place)
+    # a place that has run away is not a number, and no comparison of it holds
+    if error < PLACE_TOLERANCE and wp.length(pinhole) <= lens.limit:
+        return wp.vec3(pinhole[0], pinhole[1], 1.0)
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
+    """Ray of unit length of a place in a fisheye's image; zero where nothing is seen."""
+    radius = wp.sqrt(x * x + y * y)
+    if radius > lens.edge:
+        return wp.vec3(0.0, 0.0, 0.0)
+    if radius < LEAST_ACROSS:
+        return wp.vec3(x, y, 1.0) / wp.sqrt(1.0 + radius * radius)
+    angle = angle_at(lens, radius)
+    share = wp.sin(angle) / radius
+    return wp.vec3(share * x, share * y, wp.cos(angle))
+
+
+@wp.func
+def lens_ray(lens: Lens, x: float, y: float) -> wp.vec3:
+    """Ray of an image place; zero where nothing is seen."""
+    if lens.kind == BROWN_CONRADY:
+        return brown_conrady_ray(lens, x, y)
+    if lens.kind == FISHEYE:
+        return fisheye_ray(lens, x, y)
+    return wp.vec3(wp.sin(x), y, wp.cos(x)) / wp.sqrt(1.0 + y * y)
+
+
+@wp.func
+def fisheye_gradient(lens: Lens, point: wp.vec3) -> mat23:
+    """Gradients (rows) of a fisheye's image place to the point."""
+    x = point[0]
+    y = point[1]
+    z = point[2]
+    across = wp.sqrt(x * x + y * y)
+    if across < LEAST_ACROSS * z:
+        return mat23(1.0 / z, 0.0, -x / (z * z), 0.0, 1.0 / z, -y / (z * z))
+    squared = across * across + z * z
+    radius = radius_and_growth(lens, wp.atan2(across, z))
+    # along the radius the angle turns, across it the image goes round the principal point
+    x = x / across
+    y = y / across
+    along = radius[1] * z / squared
+    round_about = radius[0] / across
+    back = -radius[1] * across / squared
+    return mat23(
+        along * x * x + round_about * y * y,
+        (along - round_about) * x * y,
+        back * x,
+        (along - round_about) * x * y,
+        along * y * y + round_about * x * x,
+        back * y,
+    )
+
+
+@wp.func
+def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
+    """Gradients (rows) of the image place of a point in camera coordinates to the point [1/m]."""
+    x = point[0]
+    y = point[1]
+    z = point[2]
+    if lens.kind == FISHEYE:
+        return fisheye_gradient(lens, point)
+    if lens.kind == PANORAMA:
+        squared = x * x + z * z
+        level = wp.sqrt(squared)
+        drop = -y / (squared * level)
+        return mat23(z / squared, 0.0, -x / squared, drop * x, 1.0 / level, drop * z)
+    w = 1.0 / z
+    a = x * w
+    b = y * w
+    turn = w * moved_place_jacobian(lens, a, b)
+    return mat23(
+        turn[0, 0],
+        turn[0, 1],
+        -turn[0, 0] * a - turn[0, 1] * b,
+        turn[1, 0],
+        turn[1, 1],
+        -turn[1, 0] * a - turn[1, 1] * b,
+    )
