@@ -286,6 +286,7 @@ class DetectorConfig(Section):
         | None
     ) = Field(default=None, description="classes that count as vehicles; null takes the usual names")
     input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
+    provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 
 
 class SegregationConfig(Section):

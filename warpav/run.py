@@ -91,6 +91,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         nms_iou_max=config.detector.nms_iou_max,
         vehicle_names=config.detector.vehicle_names,
         input_px=config.detector.input_px,
+        provider=config.detector.provider,
     )
     train_count = len(config.scenes.train_seeds)
     seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)

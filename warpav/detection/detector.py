@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -47,6 +47,27 @@ class Detector(Protocol):
 
         Args:
             images_rgb: Images of one size, uint8, shape [image, row, column, 3].
+
+        Returns:
+            One `Detections` for every image, in order.
+        """
+        ...
+
+
+@runtime_checkable
+class TensorDetector(Detector, Protocol):
+    """A detector that can also read its network's input where it lies, without a copy through the host."""
+
+    def takes_tensor(self, height_px: int, width_px: int) -> bool:
+        """Whether images of this size go into the network as they are."""
+        ...
+
+    def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
+        """Find the vehicles in images that are laid out for the network.
+
+        Args:
+            network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], on any
+                device. It is not kept.
 
         Returns:
             One `Detections` for every image, in order.

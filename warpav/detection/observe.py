@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpav.detection.detector import Detections, Detector
+from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.matching import match_detections
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Renderer
+from warpav_kernels import network_input as network_input_kernels
 
 
 @dataclass(frozen=True)
@@ -20,17 +21,22 @@ class Observation:
     """Detections of one scene through the cameras of a rig.
 
     Attributes:
-        image_rgb: What the cameras see, uint8 [camera, row, column, 3].
+        image: What the cameras see, 0..1, vec3 [camera, row, column], on the device.
         detections: What the detector says, one per camera.
         truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is seen, float32
             [camera, vehicle, 4].
         match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
     """
 
-    image_rgb: np.ndarray
+    image: wp.array
     detections: list[Detections]
     truth_box_px: np.ndarray
     match: np.ndarray
+
+    @property
+    def image_rgb(self) -> np.ndarray:
+        """What the cameras see, uint8 [camera, row, column, 3]; a copy on the host."""
+        return (self.image.numpy() * 255.0 + 0.5).astype(np.uint8)
 
     def matched_box_px(self) -> np.ndarray:
         """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
@@ -47,6 +53,28 @@ class Observation:
             found = self.match[camera] >= 0
             confidence[camera, found] = detections.confidence[self.match[camera, found]]
         return confidence
+
+
+def detect_in(image: wp.array, detector: Detector) -> list[Detections]:
+    """Run a detector on rendered images, without a copy through the host where the detector can do without.
+
+    Args:
+        image: Colours 0..1, vec3 [image, row, column].
+        detector: Finds vehicles.
+    """
+    count, height_px, width_px = image.shape
+    if isinstance(detector, TensorDetector) and detector.takes_tensor(height_px, width_px):
+        network_input = wp.empty((count, 3, height_px, width_px), dtype=float, device=image.device)
+        wp.launch(
+            network_input_kernels.write_network_input_kernel,
+            dim=(count, height_px),
+            inputs=[image],
+            outputs=[network_input],
+            device=image.device,
+            record_tape=False,
+        )
+        return detector.detect_tensor(network_input)
+    return detector.detect((image.numpy() * 255.0 + 0.5).astype(np.uint8))
 
 
 def observe(
@@ -77,8 +105,7 @@ def observe(
     """
     if image is None:
         image = renderer.rgb(scene, ahead_view)
-    image_rgb = (image.numpy() * 255.0 + 0.5).astype(np.uint8)
-    detections = detector.detect(image_rgb)
+    detections = detect_in(image, detector)
     masks = renderer.visible_masks(scene, ahead_view)
     samples = renderer.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
@@ -103,4 +130,4 @@ def observe(
             iou_min=iou_min,
             seen_inside=inside,
         )
-    return Observation(image_rgb, detections, truth_box_px, match)
+    return Observation(image, detections, truth_box_px, match)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,6 +34,11 @@ _GREY = 114
 _BATCH_MAX = 32
 # Suppression compares all pairs; beyond this many candidates the least confident are dropped.
 _CANDIDATE_MAX = 1000
+PROVIDERS = {
+    "cpu": "CPUExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+}
 _LAYOUT = "one input [batch, 3, rows, columns] float32 and one output [batch, 4 + classes, candidates] float32"
 
 
@@ -123,7 +128,7 @@ def suppress(box_px: np.ndarray, confidence: np.ndarray, *, iou_max: float) -> n
 
 
 class OnnxDetector:
-    """Vehicles in images, by an ONNX network on the CPU.
+    """Vehicles in images, by an ONNX network.
 
     Args:
         model: Path of an ONNX file, or ``builtin`` for the shipped network.
@@ -133,9 +138,11 @@ class OnnxDetector:
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32. None:
             as they are. A file that fixes its input size takes none.
         threads: Threads of onnxruntime; None lets it use all cores.
+        provider: Where the network runs: ``cpu``, ``cuda`` or ``tensorrt``.
 
     Raises:
-        InputError: The file is missing, not ONNX, of another layout, without labels or without vehicles.
+        InputError: The file is missing, not ONNX, of another layout, without labels or without vehicles; or the
+            provider is not there, or gave way to another.
     """
 
     def __init__(
@@ -147,11 +154,13 @@ class OnnxDetector:
         vehicle_names: Sequence[str] | None = None,
         input_px: int | None = None,
         threads: int | None = None,
+        provider: str = "cpu",
     ) -> None:
         self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model)
         self._confidence_min = confidence_min
         self._nms_iou_max = nms_iou_max
-        self._session = _open_session(self._path, threads)
+        self._session = _open_session(self._path, threads, provider)
+        self._provider = provider
         self._input = self._session.get_inputs()[0]
         self._check_layout()
         self._batch, _, rows, columns = (side if isinstance(side, int) else None for side in self._input.shape)
@@ -200,6 +209,60 @@ class OnnxDetector:
         raw = self._run(letterbox.pack(images_rgb))
         return [self._decode(each, letterbox, height_px, width_px) for each in raw]
 
+    def takes_tensor(self, height_px: int, width_px: int) -> bool:
+        """Whether images of this size go into the network as they are, neither scaled nor padded."""
+        return self._input_size_px(height_px, width_px) == (height_px, width_px)
+
+    def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
+        """Find the vehicles in images that are laid out for the network, without a copy where that can be.
+
+        What lies on the CPU is read where it lies by the CPU's provider, what lies on a GPU by the GPU's; otherwise it
+        is copied to the host first.
+
+        Args:
+            network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], of a size
+                that `takes_tensor`.
+
+        Returns:
+            One `Detections` for every image, in order.
+
+        Raises:
+            InputError: As `detect`.
+            ValueError: The tensor has another layout or size.
+        """
+        import warp as wp
+
+        array: Any = network_input if isinstance(network_input, wp.array) else wp.from_dlpack(network_input)
+        if array.ndim != 4 or array.shape[1] != 3 or array.dtype != wp.float32 or not array.is_contiguous:
+            raise ValueError(
+                f"network_input must be contiguous float32 [image, 3, row, column], got {array.dtype} {array.shape}"
+            )
+        image_count, _, height_px, width_px = array.shape
+        if not self.takes_tensor(height_px, width_px):
+            raise ValueError(f"the network takes no images of {width_px} x {height_px} pixels as they are")
+        if image_count == 0:
+            return []
+        if array.device.is_cuda and self._provider != "cpu" and self._batch is None:
+            raw = self._run_on_device(array)
+        else:
+            raw = self._run(array.numpy())  # on the CPU a view, not a copy
+        letterbox = Letterbox.fit(height_px, width_px, height_px, width_px)
+        return [self._decode(each, letterbox, height_px, width_px) for each in raw]
+
+    def _run_on_device(self, array: Any) -> np.ndarray:  # noqa: ANN401 (a Warp array whose device is known)
+        """The network's raw output for an input on the GPU, read where it lies."""
+        import warp as wp
+
+        wp.synchronize_device(array.device)  # the network runs on a stream of its own
+        binding = self._session.io_binding()
+        binding.bind_input(self._input.name, "cuda", array.device.ordinal, np.float32, list(array.shape), array.ptr)
+        binding.bind_output(self._session.get_outputs()[0].name)
+        try:
+            self._session.run_with_iobinding(binding)
+        except Exception as error:  # onnxruntime's own types share no parent
+            raise InputError(f"{self._path}: cannot run on {array.device}: {_one_line(error)}") from error
+        return self._checked(binding.copy_outputs_to_cpu()[0], image_count=len(array))
+
     def _input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]:
         """Rows and columns of the network's input for an image of this size."""
         if self._static_input_px is not None:
@@ -224,11 +287,14 @@ class OnnxDetector:
             except Exception as error:  # onnxruntime's own types share no parent
                 raise InputError(f"{self._path}: cannot run on input {list(part.shape)}: {_one_line(error)}") from error
             parts.append(output[: batch - missing])
-        raw = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        if raw.ndim != 3 or raw.shape[:2] != (len(network_input), 4 + len(self._names)):
+        return self._checked(np.concatenate(parts) if len(parts) > 1 else parts[0], image_count=len(network_input))
+
+    def _checked(self, raw: np.ndarray, *, image_count: int) -> np.ndarray:
+        """The network's output, if it is what the file promises."""
+        if raw.ndim != 3 or raw.shape[:2] != (image_count, 4 + len(self._names)):
             raise InputError(
                 f"{self._path}: output {self._session.get_outputs()[0].name} came as {list(raw.shape)}, expected "
-                f"[{len(network_input)}, 4 + {len(self._names)} labels, candidates]"
+                f"[{image_count}, 4 + {len(self._names)} labels, candidates]"
             )
         if not np.isfinite(raw).all():
             raise InputError(
@@ -296,9 +362,15 @@ class OnnxDetector:
         return tuple(str(name) for name in names)
 
 
-def _open_session(path: Path, threads: int | None) -> InferenceSession:
+def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSession:
     import onnxruntime
 
+    known = {name: full for name, full in PROVIDERS.items() if full in onnxruntime.get_available_providers()}
+    if provider not in known:
+        raise InputError(
+            f"detector.provider: expected one of {', '.join(known)}, which onnxruntime offers here, got {provider!r}; "
+            "for a GPU install onnxruntime-gpu in place of onnxruntime"
+        )
     if not path.is_file():
         raise InputError(f"detector.model: no such file: {path}; give the path of an ONNX file, or builtin")
     options = onnxruntime.SessionOptions()
@@ -306,9 +378,15 @@ def _open_session(path: Path, threads: int | None) -> InferenceSession:
     if threads is not None:
         options.intra_op_num_threads = threads
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(str(path), options, providers=[known[provider]])
     except Exception as error:  # onnxruntime's own types share no parent
         raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error
+    if session.get_providers()[0] != known[provider]:
+        raise InputError(
+            f"detector.provider: expected the network to run on {provider}, but onnxruntime fell back to "
+            f"{session.get_providers()[0]}; check the GPU's driver and CUDA libraries, or set detector.provider=cpu"
+        )
+    return session
 
 
 def _shape(shape: Sequence[int | str | None]) -> str:
