@@ -221,6 +221,6 @@ def _find_file_rig(source: str) -> Rig:
 def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
     """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
     model = dataclasses.replace(model, near_m=shared.near_m)
-    same_size = (model.width_px, model.height_px) == (shared.width_px, shared.height_px)
-    is_shared = same_size and np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared
     return shared if is_shared else model

@@ -110,6 +110,31 @@ def test_rig_survives_the_file_and_gives_the_same_bytes_again(tmp_path_factory, 
         assert (after.model.width_px, after.model.height_px) == (before.model.width_px, before.model.height_px)
 
 
+LENSES = (
+    {"lens": "fisheye", "fov_rad": math.radians(200.0)},
+    {"lens": "fisheye", "focal_px": (310.25, 305.5), "distortion": (-0.013, 1.0 / 300.0, -4e-8, 1e-17)},
+    {"lens": "panorama", "fov_rad": 2.0 * math.pi},
+    {"lens": "brown_conrady", "focal_px": (500.0, 501.125), "centre_px": (90.5, -3.0), "distortion": (0.1,) * 8},
+    {"focal_px": (500.0, 501.125), "centre_px": (90.5, 60.25)},
+    {"lens": "brown_conrady", "fov_rad": math.radians(70.0), "distortion": (-0.31, 0.11, 0.0, 0.0)},
+)
+
+
+def test_lenses_survive_the_file(tmp_path):
+    rig = Rig.create(camera(f"camera_{i}", width_px=200, height_px=120, **lens) for i, lens in enumerate(LENSES))
+    write_rig(rig, tmp_path / "a.yaml")
+    back = read_rig(tmp_path / "a.yaml")
+    for before, after in zip(rig.cameras, back.cameras, strict=True):
+        assert after.model == before.model
+    write_rig(back, tmp_path / "b.yaml")
+    assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
+    # other readers take the same numbers from it
+    data = yaml.safe_load((tmp_path / "a.yaml").read_text())["cameras"]
+    assert [tuple(item.get("distortion", ())) for item in data] == [lens.get("distortion", ()) for lens in LENSES]
+    assert [item.get("lens", "pinhole") for item in data] == [camera.model.lens for camera in rig.cameras]
+    assert "fov_deg" not in data[1]
+
+
 @pytest.mark.parametrize("name", ["no", "On", "1", "1e3", "null", "2026-01-01", "0x1F", "007", "_1", "1_000", "a.b-c"])
 def test_names_that_yaml_would_misread_stay_text(tmp_path, name):
     write_rig(Rig.create([camera(name)]), tmp_path / "rig.yaml")
@@ -150,6 +175,32 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         ("[1.7, 0.5, 1.6]", "[1.7, .inf, 0]", r"position_m: expected three finite numbers in metres"),
         ("fov_deg: 90", "fov_deg: 180", r":8: cameras\[0\]\.fov_deg: expected .* between 0 and 180.*, got 180"),
         ("width_px: 640", "width_px: 640.5", r"width_px: expected a whole number of pixels from 8 .*, got 640\.5"),
+        ("fov_deg: 90", "fov_deg: 361\n    lens: panorama", r":8: .*fov_deg: .* up to 360 .*, got 361"),
+        (
+            "fov_deg: 90",
+            "fov_deg: 90\n    lens: fish_eye",
+            r":9: cameras\[0\]\.lens: expected one of pinhole, brown_conrady, fisheye, panorama, got 'fish_eye'; "
+            r"did you mean fisheye\?",
+        ),
+        ("fov_deg: 90", "fov_deg: 90\n    lens:", r":9: cameras\[0\]\.lens: expected one of pinhole, .*, got nothing"),
+        (
+            "fov_deg: 90",
+            "focal_px: [400, -1]",
+            r":8: cameras\[0\]\.focal_px: expected two positive .*, got \[400, -1\]",
+        ),
+        (
+            "fov_deg: 90",
+            "focal_px: [400, 400]\n    centre_px: 320",
+            r":9: .*centre_px: expected two finite .*, got 320",
+        ),
+        ("fov_deg: 90", "fov_deg: 90\n    distortion: [.nan]", r":9: .*distortion: expected a list .*, got \[nan\]"),
+        (
+            "fov_deg: 90",
+            "fov_deg: 90\n    lens: fisheye\n    distortion: [0.1, 0.0]",
+            r":3: cameras\[0\]: expected numbers that make a camera, got: a fisheye lens has 0 or 4 .*, got 2",
+        ),
+        ("fov_deg: 90", "fov_deg: 90\n    focal_px: [400, 400]", r":3: cameras\[0\]: .* got: fov_rad .* contradicts"),
+        ("fov_deg: 90", "fov_deg: 90\n    centre_px: [3, 4]", r":3: cameras\[0\]: .* got: centre_px needs focal_px"),
         ("height_px: 480", "height_px: 4", r"height_px: expected a whole number of pixels from 8 .*, got 4"),
         ("name: front", "name: ../front", r":3: cameras\[0\]\.name: expected a name of letters.*, got '\.\./front'"),
         ("cameras:\n", "cameras: []\nrest:\n", r"cameras: expected a list of at least one camera, got \[\]"),

@@ -17,6 +17,7 @@ import numpy as np
 from warpav.errors import InputError
 from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad
 from warpav.rig.camera import CameraModel
+from warpav.rig.lens import Lens, LensShape
 from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
 
 MAX_IMAGE_PX = 16384
@@ -36,7 +37,7 @@ class RigCamera:
         yaw_rad: Turn to the left about z [rad].
         pitch_rad: Nose down [rad].
         roll_rad: Right side down [rad].
-        model: Image size and field of view.
+        model: Image size and lens.
     """
 
     name: str
@@ -112,7 +113,7 @@ def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
 _NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"
 _ANGLE_TEXT = "a finite number in degrees, such as 90.0"
-_FOV_TEXT = "a number of degrees between 0 and 180, such as 90.0"
+_FOV_TEXT = "a number of degrees between 0 and 180, up to 360 for a fisheye or a panorama, such as 90.0"
 _SIZE_TEXT = f"a whole number of pixels from 8 to {MAX_IMAGE_PX}, such as 256"
 _EXPECTED = {
     "name": _NAME_TEXT,
@@ -123,13 +124,19 @@ _EXPECTED = {
     "fov_deg": _FOV_TEXT,
     "width_px": _SIZE_TEXT,
     "height_px": _SIZE_TEXT,
+    "lens": f"one of {', '.join(Lens)}",
+    "focal_px": "two positive numbers of pixels [fx, fy], such as [640.0, 640.0]",
+    "centre_px": "two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
+    "distortion": "a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]",
 }
+_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion")
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as YAML; the same rig gives the same bytes, and an existing file is replaced in one step.
 
-    Numbers are rounded to micrometres and microdegrees, angles brought to (-180, 180].
+    Numbers are rounded to micrometres, microdegrees and micropixels, angles brought to (-180, 180]; distortion
+    coefficients are written in full.
 
     Args:
         rig: The cameras.
@@ -158,7 +165,8 @@ def read_rig(path: str | Path) -> Rig:
 
     Args:
         path: The file: ``frame: ego`` and ``cameras``, a list of mappings with name, position_m, yaw_deg, pitch_deg,
-            roll_deg, fov_deg (horizontal), width_px and height_px, all of them required.
+            roll_deg, fov_deg (horizontal), width_px and height_px, all of them required. A camera may also have a lens
+            (else pinhole), distortion, and focal_px and centre_px instead of fov_deg; see `CameraModel`.
 
     Returns:
         The rig.
@@ -185,6 +193,12 @@ def _angle(angle_rad: float) -> str:
     return "180.0" if text == "-180.0" else text
 
 
+def _coefficient(value: float) -> str:
+    """The number in full, with a point before any exponent, as YAML 1.1 wants it."""
+    text = repr(float(value))
+    return text if "." in text else text.replace("e", ".0e")
+
+
 def _name(name: str) -> str:
     """The name, quoted where YAML would read it as something else than text (``no``, ``1e3``, ``2026-01-01``)."""
     is_plain = name[0].isalpha() and name.casefold() not in _YAML_WORDS and parse_yaml(name, "name")[0] == name
@@ -199,9 +213,10 @@ def _rig_text(rig: Rig) -> str:
         "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
         "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
         "# horizontal field of view.",
-        "frame: ego",
-        "cameras:",
     ]
+    if any(camera.model.focal_px for camera in rig.cameras):
+        lines.append("# centre_px is the principal point from the image's upper left corner: OpenCV's plus 0.5.")
+    lines += ["frame: ego", "cameras:"]
     for camera in rig.cameras:
         position = ", ".join(_number(value) for value in camera.position_m)
         lines += [
@@ -210,11 +225,21 @@ def _rig_text(rig: Rig) -> str:
             f"    yaw_deg: {_angle(camera.yaw_rad)}",
             f"    pitch_deg: {_angle(camera.pitch_rad)}",
             f"    roll_deg: {_angle(camera.roll_rad)}",
-            f"    fov_deg: {_number(math.degrees(camera.model.fov_rad))}",
-            f"    width_px: {camera.model.width_px}",
-            f"    height_px: {camera.model.height_px}",
+            *_model_lines(camera.model),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _model_lines(model: CameraModel) -> list[str]:
+    lines = [] if model.lens is Lens.PINHOLE else [f"    lens: {model.lens}"]
+    if model.focal_px is None or model.centre_px is None:
+        lines.append(f"    fov_deg: {_number(math.degrees(model.fov_rad))}")
+    else:
+        lines.append(f"    focal_px: [{', '.join(_number(value) for value in model.focal_px)}]")
+        lines.append(f"    centre_px: [{', '.join(_number(value) for value in model.centre_px)}]")
+    if model.distortion:
+        lines.append(f"    distortion: [{', '.join(_coefficient(value) for value in model.distortion)}]")
+    return [*lines, f"    width_px: {model.width_px}", f"    height_px: {model.height_px}"]
 
 
 class _RigReader:
@@ -240,11 +265,14 @@ class _RigReader:
 
     def camera(self, data: object, location: Location) -> RigCamera | None:
         known_count = len(self.mistakes)
-        item = self.mapping(data, location, tuple(_EXPECTED))
+        is_calibrated = isinstance(data, dict) and "focal_px" in data
+        item = self.mapping(data, location, tuple(_EXPECTED), (*_OPTIONAL, "fov_deg") if is_calibrated else _OPTIONAL)
         for field, value in item.items():
-            if not _is_fit(field, value):
-                self.refuse((*location, field), _EXPECTED[field], value)
-        if len(self.mistakes) > known_count:
+            if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
+                near = difflib.get_close_matches(str(value), list(Lens), 1, 0.5) if field == "lens" else []
+                self.refuse((*location, field), _EXPECTED[field], value, f"; did you mean {near[0]}?" if near else "")
+        model = self.model(item, location) if len(self.mistakes) == known_count else None
+        if model is None:
             return None
         return RigCamera(
             item["name"],
@@ -252,15 +280,28 @@ class _RigReader:
             math.radians(item["yaw_deg"]),
             math.radians(item["pitch_deg"]),
             math.radians(item["roll_deg"]),
-            CameraModel(item["width_px"], item["height_px"], math.radians(item["fov_deg"])),
+            model,
         )
 
-    def mapping(self, data: object, location: Location, fields: Sequence[str]) -> dict[str, Any]:
-        """The known fields of a mapping; unknown and missing ones are mistakes."""
+    def model(self, item: Mapping[str, Any], location: Location) -> CameraModel | None:
+        """The camera model of a mapping whose fields are fit one by one; a mistake where they contradict each other."""
+        angle = {"fov_rad": math.radians(item["fov_deg"])} if "fov_deg" in item else {}
+        given = {field: item[field] for field in _OPTIONAL if field in item}
+        try:
+            return CameraModel(item["width_px"], item["height_px"], **angle, **given)
+        except ValueError as error:
+            place = f"{self.line(location)}: {dotted(location)}"
+            self.mistakes.append(f"{place}: expected numbers that make a camera, got: {error}")
+            return None
+
+    def mapping(
+        self, data: object, location: Location, fields: Sequence[str], optional: Sequence[str] = ()
+    ) -> dict[str, Any]:
+        """The known fields of a mapping; unknown ones and missing ones that are not optional are mistakes."""
         if not isinstance(data, dict):
             self.refuse(location, f"a mapping with {', '.join(fields)}", data)
             return {}
-        missing = [field for field in fields if field not in data]
+        missing = [field for field in fields if field not in data and field not in optional]
         for field in data:
             if field not in fields:
                 near = difflib.get_close_matches(field, missing or fields, 1, 0.5)
@@ -271,11 +312,14 @@ class _RigReader:
         return {field: data[field] for field in fields if field in data}
 
     def refuse(self, location: Location, expected: str, value: object, hint: str = "") -> None:
-        known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
-        line = f":{self.line_of[known]}" if known is not None else ""
         field = f"{dotted(location)}: " if location else ""
         shown = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
-        self.mistakes.append(f"{self.place}{line}: {field}expected {expected}, got {shown}{hint}")
+        self.mistakes.append(f"{self.line(location)}: {field}expected {expected}, got {shown}{hint}")
+
+    def line(self, location: Location) -> str:
+        """The file, and the line at which a value stands or should stand."""
+        known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
+        return self.place if known is None else f"{self.place}:{self.line_of[known]}"
 
 
 def _is_number(value: object) -> bool:
@@ -283,14 +327,27 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
 
 
-def _is_fit(field: str, value: Any) -> bool:  # noqa: ANN401
+def _are_numbers(value: object, count: int | None = None) -> bool:
+    return isinstance(value, list) and len(value) == (count or len(value)) and all(map(_is_number, value))
+
+
+def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
     match field:
         case "name":
             return isinstance(value, str) and _NAME.fullmatch(value) is not None
         case "position_m":
-            return isinstance(value, list) and len(value) == 3 and all(_is_number(number) for number in value)
+            return _are_numbers(value, 3)
+        case "lens":
+            return value in list(Lens)
+        case "focal_px":
+            return _are_numbers(value, 2) and min(value) > 0.0
+        case "centre_px":
+            return _are_numbers(value, 2)
+        case "distortion":
+            return _are_numbers(value)
         case "fov_deg":
-            return _is_number(value) and 0.0 < value < 180.0
+            is_wide = lens in list(Lens) and LensShape(Lens(lens)).has_unit_rays
+            return _is_number(value) and (0.0 < value < 180.0 or (is_wide and 180.0 <= value <= 360.0))
         case "width_px" | "height_px":
             return isinstance(value, int) and not isinstance(value, bool) and 8 <= value <= MAX_IMAGE_PX
         case _:
