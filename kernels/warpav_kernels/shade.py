@@ -13,6 +13,7 @@ def resolve_depth_kernel(
     # in
     key: wp.array3d[wp.int64],
     scene: Triangles,
+    sky_depth_m: float,
     supersampling: int,
     first_view: int,
     lane_count: int,
@@ -23,8 +24,8 @@ def resolve_depth_kernel(
     """Depth and object at the sample nearest to every pixel's centre.
 
     Launch: ``dim=(views of this chunk, height_px, lane_count)``; the lanes share the pixels of a row. Not taped.
-    Writes: every element of ``depth_m`` [m], +inf where nothing is hit, and of ``object_index``, -1 there, of these
-    views.
+    Writes: every element of ``depth_m`` [m], ``sky_depth_m`` where nothing is hit, and of ``object_index``, -1 there,
+        of these views.
     """
     chunk_view, row, lane = wp.tid()
     v = first_view + chunk_view
@@ -32,7 +33,7 @@ def resolve_depth_kernel(
     for column in range(lane, depth_m.shape[2], lane_count):
         nearest = key[v, grid_row, GUARD + column * supersampling + supersampling / 2]
         if nearest == wp.int64(0):
-            depth_m[v, row, column] = wp.inf
+            depth_m[v, row, column] = sky_depth_m
             object_index[v, row, column] = -1
         else:
             depth_m[v, row, column] = 1.0 / inverse_depth_of(wp.int32(nearest >> wp.int64(32)))
@@ -98,6 +99,25 @@ def patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
     return whole * (share_a * patch.a_rgb + share_b * patch.b_rgb + share_c * patch.c_rgb)
 
 
+@wp.func
+def patch_under(
+    patch: Patch, nearest: wp.int64, position_ego_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
+) -> Patch:
+    """The patch of the triangle of a key; the given one again where that is the same, or there is none."""
+    triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
+    if nearest == wp.int64(0) or triangle == patch.triangle:
+        return patch
+    return patch_of(position_ego_m, scene, vertex_rgb, triangle)
+
+
+@wp.func
+def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3) -> wp.vec3:
+    """What a camera sees along a ray in ego axes: the patch of the key, or the sky where the key is empty."""
+    if nearest == wp.int64(0):
+        return sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))
+    return patch_rgb(patch, ray)
+
+
 @wp.kernel(enable_backward=False)
 def resolve_rgb_kernel(
     # in
@@ -135,13 +155,8 @@ def resolve_rgb_kernel(
             grid_column = GUARD + column * supersampling + sample % supersampling
             ray = ego_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
             nearest = key[v, grid_row, grid_column]
-            if nearest == wp.int64(0):
-                total += sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))
-            else:
-                triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
-                if triangle != patch.triangle:
-                    patch = patch_of(camera.position_ego_m, scene, vertex_rgb, triangle)
-                total += patch_rgb(patch, ray)
+            patch = patch_under(patch, nearest, camera.position_ego_m, scene, vertex_rgb)
+            total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
         colour = total / float(supersampling * supersampling)
         rgb[image, row, column] = wp.vec3(
             wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0)

@@ -58,6 +58,23 @@ def row_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def depth_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the depth of a point to the point, in camera coordinates."""
+    return wp.vec3(0.0, 0.0, 1.0)
+
+
+@wp.func
+def solid_angle(view: View, ray: wp.vec3) -> float:
+    """Solid angle of one square sample, seen along the ray through its centre [sr].
+
+    On the unit sphere the image's gradients are tangents, and their cross product is samples per solid angle; on a ray
+    they fall off with its length. For a pinhole it is the cubed cosine of the angle to the axis over the focal lengths.
+    """
+    samples = wp.length(wp.cross(column_gradient(view, ray), row_gradient(view, ray)))
+    return 1.0 / (samples * wp.dot(ray, ray))
+
+
+@wp.func
 def inverse_depth_of(bits: wp.int32) -> float:
     """Inverse depth [1/m] from its bit pattern; positive floats sort like their bits."""
     return wp.cast(bits, float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +14,7 @@ import warp as wp
 
 from warpav.render.device_scene import DeviceScene
 from warpav.rig.camera import CameraModel
-from warpav_kernels import extent, hide, layers, linearise, measure, outline, rasterise, shade, view
+from warpav_kernels import extent, hide, image_flow, layers, linearise, measure, outline, rasterise, shade, view
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
 AMODAL_AREA = int(measure.AMODAL_AREA)
@@ -28,11 +29,17 @@ CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
 CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
 CUDA_SUM_LANES = 16  # of them are summed first
 CUDA_ROW_LANES = 128  # share one row of an image
+FLOW_LANES, CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads that share the flow of one image
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
 CUDA_STRIPS = 1 << 18  # room in their queue
 
 # Places in the atlas are 32-bit integers.
 MAX_ATLAS_SAMPLES = 2**31 - 1
+
+
+def _sky_rgb(scene: DeviceScene) -> list[wp.vec3]:
+    """Colours 0..1 of the horizon and the zenith."""
+    return [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
 
 
 def _available_cores() -> int:
@@ -167,6 +174,7 @@ class Renderer:
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
         self._content: Content | None = None
+        self._render_count = 0
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
@@ -174,6 +182,7 @@ class Renderer:
         self._hiding = outline.Hiding()
         self._reserve_samples(0)
         self._lanes = (1, 1) if self.device.is_cpu else CUDA_MEASURE_LANES
+        self._flow_lanes = FLOW_LANES if self.device.is_cpu else CUDA_FLOW_LANES
         self._threads = None
         if self.device.is_cpu:
             thread_count = thread_count or min(_available_cores(), 8)
@@ -181,7 +190,7 @@ class Renderer:
                 self._threads = ThreadPoolExecutor(thread_count)
         self.thread_count = thread_count or 1
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, layers, rasterise, hide, measure, extent, shade):
+        for module in (view, layers, rasterise, hide, measure, extent, shade, image_flow):
             wp.load_module(module, device=self.device)
 
     def _zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
@@ -263,6 +272,7 @@ class Renderer:
         )
         # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
         self._content = content
+        self._render_count += 1
         layer_count = scene.vehicle_count
         if content is Content.IMAGES:
             layer_count = 0
@@ -471,19 +481,22 @@ class Renderer:
 
     def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures) -> None:
         """Sum what the lanes have measured into the first measures of ``result``."""
-        *pairs, area_count, lanes = flow.shape
-        if lanes > CUDA_SUM_LANES:
-            group_flow = self._kept("group flow", (*pairs, area_count, lanes // CUDA_SUM_LANES), measure.Flow)
-            self._launch(
-                measure.sum_lanes_kernel, group_flow.shape, inputs=[flow, CUDA_SUM_LANES], outputs=[group_flow]
-            )
-            flow = group_flow
+        flow = self._grouped(flow)
         self._launch(
             measure.sum_flow_kernel,
             (self.view_count, scene.vehicle_count, flow.shape[2]),
             inputs=[self._view, flow, self.supersampling],
             outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
         )
+
+    def _grouped(self, flow: wp.array) -> wp.array:
+        """Sums over groups of neighbouring lanes; the same flow where there are few."""
+        *sums, lanes = flow.shape
+        if lanes <= CUDA_SUM_LANES:
+            return flow
+        group_flow = self._kept("group flow", (*sums, lanes // CUDA_SUM_LANES), measure.Flow)
+        self._launch(measure.sum_lanes_kernel, group_flow.shape, inputs=[flow, CUDA_SUM_LANES], outputs=[group_flow])
+        return group_flow
 
     def _require(self, content: Content) -> None:
         """Check that the last render holds what is asked for."""
@@ -494,19 +507,16 @@ class Renderer:
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
         self._require(Content.IMAGES)
-        shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
-        if shown not in self._shown:
-            self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
+        shown = self._shown_views(shown_view)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
-        sky = [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
         self._over_views(
             len(shown),
             lambda first, count: self._launch(
                 shade.resolve_rgb_kernel,
                 (count, self.height_px, lanes),
                 inputs=[
-                    self._view, scene.triangles, scene.vertex_rgb, *sky, self._key, self._shown[shown],
+                    self._view, scene.triangles, scene.vertex_rgb, *_sky_rgb(scene), self._key, shown,
                     self.supersampling, first, lanes,
                 ],
                 outputs=[image],
@@ -514,8 +524,58 @@ class Renderer:
         )  # fmt: skip
         return image
 
+    def rgb_on_tape(
+        self,
+        tape: wp.Tape,
+        scene: DeviceScene,
+        position_ego_m: wp.array,
+        camera_from_ego: wp.array,
+        *,
+        log_zoom: wp.array | None = None,
+        shown_view: Sequence[int] | None = None,
+    ) -> wp.array:
+        """The images of `rgb` as a function of the views, recorded on a tape; vec3 [image, row, column].
+
+        The backward pass adds to the gradients of the three arguments what the static scene's flow through the images
+        makes of the images' gradient: with colours I, gradient A and neighbouring samples p and q,
+        ``dL = sum of (I_p - I_q) . (A_p + A_q) / 2 x flow from p to q of the nearer surface`` (see `image_flow`). It
+        reads this render's buffers, so it has to run before the next `render`.
+
+        Args:
+            tape: The tape; it need not be active.
+            scene: The scene of the last `render`.
+            position_ego_m: Camera centres of the last `render` [m], vec3 [view]; no gradient unless it requires one.
+            camera_from_ego: Rotations of the last `render`, mat33 [view]; the same.
+            log_zoom: Logarithm of each view's focal length over the rendered one (0), float [view]; the same.
+            shown_view: The views to show; None: all.
+
+        Raises:
+            ValueError: The render holds no images; in the backward pass: there has been another one since.
+        """
+        image = self.rgb(scene, shown_view)
+        image.requires_grad = True
+        shown = self._shown_views(shown_view)
+        lanes = self._flow_lanes
+
+        def launch(first: int, count: int, flow: wp.array) -> None:
+            self._launch(
+                image_flow.flow_colours_kernel,
+                (count, math.prod(lanes)),
+                inputs=[
+                    self._view, scene.triangles, scene.vertex_rgb, *_sky_rgb(scene), self._key, shown, image.grad,
+                    self.supersampling, first, *lanes,
+                ],
+                outputs=[flow],
+            )  # fmt: skip
+
+        self._record_flow(tape, image, shown, (position_ego_m, camera_from_ego, log_zoom), launch)
+        return image
+
     def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
         """Depth along the optical axis [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column]."""
+        return self._depth_and_object(scene, float("inf"))
+
+    def _depth_and_object(self, scene: DeviceScene, sky_depth_m: float) -> tuple[wp.array, wp.array]:
         self._require(Content.IMAGES)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         shape = (self.view_count, self.height_px, self.width_px)
@@ -525,11 +585,96 @@ class Renderer:
             lambda first, count: self._launch(
                 shade.resolve_depth_kernel,
                 (count, self.height_px, lanes),
-                inputs=[self._key, scene.triangles, self.supersampling, first, lanes],
+                inputs=[self._key, scene.triangles, sky_depth_m, self.supersampling, first, lanes],
                 outputs=[depth_m, object_index],
             ),
         )
         return depth_m, object_index
+
+    def depth_on_tape(
+        self,
+        tape: wp.Tape,
+        scene: DeviceScene,
+        position_ego_m: wp.array,
+        camera_from_ego: wp.array,
+        *,
+        sky_depth_m: float,
+        log_zoom: wp.array | None = None,
+    ) -> wp.array:
+        """The depths of `depth_and_object` as a function of the views, recorded on a tape [m], [view, row, column].
+
+        As `rgb_on_tape`; besides, the depths themselves change as the views move: every sample adds its gradient times
+        the change of the depth of the point that it sees. The value is the depth at the sample nearest to a pixel's
+        centre; the gradient is that of the mean over the pixel, whose expectation is the same and which is smoother.
+
+        Args:
+            tape: The tape; it need not be active.
+            scene: The scene of the last `render`.
+            position_ego_m: Camera centres of the last `render` [m], vec3 [view]; no gradient unless it requires one.
+            camera_from_ego: Rotations of the last `render`, mat33 [view]; the same.
+            sky_depth_m: Depth that counts where nothing is hit [m]; finite, since outlines move against it.
+            log_zoom: Logarithm of each view's focal length over the rendered one (0), float [view]; the same.
+
+        Raises:
+            ValueError: The render holds no images, or ``sky_depth_m`` is not finite; in the backward pass: there has
+                been another render since.
+        """
+        if not math.isfinite(sky_depth_m):
+            raise ValueError(f"sky_depth_m must be finite, got {sky_depth_m}")
+        depth_m, _ = self._depth_and_object(scene, sky_depth_m)
+        depth_m.requires_grad = True
+        lanes = self._flow_lanes
+
+        def launch(first: int, count: int, flow: wp.array) -> None:
+            self._launch(
+                image_flow.flow_depths_kernel,
+                (count, math.prod(lanes)),
+                inputs=[self._view, self._key, depth_m.grad, sky_depth_m, self.supersampling, first, *lanes],
+                outputs=[flow],
+            )
+
+        self._record_flow(tape, depth_m, self._shown_views(None), (position_ego_m, camera_from_ego, log_zoom), launch)
+        return depth_m
+
+    def _record_flow(
+        self,
+        tape: wp.Tape,
+        image: wp.array,
+        shown: wp.array,
+        moved: tuple[wp.array, wp.array, wp.array | None],
+        launch: Callable[[int, int, wp.array], None],
+    ) -> None:
+        """Record that ``launch(first, count, flow)`` turns the gradient to some images into that to their views."""
+        rendered = self._render_count
+        wanted = [array for array in moved if array is not None and array.requires_grad]
+        gradients = [
+            array.grad
+            if array is not None and array.requires_grad
+            else self._kept("unwanted", (self.view_count,), dtype)
+            for array, dtype in zip(moved, (wp.vec3, wp.mat33, float), strict=True)
+        ]
+
+        def backward() -> None:
+            if self._render_count != rendered:
+                raise ValueError("the renderer has rendered again; run the backward pass of its images before that")
+            flow = self._kept("image flow", (len(image), 1, 1, math.prod(self._flow_lanes)), measure.Flow)
+            self._over_views(len(image), lambda first, count: launch(first, count, flow))
+            self._launch(
+                image_flow.add_view_gradient_kernel,
+                self.view_count,
+                inputs=[self._view, shown, self._grouped(flow), self.supersampling],
+                outputs=gradients,
+            )
+
+        if wanted:
+            tape.record_func(backward, [image, *wanted])
+
+    def _shown_views(self, shown_view: Sequence[int] | None) -> wp.array:
+        """Views by number (None: all) on the device, the same array from call to call."""
+        shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
+        if shown not in self._shown:
+            self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
+        return self._shown[shown]
 
     def visible_masks(self, scene: DeviceScene, shown_view: Sequence[int]) -> list[list[tuple[int, int, np.ndarray]]]:
         """Non-occluded silhouettes on the host, cropped: for each view and vehicle (left, top, mask), in samples.
