@@ -374,6 +374,32 @@ def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
     assert {(view["width_px"], view["height_px"]) for view in views} == {(64, 900)}
 
 
+CALIBRATED = """\
+frame: ego
+cameras:
+  - {name: front, position_m: [1.7, 0, 1.6], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, width_px: 640, height_px: 480,
+     lens: %s, focal_px: [500, 510], centre_px: [330, 235], distortion: %s}
+"""
+
+
+def test_a_calibrated_camera_is_resized_as_a_whole(working_directory):
+    (working_directory / "rig.yaml").write_text(CALIBRATED % ("pinhole", "[]"))
+    argv = ["render", "5", "--rig", "rig.yaml", "--out", "images", "camera.width_px=64", "camera.height_px=48"]
+    assert main(argv) == 0
+    (view,) = json.loads((working_directory / "images" / "views.json").read_text())
+    np.testing.assert_allclose(view["intrinsics"], [[50, 0, 33], [0, 51, 23.5], [0, 0, 1]])
+    assert (view["lens"], view["distortion"]) == ("pinhole", [])
+
+
+def test_a_field_of_view_beyond_the_lens_is_refused(working_directory, capsys):
+    # t (1 + k1 t^2) stops growing at 1 / sqrt(1.8) rad
+    (working_directory / "rig.yaml").write_text(CALIBRATED % ("fisheye", "[-0.6, 0.0, 0.0, 0.0]"))
+    message = _complaint(capsys, "render", "5", "--rig", "rig.yaml", "--out", "images", "camera.fov_deg=100")
+    assert message.startswith("camera.fov_deg: expected at most 84.98 degrees, all that the fisheye lens of camera")
+    assert message.endswith("'front' sees, got 100.0")
+    assert os.listdir(working_directory) == ["rig.yaml"]
+
+
 def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert main(["inspect", str(run_folder.path), "--out", "rig.png"]) == 0
     assert cv2.imread("rig.png").std() > 5.0

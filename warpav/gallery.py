@@ -211,13 +211,22 @@ def _panels(rig: Rig, objective: ThesisObjective, assigned: AssignedScene) -> li
 def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> RigCamera:
     """The camera with the image size and field of view that the user asked for on the command line."""
     given = {override.partition("=")[0].strip() for override in overrides}
-    wanted = {
-        "camera.width_px": ("width_px", config.camera.width_px),
-        "camera.height_px": ("height_px", config.camera.height_px),
-        "camera.fov_deg": ("fov_rad", math.radians(config.camera.fov_deg)),
-    }
-    changes = {name: value for option, (name, value) in wanted.items() if option in given}
-    return dataclasses.replace(camera, model=dataclasses.replace(camera.model, **changes))
+    wanted, model = config.camera, camera.model
+    model = model.resized(
+        wanted.width_px if "camera.width_px" in given else model.width_px,
+        wanted.height_px if "camera.height_px" in given else model.height_px,
+    )
+    if "camera.fov_deg" in given:
+        fov_rad = math.radians(wanted.fov_deg)
+        try:
+            model = dataclasses.replace(model, fov_rad=fov_rad, focal_px=None, centre_px=None)
+        except ValueError:
+            widest_deg = math.degrees(2.0 * model.shape.limit_rad)
+            raise InputError(
+                f"camera.fov_deg: expected at most {widest_deg:.2f} degrees, all that the {model.lens} lens of camera "
+                f"{camera.name!r} sees, got {wanted.fov_deg}"
+            ) from None
+    return dataclasses.replace(camera, model=model)
 
 
 def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Scene) -> None:
@@ -243,6 +252,8 @@ def _view(camera: RigCamera) -> dict[str, Any]:
         "name": camera.name,
         "width_px": camera.model.width_px,
         "height_px": camera.model.height_px,
+        "lens": camera.model.lens,
         "intrinsics": camera.model.intrinsics.tolist(),
+        "distortion": list(camera.model.distortion),
         "ego_from_camera": camera.ego_from_camera.tolist(),
     }

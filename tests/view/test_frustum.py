@@ -10,8 +10,8 @@ from warpav.rig.rig import RigCamera
 from warpav.view.frustum import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
 
 
-def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200):
-    model = CameraModel(width_px=width_px, height_px=height_px, fov_rad=math.radians(fov_deg))
+def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200, **lens):
+    model = CameraModel(width_px=width_px, height_px=height_px, fov_rad=math.radians(fov_deg), **lens)
     angles = (math.radians(angle) for angle in (yaw_deg, pitch_deg, roll_deg))
     return RigCamera("cam", np.array([1.5, 0.4, 1.7]), *angles, model)
 
@@ -43,6 +43,25 @@ def test_sector_of_a_level_camera_is_its_yaw_and_field_of_view(yaw_deg, fov_deg,
     assert left_rad - right_rad == pytest.approx(math.radians(fov_deg))
     middle = (left_rad + right_rad) / 2 - math.radians(yaw_deg)
     assert math.remainder(middle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("lens", "fov_deg"), [("fisheye", 200.0), ("panorama", 300.0), ("panorama", 360.0)])
+def test_sector_of_a_wide_lens_reaches_behind_the_camera(lens, fov_deg):
+    right_rad, left_rad = bearing_sector_rad(camera(yaw_deg=20.0, lens=lens, fov_deg=fov_deg))
+    half = math.radians(fov_deg) / 2
+    assert (right_rad, left_rad) == pytest.approx((math.radians(20.0) - half, math.radians(20.0) + half), abs=1e-6)
+
+
+def test_sector_of_a_lens_whose_image_is_a_small_circle_ends_at_the_circle():
+    # t (1 + k1 t^2) grows up to 1 / sqrt(0.6), so the image ends at two thirds of that, times 50 pixels
+    model = CameraModel(320, 200, lens="fisheye", focal_px=(50.0, 50.0), distortion=(-0.2, 0.0, 0.0, 0.0))
+    small = RigCamera("cam", np.zeros(3), 0.0, 0.0, 0.0, model)
+    right_rad, left_rad = bearing_sector_rad(small)
+    assert left_rad == pytest.approx(1.0 / math.sqrt(0.6), abs=0.15)
+    assert right_rad == pytest.approx(-left_rad)
+    corner = image_corners(model, depth_m=3.0)
+    np.testing.assert_allclose(np.linalg.norm(corner, axis=1), 3.0)
+    assert (np.sign(corner[:, :2]) == [[-1, -1], [1, -1], [1, 1], [-1, 1]]).all()
 
 
 def test_sector_widens_when_the_camera_looks_down():

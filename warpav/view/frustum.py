@@ -12,15 +12,30 @@ if TYPE_CHECKING:
     from warpav.rig.rig import RigCamera
 
 
+_TOWARDS_MIDDLE = np.linspace(0.0, 1.0, 512, endpoint=False)
+
+
 def image_corners(model: CameraModel, *, depth_m: float) -> np.ndarray:
-    """Corners of the image [m] in camera coordinates, on the plane at ``depth_m`` along the optical axis.
+    """Corners of the image in camera coordinates, at ``depth_m`` [m] as the lens counts depth.
+
+    That is along the optical axis for pinhole and Brown-Conrady lenses, else along the ray. Where a corner sees
+    nothing, as beyond a fisheye's circle, it is the place nearest to it, on the way to the middle, that does.
 
     Returns:
         Float64, shape [4, 3]: top left, top right, bottom right, bottom left.
     """
     width, height = float(model.width_px), float(model.height_px)
-    corner_px = np.array([[0.0, 0.0, 1.0], [width, 0.0, 1.0], [width, height, 1.0], [0.0, height, 1.0]])
-    return depth_m * corner_px @ np.linalg.inv(model.intrinsics).T
+    return depth_m * np.stack(
+        [_outermost_ray(model, corner) for corner in ([0.0, 0.0], [width, 0.0], [width, height], [0.0, height])]
+    )
+
+
+def _outermost_ray(model: CameraModel, place_px: list[float]) -> np.ndarray:
+    """The first ray of the way from a place of the image to its middle."""
+    middle_px = 0.5 * np.array([model.width_px, model.height_px])
+    ray = model.rays(place_px + _TOWARDS_MIDDLE[:, None] * (middle_px - place_px))
+    seen = np.isfinite(ray[:, 0])
+    return ray[seen.argmax()] if seen.any() else np.array([0.0, 0.0, 1.0])
 
 
 def frustum_points(camera: RigCamera, *, depth_m: float) -> np.ndarray:
@@ -42,8 +57,8 @@ def bearing_sector_rad(camera: RigCamera) -> tuple[float, float]:
         larger one and may exceed pi.
     """
     rotation = np.asarray(camera.ego_from_camera, dtype=np.float64)[:3, :3]
-    corner = image_corners(camera.model, depth_m=1.0)
-    ray = np.stack([corner[[0, 3]].mean(axis=0), np.array([0.0, 0.0, 1.0]), corner[[1, 2]].mean(axis=0)]) @ rotation.T
+    width, row = float(camera.model.width_px), 0.5 * camera.model.height_px
+    ray = np.stack([_outermost_ray(camera.model, [column, row]) for column in (0.0, 0.5 * width, width)]) @ rotation.T
     left, middle, right = np.arctan2(ray[:, 1], ray[:, 0])
     return (
         float(middle - (middle - right) % (2.0 * math.pi)),
