@@ -1,4 +1,4 @@
-"""What a pinhole camera sees, by embree rays through the sample centres. Shares no code with the rasteriser."""
+"""What a camera sees, by embree rays through the sample centres. Shares no code with the rasteriser."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,10 @@ from warpav.geometry.mesh import merge
 
 @dataclass
 class RayImage:
-    """Per sample: triangle (-1: none), object, depth along the optical axis [m], interpolated colour 0..1."""
+    """Per sample: triangle (-1: none), object, depth as the lens counts it [m], interpolated colour 0..1.
+
+    Colours are black where the lens sees nothing.
+    """
 
     triangle: np.ndarray
     object_index: np.ndarray
@@ -37,24 +40,22 @@ class RayCaster:
     def look(self, ego_from_camera, model, supersampling=1):
         """The image; surfaces with a depth below the near plane are cut away by starting the rays there."""
         width, height = model.width_px * supersampling, model.height_px * supersampling
-        focal = 0.5 * width / np.tan(0.5 * model.fov_rad)
         column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        ray = np.stack(
-            [(column - 0.5 * width) / focal, (row - 0.5 * height) / focal, np.ones_like(column)], axis=-1
-        ).reshape(-1, 3)
-        direction = ray @ ego_from_camera[:3, :3].T
+        # depth times ray is a point, whether the ray has z = 1 or unit length
+        ray = model.rays(np.stack([column, row], axis=-1) / supersampling).reshape(-1, 3)
+        blind = np.isnan(ray[:, 0])
+        direction = np.where(blind[:, None], [0.0, 0.0, 1.0], ray) @ ego_from_camera[:3, :3].T
         origin = ego_from_camera[:3, 3] + model.near_m * direction
-        hit = self._embree.intersects_first(origin, direction)
+        hit = np.where(blind, -1, self._embree.intersects_first(origin, direction))
         seen = hit >= 0
         depth = np.full(len(ray), np.inf)
         index = np.full(len(ray), -1)
-        rgb = self._sky_rgb(direction)
+        rgb = np.where(blind[:, None], 0.0, self._sky_rgb(direction))
         index[seen] = self.object_of_triangle[hit[seen]]
         corner = self.vertex_m[self.triangle[hit[seen]]]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         to_plane = np.einsum("ij,ij->i", normal, corner[:, 0] - ego_from_camera[:3, 3])
         with np.errstate(divide="ignore", invalid="ignore"):
-            # rays have depth 1, so their parameter is the depth
             depth[seen] = to_plane / np.einsum("ij,ij->i", normal, direction[seen])
         point = ego_from_camera[:3, 3] + depth[seen, None] * direction[seen]
         share = trimesh.triangles.points_to_barycentric(corner, point)
