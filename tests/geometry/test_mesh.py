@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from warpav.errors import InputError
+from warpav.geometry import mesh as mesh_module
 from warpav.geometry.frames import rotation_from_yaw_pitch_roll
 from warpav.geometry.mesh import Mesh, merge
 
@@ -37,11 +38,50 @@ def test_merged_mesh_keeps_every_triangle_and_colour():
         ([[0, 0]], [[0, 0, 0]], r"ego: expected vertices of shape \[n, 3\], got \[1, 2\]"),
         (CORNER_M, np.zeros((0, 3)), "ego: expected at least one triangle"),
         (CORNER_M, [[0, 1]], "ego: expected at least one triangle of three indices"),
-        ([[0, 0, np.nan], *CORNER_M[1:]], [[0, 1, 2]], "ego: 1 of 3 vertices are NaN or infinite"),
-        (CORNER_M, [[0, 1, 3]], r"ego: triangle indices must be 0\.\.2, got 0\.\.3"),
-        (CORNER_M, [[-1, 1, 2]], r"ego: triangle indices must be 0\.\.2, got -1\.\.2"),
+        (
+            [*CORNER_M[:2], [0, 0, np.nan]],
+            [[0, 1, 2]],
+            r"ego: 1 of 3 vertices are NaN or infinite; repair the mesh first: vertex_m\[2\] is \[0.0, 0.0, nan\]",
+        ),
+        ([*CORNER_M[:2], [1e39, 0, 0]], [[0, 1, 2]], r"vertex_m\[2\] is \[inf, 0.0, 0.0\]"),
+        (
+            CORNER_M,
+            [[0, 1, 2], [0, 1, 3]],
+            r"ego: triangle indices must be 0\.\.2, got 0\.\.3: triangle\[1\] is \[0, 1, 3\]",
+        ),
+        (CORNER_M, [[-1, 1, 2]], r"ego: triangle indices must be 0\.\.2, got -1\.\.2: triangle\[0\]"),
+        (CORNER_M, [[0, 1, 2**32 + 2]], r"triangle\[0\] is \[0, 1, 4294967298\]"),  # not the index 2
+        (CORNER_M, [[0, 1, 1.5]], r"ego: triangle indices must be whole: triangle\[0\] is \[0.0, 1.0, 1.5\]"),
+        (CORNER_M, [[0, 1, np.nan]], r"triangle\[0\] is \[0.0, 1.0, nan\]"),
     ],
 )
 def test_mesh_rejects_what_cannot_be_drawn(vertex_m, index, message):
     with pytest.raises(InputError, match=message):
         Mesh.create(vertex_m, index, (0, 0, 0), name="ego")
+
+
+@pytest.mark.parametrize(
+    ("rgb", "message"),
+    [
+        ([0, 0, 300], r"ego: colours must be 0\.\.255: vertex_rgb\[0\] is \[0, 0, 300\]"),
+        ([[0, 0, 0], [0, -1, 0], [0, 0, 0]], r"vertex_rgb\[1\] is \[0, -1, 0\]"),
+        ([[0, 0, 0]] * 2, r"ego: expected colours of shape \[3, 3\], got \[2, 3\]"),
+    ],
+)
+def test_mesh_rejects_colours(rgb, message):
+    with pytest.raises(InputError, match=message):
+        Mesh.create(CORNER_M, [[0, 1, 2]], rgb, name="ego")
+
+
+def test_meshes_with_more_vertices_than_indices_do_not_merge(monkeypatch):
+    assert np.iinfo(np.int32).max == mesh_module.MAX_COUNT
+    monkeypatch.setattr(mesh_module, "MAX_COUNT", 5)
+    with pytest.raises(ValueError, match="2 meshes have 6 vertices together, more than 5"):
+        merge([triangle(), triangle()])
+
+
+def test_meshes_with_more_triangles_than_indices_do_not_merge(monkeypatch):
+    many = Mesh.create(CORNER_M, [[0, 1, 2]] * 7, (0, 0, 0))
+    monkeypatch.setattr(mesh_module, "MAX_COUNT", 13)
+    with pytest.raises(ValueError, match="2 meshes have 14 triangles together, more than 13"):
+        merge([many, many])

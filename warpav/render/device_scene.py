@@ -117,8 +117,15 @@ class DeviceScene:
 
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
-        """The scene on ``device``. Triangles are sorted; vertices keep their order."""
+        """The scene on ``device``. Triangles are sorted; vertices keep their order.
+
+        Raises:
+            ValueError: A mesh cannot be drawn (see `Mesh.check`), or there are too many vertices or triangles.
+        """
         meshes = [scene.environment, scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+        names = ["environment", "ego", *(f"vehicle {vehicle.instance_id}" for vehicle in scene.vehicles)]
+        for name, mesh in zip(names, meshes, strict=True):
+            mesh.check(f"{scene.name}: {name}")
         whole = merge(meshes)
         object_index = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
         order = morton_order(whole.vertex_m[whole.triangle].mean(axis=1), object_index)
