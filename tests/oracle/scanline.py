@@ -21,7 +21,7 @@ def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
         meshes: Objects with ``vertex_m`` [vertex, 3] and ``triangle`` [triangle, 3]; a few hundred triangles.
         ego_from_camera: Pose, [4, 4].
         model: Size, field of view and near plane of a pinhole camera.
-        weight: Weight of every pixel, [row, column]; None: 1.
+        weight: Weights of every pixel, [image, row, column]: the result has another first axis; None: 1.
         log_zoom: Logarithm of a factor of the focal length.
     """
     width, height = model.width_px, model.height_px
@@ -29,10 +29,12 @@ def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
     parts = [_image_triangles(mesh, ego_from_camera, model, focal) for mesh in meshes]
     corner = np.concatenate(parts)
     owner = np.repeat(np.arange(len(meshes)), [len(part) for part in parts])
-    columns = np.array([0.0, width]) if weight is None else np.arange(width + 1.0)
-    total = np.outer(np.ones(height), columns) if weight is None else np.c_[np.zeros(height), np.cumsum(weight, axis=1)]
+    if weight is None:
+        columns, total = np.array([0.0, width]), np.tile([0.0, width], (1, height, 1))
+    else:
+        columns, total = np.arange(width + 1.0), np.cumsum(np.pad(weight, ((0, 0), (0, 0), (1, 0))), axis=2)
     rows = _event_rows(corner, owner, columns, height)
-    result = np.zeros((2, len(meshes)))
+    result = np.zeros((len(total), 2, len(meshes)))
     for low, high in pairwise(rows):
         start, end, w_start, w_end, of = _intervals(corner, owner, 0.5 * (low + high), width)
         if len(start) == 0:
@@ -41,11 +43,12 @@ def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
         middle = 0.5 * (cut[1:] + cut[:-1])
         share = (middle - start[:, None]) / (end - start)[:, None]
         w = np.where((share > 0.0) & (share < 1.0), w_start[:, None] + share * (w_end - w_start)[:, None], 0.0)
-        gain = (high - low) * np.diff(np.interp(cut, columns, total[int(low + 1e-6)]))
-        result[0] += np.bincount(of[w.argmax(axis=0)], gain * (w.max(axis=0) > 0.0), len(meshes))
+        nearest = np.where(w.max(axis=0) > 0.0, of[w.argmax(axis=0)], -1)
+        gain = np.array([(high - low) * np.diff(np.interp(cut, columns, t)) for t in total[:, int(low + 1e-6)]])
         for k in np.unique(of):
-            result[1, k] += gain[(w[of == k] > 0.0).any(axis=0)].sum()
-    return result
+            result[:, 0, k] += gain[:, nearest == k].sum(axis=1)
+            result[:, 1, k] += gain[:, (w[of == k] > 0.0).any(axis=0)].sum(axis=1)
+    return result[0] if weight is None else result
 
 
 def gradients(meshes, ego_from_camera, model, *, shift_m, spin_rad, **settings):
@@ -60,7 +63,7 @@ def gradients(meshes, ego_from_camera, model, *, shift_m, spin_rad, **settings):
         settings: More arguments of `areas`.
 
     Returns:
-        Float64 [visible or alone, mesh, 7].
+        Float64 [visible or alone, mesh, 7]; with weights another first axis.
     """
     columns = []
     for direction in (*SHIFTS, *SPINS, ZOOM):
