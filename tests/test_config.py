@@ -6,6 +6,7 @@ import pytest
 
 from warpav.config import Config, config_names, dump_config, load_config, option_values, placed_config
 from warpav.errors import InputError, OptionError
+from warpav.sources import camera_model
 
 
 @pytest.fixture
@@ -103,6 +104,15 @@ def test_seeds_take_ranges_and_lists(text, seeds):
     assert config.scenes.train_seeds == seeds
 
 
+def test_cameras_take_lenses():
+    config = load_config(None, ["camera.lens=panorama", "camera.fov_deg=360"])
+    assert camera_model(config).fov_rad == pytest.approx(2.0 * math.pi)
+    config = load_config(None, ["camera.lens=fisheye", "camera.fov_deg=200", "camera.distortion=[0.01, -0.002, 0, 0]"])
+    model = camera_model(config)
+    assert (model.lens, model.distortion) == ("fisheye", (0.01, -0.002, 0.0, 0.0))
+    assert load_config(None, []).camera.distortion == ()
+
+
 def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
     config = load_config(yaml_file("rig: {cameras: 3}\n"), ["rig.cameras=5", "rig.cameras=6"])
     assert config.rig.cameras == 6
@@ -136,6 +146,17 @@ FILE_MISTAKES = [
         "'parsec' is no unit of length, use m, cm, mm, in, ft",
     ),
     ("camera: {fov_deg: 200}\n", "mine.yaml:1: camera.fov_deg: expected an angle in degrees from 10 deg to 170 deg,"),
+    (
+        "camera: {lens: fisheye, fov_deg: 100, distortion: [-0.6, 0, 0, 0]}\n",
+        "mine.yaml:1: camera.fov_deg: expected an angle in degrees from 10 deg to 84.98 deg, the widest",
+    ),
+    (
+        "camera: {lens: fish}\n",
+        "mine.yaml:1: camera.lens: expected pinhole, brown_conrady, fisheye or panorama, got 'fish'",
+    ),
+    ("camera: {lens: fisheye, distortion: [0.1]}\n", "mine.yaml:1: camera.distortion: expected as many numbers as the"),
+    ("camera: {distortion: [a]}\n", "mine.yaml:1: camera.distortion: expected a list of numbers, such as"),
+    ("camera: {distortion: 0.1}\n", "mine.yaml:1: camera.distortion: expected a list of numbers, such as"),
     ("camera: {fov_deg: .nan}\n", "mine.yaml:1: camera.fov_deg: expected an angle in degrees"),
     ("camera: {supersampling: 3}\n", "mine.yaml:1: camera.supersampling: expected 1, 2, 4 or 8, got 3;"),
     ("camera: {width_px: 100000}\n", "mine.yaml:1: camera.width_px: expected a whole number from 16 to 4096, got 1"),

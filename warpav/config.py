@@ -35,6 +35,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from warpav.errors import InputError, OptionError
+from warpav.rig.lens import Lens, LensShape, checked_distortion
 from warpav.yaml_file import Location, parse_yaml, read_yaml
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -243,11 +244,40 @@ class RigConfig(Section):
 class CameraConfig(Section):
     """The camera model that all cameras share."""
 
-    fov_deg: Degrees = Field(default=90.0, ge=10.0, le=170.0, description="horizontal field of view")
+    fov_deg: Degrees = Field(
+        default=90.0, ge=10.0, le=360.0, description="horizontal field of view; beyond 170 a fisheye's or a panorama's"
+    )
     width_px: int = Field(default=256, ge=16, le=4096, description="image width")
     height_px: int = Field(default=256, ge=16, le=4096, description="image height")
     near_m: Metres = Field(default=0.1, gt=0.0, le=10.0, description="what is nearer than this is cut away")
     supersampling: Literal[1, 2, 4, 8] = Field(default=1, description="samples per pixel edge of the renderer")
+    lens: Literal["pinhole", "brown_conrady", "fisheye", "panorama"] = Field(
+        default="pinhole", description="how directions become places in the image"
+    )
+    distortion: Annotated[
+        tuple[float, ...],
+        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+        PlainSerializer(list),
+        Expectation("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]"),
+    ] = Field(default=(), description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye")
+
+    @model_validator(mode="after")
+    def _check(self) -> CameraConfig:
+        lens = Lens(self.lens)
+        try:
+            shape = LensShape(lens, checked_distortion(lens, self.distortion))
+        except ValueError as error:
+            _mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
+        widest_deg = 170.0
+        if shape.has_unit_rays:
+            widest_deg = 360.0 if lens is Lens.PANORAMA else 350.0
+        if shape.is_radial:
+            # rounded down, so that the angle in the message is one that is taken
+            widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
+        if self.fov_deg > widest_deg:
+            text = f"expected an angle in degrees from 10 deg to {widest_deg:g} deg, the widest for this {lens} lens"
+            _mistake(f"{text}, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
+        return self
 
 
 class MountConfig(Section):

@@ -16,6 +16,7 @@ import numpy as np
 from warpav.config import Config
 from warpav.errors import InputError
 from warpav.results import RunFolder
+from warpav.rig.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.sources import checked_device, find_rig, load_scene, load_scenes
 
@@ -209,23 +210,30 @@ def _panels(rig: Rig, objective: ThesisObjective, assigned: AssignedScene) -> li
 
 
 def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> RigCamera:
-    """The camera with the image size and field of view that the user asked for on the command line."""
+    """The camera with the image size and lens that the user asked for on the command line.
+
+    A calibrated camera keeps its focal lengths and principal point unless its field of view or lens is given.
+    """
     given = {override.partition("=")[0].strip() for override in overrides}
     wanted, model = config.camera, camera.model
     model = model.resized(
         wanted.width_px if "camera.width_px" in given else model.width_px,
         wanted.height_px if "camera.height_px" in given else model.height_px,
     )
-    if "camera.fov_deg" in given:
-        fov_rad = math.radians(wanted.fov_deg)
+    if given & {"camera.fov_deg", "camera.lens", "camera.distortion"}:
+        keeps_lens = "camera.lens" not in given
+        keeps_distortion = keeps_lens and "camera.distortion" not in given
         try:
-            model = dataclasses.replace(model, fov_rad=fov_rad, focal_px=None, centre_px=None)
-        except ValueError:
-            widest_deg = math.degrees(2.0 * model.shape.limit_rad)
-            raise InputError(
-                f"camera.fov_deg: expected at most {widest_deg:.2f} degrees, all that the {model.lens} lens of camera "
-                f"{camera.name!r} sees, got {wanted.fov_deg}"
-            ) from None
+            model = dataclasses.replace(
+                model,
+                fov_rad=math.radians(wanted.fov_deg) if "camera.fov_deg" in given else model.fov_rad,
+                lens=model.lens if keeps_lens else Lens(wanted.lens),
+                focal_px=None,
+                centre_px=None,
+                distortion=model.distortion if keeps_distortion else wanted.distortion,
+            )
+        except ValueError as error:
+            raise InputError(f"camera: expected numbers that camera {camera.name!r} can have, got: {error}") from None
     return dataclasses.replace(camera, model=model)
 
 

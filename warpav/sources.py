@@ -19,6 +19,7 @@ from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
+from warpav.rig.lens import Lens
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig, read_rig
 
@@ -131,8 +132,14 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
 
 def camera_model(config: Config) -> CameraModel:
     """The camera model that all cameras of a run share."""
+    camera = config.camera
     return CameraModel(
-        config.camera.width_px, config.camera.height_px, math.radians(config.camera.fov_deg), config.camera.near_m
+        camera.width_px,
+        camera.height_px,
+        math.radians(camera.fov_deg),
+        camera.near_m,
+        Lens(camera.lens),
+        distortion=camera.distortion,
     )
 
 
