@@ -19,9 +19,9 @@ SEED = np.array([1.0, 10.0], np.float32)
 class Steps:
     """A step of two cameras on a street, with boxes that cut through what they see."""
 
-    def __init__(self, device, *, recorded, occlusion=Occlusion.EXACT, car_count=10):
+    def __init__(self, device, *, recorded, occlusion=Occlusion.EXACT, car_count=10, renderer=None):
         mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-        self.renderer = Renderer(
+        self.renderer = renderer or Renderer(
             [MODEL] * (2 * mount.rotation_count), occlusion=occlusion, device=device, thread_count=1
         )
         self.pose = wp.zeros(POSE.shape, dtype=float, device=device, requires_grad=True)
@@ -80,3 +80,22 @@ def test_a_recording_that_ran_out_of_room_is_made_again(device):
             break
     for one, other in zip(fresh.at(POSE), found, strict=True):
         np.testing.assert_array_equal(other, one)
+
+
+@pytest.mark.parametrize("car_counts", [(10, 2), (2, 10)])
+def test_a_first_launch_after_replays_measures_its_own_scene(device, car_counts):
+    # one renderer for two scenes of different numbers of vehicles: the buffers of one are not the other's
+    losses = []
+    for recorded in (False, True):
+        one = Steps(device, recorded=recorded, car_count=car_counts[0])
+        other = Steps(device, recorded=recorded, car_count=car_counts[1], renderer=one.renderer)
+        for _ in range(3):
+            for steps in (one, other):
+                steps.pose.assign(POSE)
+                steps.step.look()
+                steps.step.set_boxes(steps.box_px)
+                steps.step.learn()
+        one.step.look()
+        losses.append(one.step.judge().numpy().copy())  # its first call
+        assert losses[-1][0] > 0.1
+    np.testing.assert_array_equal(*losses)

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Held, Renderer
 
 
 class Recording:
     """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
 
     The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
-    moved its buffers, this starts again.
+    moved its buffers, this starts again. After every call the renderer knows what it holds, as if it had been launched.
     """
 
     def __init__(self, function: Callable[[], None], renderer: Renderer, *, enabled: bool | None = None) -> None:
@@ -28,6 +28,7 @@ class Recording:
         self._renderer = renderer
         self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled
         self._graph: wp.Graph | None = None
+        self._held: Held | None = None
         self._generation = -1
 
     def __call__(self) -> None:
@@ -40,6 +41,7 @@ class Recording:
         if self._graph is None:
             with wp.ScopedCapture(device=self._renderer.device) as capture:
                 self._function()
-            self._graph = capture.graph
+            self._graph, self._held = capture.graph, self._renderer.held
         assert self._graph is not None
         wp.capture_launch(self._graph)
+        self._renderer.held = self._held

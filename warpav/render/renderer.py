@@ -33,8 +33,9 @@ FLOW_LANES, CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads t
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
 CUDA_STRIPS = 1 << 18  # room in their queue
 
-# Places in the atlas are 32-bit integers.
-MAX_ATLAS_SAMPLES = 2**31 - 1
+# Warp's arrays have strides of 32 bits, in bytes; see `_reserve_samples` and `rgb`.
+MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
+MAX_VIEW_SAMPLES = 2**27
 
 
 def _sky_rgb(scene: DeviceScene) -> list[wp.vec3]:
@@ -60,6 +61,23 @@ class Occlusion(Enum):
 
     EXACT = "exact"  # whatever surface is nearest in the joint render
     PAIRWISE = "pairwise"  # the thesis: nearer vehicles by median depth, and the ego vehicle
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a render has left in the buffers of its renderer.
+
+    Attributes:
+        scene: The scene.
+        content: What of it.
+        rectangle: Samples of every layer, vec4i [view, layer].
+        offset: Their places in the atlas, int32 [view, layer].
+    """
+
+    scene: DeviceScene
+    content: Content
+    rectangle: wp.array
+    offset: wp.array
 
 
 @dataclass(frozen=True)
@@ -147,12 +165,13 @@ class Renderer:
             thread_count: Threads over views on the CPU; None takes the number of cores, at most 8.
 
         Raises:
-            ValueError: No views, views of different sizes, or supersampling below 1.
+            ValueError: No views, views of different sizes, supersampling that is no whole number from 1 on, or views of
+                more than `MAX_VIEW_SAMPLES` samples.
         """
         if not models or len({(model.width_px, model.height_px) for model in models}) != 1:
             raise ValueError("a renderer needs at least one view, and all views need the same size")
-        if supersampling < 1:
-            raise ValueError(f"supersampling must be at least 1, got {supersampling}")
+        if supersampling < 1 or supersampling != int(supersampling):
+            raise ValueError(f"supersampling must be a whole number of at least 1, got {supersampling}")
         self.view_count = len(models)
         self.width_px, self.height_px = models[0].width_px, models[0].height_px
         self.supersampling = supersampling
@@ -161,6 +180,11 @@ class Renderer:
         guard = int(view.GUARD)
         self._width = self.width_px * supersampling + 2 * guard
         self._height = self.height_px * supersampling + 2 * guard
+        if self._width * self._height > MAX_VIEW_SAMPLES:
+            raise ValueError(
+                f"{self.width_px} x {self.height_px} pixels with supersampling {supersampling} are more than "
+                f"{MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
+            )
         self._intrinsics_px = self._zeros(self.view_count, wp.vec4)
         self._near_m = self._zeros(self.view_count, float)
         self.set_lenses(models)
@@ -173,7 +197,7 @@ class Renderer:
         self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
-        self._content: Content | None = None
+        self._held: Held | None = None
         self._render_count = 0
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
@@ -260,8 +284,11 @@ class Renderer:
             content: What is wanted of the render.
 
         Raises:
-            ValueError: The silhouettes together do not fit into one buffer.
+            ValueError: Not one pose for every view, or the silhouettes together do not fit into one buffer.
         """
+        for name, array in (("position_ego_m", position_ego_m), ("camera_from_ego", camera_from_ego)):
+            if array.shape != (self.view_count,):
+                raise ValueError(f"{name} must be one for each of {self.view_count} views, got {array.shape}")
         wp.copy(self._position_ego_m, position_ego_m)
         wp.copy(self._camera_from_ego, camera_from_ego)
         self._launch(
@@ -271,7 +298,6 @@ class Renderer:
             outputs=[self._view],
         )
         # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
-        self._content = content
         self._render_count += 1
         layer_count = scene.vehicle_count
         if content is Content.IMAGES:
@@ -279,6 +305,7 @@ class Renderer:
         elif content is Content.ALL and self.occlusion is Occlusion.PAIRWISE:
             layer_count = scene.layer_count
         self._place_layers(scene, layer_count)
+        self._held = Held(scene, content, self._layers.rectangle, self._layers.offset)
         self._has_key = content is not Content.VEHICLES
         if self._has_key:
             if self._key.size == 0:
@@ -341,10 +368,11 @@ class Renderer:
         needed = int(self._needed_samples.numpy()[0])
         if needed <= self._capacity:
             return False
-        if needed > MAX_ATLAS_SAMPLES // 2:
+        limit = MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more
+        if needed > limit:
             raise ValueError(
                 f"the silhouettes in {self.view_count} views of {self._width} x {self._height} samples need {needed} "
-                f"samples, more than {MAX_ATLAS_SAMPLES // 2}; render fewer views"
+                f"samples, more than {limit}; render fewer views"
             )
         self._reserve_samples(needed)
         return True
@@ -390,10 +418,15 @@ class Renderer:
             box_px: Box per view and vehicle (left, top, right, bottom [px]) for BOX_AREA, vec4 [view, vehicle]; None:
                 no box.
             into: An earlier result to write over; None: fresh arrays, so several scenes can stay on one tape.
+
+        Raises:
+            ValueError: Another scene, or without its vehicles, or an array of another shape.
         """
-        self._require(Content.VEHICLES)
+        self._require(scene, Content.VEHICLES)
         if box_px is None:
             box_px = self._kept("no box", (self.view_count, scene.vehicle_count), wp.vec4)
+        if box_px.shape != (self.view_count, scene.vehicle_count):
+            raise ValueError(f"box_px must be {(self.view_count, scene.vehicle_count)}, got {box_px.shape}")
         result = self._measures(scene, MEASURE_COUNT, into)
         pairs = (self.view_count, scene.vehicle_count)
         farthest = self._kept("farthest", (*pairs, EXTENT_COUNT), wp.int32)
@@ -437,9 +470,9 @@ class Renderer:
             Measures with one element on the last axis, in weight x px^2.
 
         Raises:
-            ValueError: The weights have another shape.
+            ValueError: Another scene, or without what is asked for, or an array of another shape.
         """
-        self._require(Content.ALL if visible else Content.VEHICLES)
+        self._require(scene, Content.ALL if visible else Content.VEHICLES)
         size = (self.height_px, self.width_px)
         if weight_image.shape not in (size, (self.view_count, *size)):
             raise ValueError(f"weight_image must be {size} or {(self.view_count, *size)}, got {weight_image.shape}")
@@ -467,6 +500,8 @@ class Renderer:
     def _measures(self, scene: DeviceScene, count: int, into: Measures | None) -> Measures:
         shape = (self.view_count, scene.vehicle_count, count)
         if into is not None:
+            if into.value.shape != shape:
+                raise ValueError(f"the measures to write over must be {shape}, got {into.value.shape}")
             wp.copy(into.position_ego_m, self._position_ego_m)
             wp.copy(into.camera_from_ego, self._camera_from_ego)
             return into
@@ -498,15 +533,31 @@ class Renderer:
         self._launch(measure.sum_lanes_kernel, group_flow.shape, inputs=[flow, CUDA_SUM_LANES], outputs=[group_flow])
         return group_flow
 
-    def _require(self, content: Content) -> None:
+    @property
+    def held(self) -> Held | None:
+        """What the last render has left in the buffers; None before the first.
+
+        A replay of recorded launches sets again what was held when they were recorded.
+        """
+        return self._held
+
+    @held.setter
+    def held(self, held: Held | None) -> None:
+        self._held = held
+        if held is not None:
+            self._layers.rectangle, self._layers.offset = held.rectangle, held.offset
+
+    def _require(self, scene: DeviceScene, content: Content) -> None:
         """Check that the last render holds what is asked for."""
-        if self._content not in (content, Content.ALL):
-            held = "nothing" if self._content is None else self._content.value
+        if self._held is None or self._held.content not in (content, Content.ALL):
+            held = "nothing" if self._held is None else self._held.content.value
             raise ValueError(f"the last render holds {held} only; render with content {content.value} first")
+        if self._held.scene is not scene:
+            raise ValueError(f"the last render shows another scene, {self._held.scene.name}; render {scene.name} first")
 
     def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
         """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
-        self._require(Content.IMAGES)
+        self._require(scene, Content.IMAGES)
         shown = self._shown_views(shown_view)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
@@ -576,7 +627,7 @@ class Renderer:
         return self._depth_and_object(scene, float("inf"))
 
     def _depth_and_object(self, scene: DeviceScene, sky_depth_m: float) -> tuple[wp.array, wp.array]:
-        self._require(Content.IMAGES)
+        self._require(scene, Content.IMAGES)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
         shape = (self.view_count, self.height_px, self.width_px)
         depth_m, object_index = self._zeros(shape, float), self._zeros(shape, wp.int32)
@@ -672,6 +723,8 @@ class Renderer:
     def _shown_views(self, shown_view: Sequence[int] | None) -> wp.array:
         """Views by number (None: all) on the device, the same array from call to call."""
         shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
+        if any(not 0 <= v < self.view_count for v in shown):
+            raise ValueError(f"views must be 0..{self.view_count - 1}, got {list(shown)}")
         if shown not in self._shown:
             self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
         return self._shown[shown]
@@ -682,7 +735,7 @@ class Renderer:
         ``left`` and ``top`` are the crop's first column and row in samples of the image (supersampling per pixel); the
         mask is bool [row, column], cut to the image.
         """
-        self._require(Content.ALL)
+        self._require(scene, Content.ALL)
         guard = int(view.GUARD)
         rectangle, offset = self._layers.rectangle.numpy(), self._layers.offset.numpy()
         visible = (self._layers.inverse_depth_bits.numpy() != 0) & (self._hiding.bits.numpy() == 0)
