@@ -1,14 +1,14 @@
 """Measure: how far every object reaches to the left, right, top and bottom of the image, with Jacobians.
 
 An extent moves with the surface points of the outermost samples; their mean counts. One that is cut by the image's
-border does not move.
+border, or by the edge of what the lens sees, does not move.
 """
 
 import warp as wp
 
 from warpav_kernels.layers import Layers
 from warpav_kernels.measure import BOTTOM, LEFT, RIGHT, TOP
-from warpav_kernels.view import GUARD, View, column_gradient, inverse_depth_of, ray_in_camera, row_gradient
+from warpav_kernels.view import GUARD, View, column_gradient, inverse_depth_of, ray_in_camera, row_gradient, sees
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,8 +47,10 @@ def measure_extents_kernel(
     if along_columns:
         size = width
     line = samples - 1
+    outwards = int(1)
     if i == LEFT or i == TOP:
         line = size - samples
+        outwards = -1
 
     sample_count = float(0.0)
     gradient = wp.vec3(0.0, 0.0, 0.0)
@@ -74,13 +76,16 @@ def measure_extents_kernel(
                 point_m = ray_in_camera(camera, x, y) / inverse_depth_of(bits)
                 g = row_gradient(camera, point_m)
                 away = y - camera.centre[1]
+                is_free = sees(camera, column, row + outwards)
                 if along_columns:
                     g = column_gradient(camera, point_m)
                     away = x - camera.centre[0]
+                    is_free = sees(camera, column + outwards, row)
                 sample_count += 1.0
-                gradient += g
-                moment += wp.cross(point_m, g)
-                zoom += away
+                if is_free:
+                    gradient += g
+                    moment += wp.cross(point_m, g)
+                    zoom += away
 
     samples_per_px = float(supersampling)
     place_px = float(0.0)

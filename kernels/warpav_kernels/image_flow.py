@@ -30,6 +30,7 @@ from warpav_kernels.view import (
     inverse_depth_of,
     ray_in_camera,
     row_gradient,
+    sees,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -67,8 +68,13 @@ def front_inverse_depth(key: wp.array3d[wp.int64], v: int, row: int, column: int
 def with_pair(
     flow: Flow, camera: View, key: wp.array3d[wp.int64], v: int, row: int, column: int, step: wp.vec2i, change: float
 ) -> Flow:
-    """The flow with the pair of a sample and the next in a direction; ``change`` weighs the flow along the step."""
+    """The flow with the pair of a sample and the next in a direction; ``change`` weighs the flow along the step.
+
+    The edge of what a lens sees stays where it is in the image.
+    """
     if change == 0.0:
+        return flow
+    if not sees(camera, column, row) or not sees(camera, column + step[1], row + step[0]):
         return flow
     x = float(column) + 0.5 + 0.5 * float(step[1])
     y = float(row) + 0.5 + 0.5 * float(step[0])

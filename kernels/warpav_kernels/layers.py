@@ -7,6 +7,7 @@ all rectangles of all views lie one behind the other.
 
 import warp as wp
 
+from warpav_kernels.lens import PANORAMA, PINHOLE, cone_bounds
 from warpav_kernels.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -45,6 +46,18 @@ class Layers:
 
 
 @wp.func
+def step_of(direction: int) -> wp.vec2i:
+    """Row and column step to the neighbour in a direction."""
+    if direction == TO_LEFT:
+        return wp.vec2i(0, -1)
+    if direction == TO_TOP:
+        return wp.vec2i(-1, 0)
+    if direction == TO_BOTTOM:
+        return wp.vec2i(1, 0)
+    return wp.vec2i(0, 1)
+
+
+@wp.func
 def place_in(rectangle: wp.vec4i, offset: int, row: int, column: int) -> int:
     """Place in the atlas of a sample of the grid; -1 outside the rectangle."""
     r = row - rectangle[1]
@@ -69,6 +82,86 @@ def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, view: View) -> wp.vec4:
     return wp.vec4(wp.min(rectangle[0], u), wp.min(rectangle[1], v), wp.max(rectangle[2], u), wp.max(rectangle[3], v))
 
 
+@wp.func
+def box_corner(low: wp.vec3, high: wp.vec3, corner: int) -> wp.vec3:
+    """Corner 0..7 of a box."""
+    place = low
+    if (corner & 1) != 0:
+        place = wp.vec3(high[0], place[1], place[2])
+    if (corner & 2) != 0:
+        place = wp.vec3(place[0], high[1], place[2])
+    if (corner & 4) != 0:
+        place = wp.vec3(place[0], place[1], high[2])
+    return place
+
+
+@wp.func
+def pinhole_bounds(camera: View, low: wp.vec3, high: wp.vec3) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in samples of the image of a box in the ego frame.
+
+    The eight corners and, where the near plane cuts the box, its twelve edges are projected.
+    """
+    far = 1.0e9
+    bounds = wp.vec4(far, far, -far, -far)
+    for corner in range(8):
+        a = point_in_camera(camera, box_corner(low, high, corner))
+        if a[2] >= camera.near_m:
+            bounds = grow_rectangle(bounds, a, camera)
+        for axis in range(3):
+            if (corner & (1 << axis)) == 0:
+                b = point_in_camera(camera, box_corner(low, high, corner | (1 << axis)))
+                if (a[2] >= camera.near_m) != (b[2] >= camera.near_m):
+                    bounds = grow_rectangle(bounds, point_on_near_plane(a, b, camera.near_m), camera)
+    return bounds
+
+
+@wp.func
+def turned_bounds(left: float, right: float, turn: float, width: float) -> wp.vec2:
+    """Columns of a panorama between two, whole turns added; all columns where more than one turn is in the image."""
+    # begin at the last turn that lies left of the image
+    shift = wp.floor(-right / turn) * turn
+    left += shift
+    right += shift
+    found = wp.vec2(width, 0.0)
+    count = int(0)
+    for _ in range(3):
+        if right >= -1.0 and left <= width + 1.0:
+            found = wp.vec2(left, right)
+            count += 1
+        left += turn
+        right += turn
+    if count > 1:
+        return wp.vec2(0.0, width)
+    return found
+
+
+@wp.func
+def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in samples of the image of a box in the ego frame, seen through any lens.
+
+    The box lies in the cone about its centre's direction that holds its corners.
+    """
+    axis = point_in_camera(camera, 0.5 * (low + high))
+    half_angle = float(0.0)
+    for corner in range(8):
+        place = point_in_camera(camera, box_corner(low, high, corner))
+        half_angle = wp.max(half_angle, wp.atan2(wp.length(wp.cross(axis, place)), wp.dot(axis, place)))
+    far = 1.0e9
+    if half_angle >= 0.5 * wp.pi or wp.length_sq(axis) == 0.0:  # all about the camera
+        return wp.vec4(-far, -far, far, far)
+    bounds = cone_bounds(camera.lens, axis, half_angle)
+    bounds = wp.vec4(
+        camera.centre[0] + camera.focal[0] * bounds[0],
+        camera.centre[1] + camera.focal[1] * bounds[1],
+        camera.centre[0] + camera.focal[0] * bounds[2],
+        camera.centre[1] + camera.focal[1] * bounds[3],
+    )
+    if camera.lens.kind == PANORAMA and bounds[2] - bounds[0] < far:
+        columns = turned_bounds(bounds[0], bounds[2], 2.0 * wp.pi * camera.focal[0], width)
+        bounds = wp.vec4(columns[0], bounds[1], columns[1], bounds[3])
+    return bounds
+
+
 @wp.kernel(enable_backward=False)
 def place_layers_kernel(
     # in
@@ -85,8 +178,7 @@ def place_layers_kernel(
 ):
     """Rectangle of samples that surely holds each layer's image, one sample wider than needed on every side.
 
-    The eight corners and, where the near plane cuts the object's box, its twelve edges are projected. Rectangles get
-    their places in the atlas in any order; one that goes beyond its capacity is shut.
+    Rectangles get their places in the atlas in any order; one that goes beyond its capacity is shut.
 
     Launch: ``dim=(view_count, layer_count)``; one thread per pair. Not taped.
     Writes: every element of ``layer_rectangle`` and ``layer_offset`` once; the samples of this render to
@@ -97,31 +189,9 @@ def place_layers_kernel(
     camera = view[v]
     low = layer_bounds_ego_m[layer, 0]
     high = layer_bounds_ego_m[layer, 1]
-    far = 1.0e9
-    box = wp.vec4(far, far, -far, -far)
-    for corner in range(8):
-        a_ego = low
-        if (corner & 1) != 0:
-            a_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
-        if (corner & 2) != 0:
-            a_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
-        if (corner & 4) != 0:
-            a_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
-        a = point_in_camera(camera, a_ego)
-        if a[2] >= camera.near_m:
-            box = grow_rectangle(box, a, camera)
-        for axis in range(3):
-            if (corner & (1 << axis)) == 0:
-                b_ego = a_ego
-                if axis == 0:
-                    b_ego = wp.vec3(high[0], a_ego[1], a_ego[2])
-                elif axis == 1:
-                    b_ego = wp.vec3(a_ego[0], high[1], a_ego[2])
-                else:
-                    b_ego = wp.vec3(a_ego[0], a_ego[1], high[2])
-                b = point_in_camera(camera, b_ego)
-                if (a[2] >= camera.near_m) != (b[2] >= camera.near_m):
-                    box = grow_rectangle(box, point_on_near_plane(a, b, camera.near_m), camera)
+    box = pinhole_bounds(camera, low, high)
+    if camera.lens.kind != PINHOLE:
+        box = lens_bounds(camera, low, high, float(width))
     # clamp in float: the cast of a huge float to an integer is undefined
     left = int(wp.floor(wp.clamp(box[0] - 1.0, 0.0, float(width))))
     top = int(wp.floor(wp.clamp(box[1] - 1.0, 0.0, float(height))))

@@ -18,6 +18,7 @@ PANORAMA = wp.constant(3)
 RADIUS_STEPS = wp.constant(16)
 PLACE_STEPS = wp.constant(8)
 PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
+UNBOUNDED = wp.constant(1.0e9)  # beyond any image
 LEAST_ACROSS = wp.constant(1.0e-6)  # of a fisheye's ray: nearer to the axis it is a pinhole
 
 vec8 = wp.types.vector(length=8, dtype=float)
@@ -222,3 +223,68 @@ def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
         turn[1, 1],
         -turn[1, 0] * a - turn[1, 1] * b,
     )
+
+
+@wp.func
+def largest_cosine(low: float, high: float) -> float:
+    """The largest cosine of the angles between two, which may go round."""
+    if wp.floor(high / (2.0 * wp.pi)) >= wp.ceil(low / (2.0 * wp.pi)):
+        return 1.0
+    return wp.max(wp.cos(low), wp.cos(high))
+
+
+@wp.func
+def farthest_place(low: float, high: float, least_radius: float, radius: float) -> float:
+    """How far right a ring's sector reaches, from angle ``low`` to ``high``."""
+    cosine = largest_cosine(low, high)
+    if cosine > 0.0:
+        return radius * cosine
+    return least_radius * cosine
+
+
+@wp.func
+def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
+    """Bounds (left, top, right, bottom) of the image places of a cone of directions; right < left: none.
+
+    The columns of a PANORAMA are those of the turn about azimuth 0, and may reach beyond half a turn.
+    """
+    x = axis[0]
+    y = axis[1]
+    z = axis[2]
+    everything = wp.vec4(-UNBOUNDED, -UNBOUNDED, UNBOUNDED, UNBOUNDED)
+    if lens.kind == PANORAMA:
+        level = wp.sqrt(x * x + z * z)
+        drop = wp.atan2(y, level)
+        if wp.abs(drop) + half_angle >= 0.5 * wp.pi:
+            return everything
+        azimuth = wp.atan2(x, z)
+        half = wp.asin(wp.min(wp.sin(half_angle) / wp.cos(drop), 1.0))
+        return wp.vec4(azimuth - half, wp.tan(drop - half_angle), azimuth + half, wp.tan(drop + half_angle))
+    angle = wp.atan2(wp.sqrt(x * x + y * y), z)
+    low = angle - half_angle
+    high = angle + half_angle
+    limit = lens.limit
+    if lens.kind == BROWN_CONRADY:
+        limit = wp.atan(lens.limit)
+    if low >= limit:
+        return wp.vec4(UNBOUNDED, UNBOUNDED, -UNBOUNDED, -UNBOUNDED)
+    low = wp.max(low, 0.0)
+    is_all_round = low <= 0.0 or high >= wp.pi
+    half = wp.pi
+    if not is_all_round:
+        half = wp.asin(wp.min(wp.sin(half_angle) / wp.sin(angle), 1.0))
+    high = wp.min(high, limit)
+    margin = float(0.0)
+    if lens.kind == BROWN_CONRADY:
+        low = wp.tan(low)
+        high = wp.min(wp.tan(high), lens.limit)
+        margin = 3.0 * (wp.abs(lens.distortion[2]) + wp.abs(lens.distortion[3])) * high * high
+    least_radius = radius_and_growth(lens, low)[0]
+    radius = radius_and_growth(lens, high)[0]
+    turn = wp.atan2(y, x)
+    # left is right after half a turn; down is right after a quarter of a turn back
+    left = -farthest_place(turn - half + wp.pi, turn + half + wp.pi, least_radius, radius)
+    right = farthest_place(turn - half, turn + half, least_radius, radius)
+    top = -farthest_place(turn - half + 0.5 * wp.pi, turn + half + 0.5 * wp.pi, least_radius, radius)
+    bottom = farthest_place(turn - half - 0.5 * wp.pi, turn + half - 0.5 * wp.pi, least_radius, radius)
+    return wp.vec4(left - margin, top - margin, right + margin, bottom + margin)

@@ -34,6 +34,7 @@ from warpav_kernels.view import (
     GUARD,
     View,
     column_gradient,
+    depth_gradient,
     ray_in_camera,
     row_gradient,
 )
@@ -79,29 +80,34 @@ class Flow:
 
 @wp.func
 def cut_gradient(
-    camera: View, scene: Triangles, start_triangle: int, end_triangle: int, across: wp.vec2, otherwise: wp.vec3
+    camera: View, scene: Triangles, start_triangle: int, end_triangle: int, point_m: wp.vec3, flow: wp.vec3
 ) -> wp.vec3:
     """Gradient of the flow across a segment along which the near plane cuts a surface, to the surface's point.
 
     The cut is no point of the surface: it slides along it and stays on the near plane. Where a surface of normal n is
     displaced by dq, its cut moves by a step d in the near plane with ``m . d = n . dq``, m being the part of n along
     that plane. Two surfaces that meet in the segment give two equations, and so the step of their corner; one alone
-    gives its step along m. ``otherwise`` is for surfaces as level as the near plane.
+    gives its step along m. ``flow`` is the gradient of the flow of a point of the near plane; it is returned for
+    surfaces as level as that plane. (For lenses whose depth is distance it is a sphere, and this its tangent plane.)
     """
     start_plane = scene.triangle_plane[start_triangle]
     end_plane = scene.triangle_plane[end_triangle]
     a = camera.camera_from_ego * wp.vec3(start_plane[0], start_plane[1], start_plane[2])
     b = camera.camera_from_ego * wp.vec3(end_plane[0], end_plane[1], end_plane[2])
-    a_level = a[0] * a[0] + a[1] * a[1]
-    b_level = b[0] * b[0] + b[1] * b[1]
-    if wp.min(a_level, b_level) < LEAST_LEVEL:
-        return otherwise
-    x = across[0] * camera.focal[0] / camera.near_m
-    y = across[1] * camera.focal[1] / camera.near_m
-    turn = a[0] * b[1] - a[1] * b[0]
-    if turn * turn > LEAST_TURN * a_level * b_level:
-        return ((x * b[1] - y * b[0]) * a + (y * a[0] - x * a[1]) * b) / turn
-    return 0.5 * ((x * a[0] + y * a[1]) / a_level * a + (x * b[0] + y * b[1]) / b_level * b)
+    # the parts along the near plane
+    axis = depth_gradient(camera, point_m)
+    a_level = a - wp.dot(a, axis) * axis
+    b_level = b - wp.dot(b, axis) * axis
+    a_squared = wp.dot(a_level, a_level)
+    b_squared = wp.dot(b_level, b_level)
+    if wp.min(a_squared, b_squared) < LEAST_LEVEL:
+        return flow
+    turn = wp.dot(axis, wp.cross(a_level, b_level))
+    if turn * turn > LEAST_TURN * a_squared * b_squared:
+        along_a = wp.dot(flow, wp.cross(a_level, axis))
+        along_b = wp.dot(flow, wp.cross(b_level, axis))
+        return (along_b * a - along_a * b) / turn
+    return 0.5 * (wp.dot(flow, a_level) / a_squared * a + wp.dot(flow, b_level) / b_squared * b)
 
 
 @wp.func
@@ -114,8 +120,7 @@ def with_step(
     point_m = ray_in_camera(camera, column, row) / segment.inverse_depth
     g = across_columns * column_gradient(camera, point_m) + across_rows * row_gradient(camera, point_m)
     if segment.start_cut >= 0 and segment.end_cut >= 0:
-        across = wp.vec2(across_columns, across_rows)
-        g = cut_gradient(camera, scene, segment.start_cut, segment.end_cut, across, g)
+        g = cut_gradient(camera, scene, segment.start_cut, segment.end_cut, point_m, g)
     moved = flow
     moved.gradient += g
     moved.moment += wp.cross(point_m, g)
@@ -242,7 +247,7 @@ def measure_areas_kernel(
                 if own != 0:
                     seen = own & unhidden_corners(pair, row, column, hiding)
                     if own != 15:
-                        cell = cell_of(pair, row, column, own)
+                        cell = cell_of(camera, pair, row, column, own)
                         for index in range(cell.segment_count):
                             segment = cell_segment(
                                 cell, index, pair, ALONE, camera, scene, layers, hiding, width, height
@@ -255,7 +260,7 @@ def measure_areas_kernel(
                                 inside += (cut[k + 1] - cut[k]) * frame_weight(middle[0], middle[1], width, height)
                             amodal = with_step(amodal, camera, scene, segment, inside * extent[1], -inside * extent[0])
                     if seen != 0 and seen != 15:
-                        cell = cell_of(pair, row, column, seen)
+                        cell = cell_of(camera, pair, row, column, seen)
                         for index in range(cell.segment_count):
                             segment = cell_segment(
                                 cell, index, pair, VISIBLE, camera, scene, layers, hiding, width, height
@@ -333,7 +338,7 @@ def measure_weighted_area_kernel(
                 if mask != 0 and kind == VISIBLE:
                     mask = mask & unhidden_corners(pair, row, column, hiding)
                 if mask != 0 and mask != 15:
-                    cell = cell_of(pair, row, column, mask)
+                    cell = cell_of(camera, pair, row, column, mask)
                     for index in range(cell.segment_count):
                         segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
                         cut = segment_cuts(segment)

@@ -7,9 +7,10 @@ between two such crossings (the rule of marching squares), so the outline of a m
 
 import warp as wp
 
-from warpav_kernels.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in
+from warpav_kernels.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in, step_of
+from warpav_kernels.lens import PINHOLE
 from warpav_kernels.rasterise import ImageTriangle, Triangles, front_part, image_triangle, narrowed, slope_of
-from warpav_kernels.view import View, inverse_depth_of
+from warpav_kernels.view import View, inverse_depth_of, point_in_camera, ray_in_camera, sees
 
 wp.set_module_options({"enable_backward": False})
 
@@ -118,6 +119,54 @@ def column_span(image: ImageTriangle, x: float) -> wp.vec2:
 
 
 @wp.func
+def share_inside(start: wp.vec3, end: wp.vec3, normal: wp.vec3) -> float:
+    """Share of the way between two rays at which it leaves the half space of a normal; 1 if it does not."""
+    here = wp.max(wp.dot(start, normal), 0.0)
+    there = wp.dot(end, normal)
+    if there >= 0.0:
+        return 1.0
+    return here / (here - there)
+
+
+@wp.func
+def traced_triangle_reach(
+    camera: View, scene: Triangles, triangle: int, bits: wp.int32, row: int, column: int, direction: int
+) -> Reach:
+    """`triangle_reach` for a lens that is no pinhole, where straight sides are planes of rays."""
+    corner = scene.triangle[triangle]
+    a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
+    b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
+    c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
+    step = step_of(direction)
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    start = ray_in_camera(camera, x, y)
+    end = ray_in_camera(camera, x + float(step[1]), y + float(step[0]))
+    side = wp.sign(wp.dot(a, wp.cross(b, c)))
+    share = share_inside(start, end, side * wp.cross(a, b))
+    share = wp.min(share, share_inside(start, end, side * wp.cross(b, c)))
+    share = wp.min(share, share_inside(start, end, side * wp.cross(c, a)))
+    # 1/depth is linear in the ray
+    plane = wp.cross(b - a, c - a)
+    plane = plane / wp.dot(plane, a)
+    start_w = wp.dot(plane, start)
+    end_w = wp.dot(plane, end)
+    nearest = 1.0 / camera.near_m
+    cut_share = float(1.0)
+    if end_w > nearest:
+        cut_share = wp.clamp((nearest - start_w) / (end_w - start_w), 0.0, 1.0)
+    if wp.min(share, cut_share) >= 1.0:
+        return reach_from(wp.int64(0), bits, camera.near_m)
+    reach = Reach()
+    reach.distance = wp.min(share, cut_share)
+    reach.inverse_depth = start_w + reach.distance * (end_w - start_w)
+    reach.cut_triangle = -1
+    if cut_share < share:
+        reach.cut_triangle = triangle
+    return reach
+
+
+@wp.func
 def triangle_reach(
     camera: View,
     scene: Triangles,
@@ -133,6 +182,8 @@ def triangle_reach(
 
     For surfaces without a layer: their triangles are large, and their neighbours are not asked.
     """
+    if camera.lens.kind != PINHOLE:
+        return traced_triangle_reach(camera, scene, triangle, bits, row, column, direction)
     x = float(column) + 0.5
     y = float(row) + 0.5
     part = front_part(camera, scene, triangle)
@@ -162,18 +213,6 @@ def triangle_reach(
     if not part.is_whole and reach.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
         reach.cut_triangle = triangle
     return reach
-
-
-@wp.func
-def step_of(direction: int) -> wp.vec2i:
-    """Row and column step to the neighbour in a direction."""
-    if direction == TO_LEFT:
-        return wp.vec2i(0, -1)
-    if direction == TO_TOP:
-        return wp.vec2i(-1, 0)
-    if direction == TO_BOTTOM:
-        return wp.vec2i(1, 0)
-    return wp.vec2i(0, 1)
 
 
 @wp.func
@@ -314,8 +353,8 @@ def unhidden_corners(pair: Pair, row: int, column: int, hiding: Hiding) -> int:
 
 
 @wp.func
-def cell_of(pair: Pair, row: int, column: int, mask: int) -> Cell:
-    """The cell at a place of the pair's rectangle."""
+def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
+    """The cell at a place of the pair's rectangle; without outline where the lens does not see all of it."""
     cell = Cell()
     cell.row = pair.rectangle[1] + row
     cell.column = pair.rectangle[0] + column
@@ -325,6 +364,10 @@ def cell_of(pair: Pair, row: int, column: int, mask: int) -> Cell:
         cell.segment_count = 0
     elif mask == 5 or mask == 10:
         cell.segment_count = 2
+    if not sees(camera, cell.column, cell.row) or not sees(camera, cell.column + 1, cell.row):
+        cell.segment_count = 0
+    if not sees(camera, cell.column, cell.row + 1) or not sees(camera, cell.column + 1, cell.row + 1):
+        cell.segment_count = 0
     return cell
 
 

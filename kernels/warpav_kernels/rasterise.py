@@ -14,6 +14,7 @@ reach alone.
 import warp as wp
 
 from warpav_kernels.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
+from warpav_kernels.lens import PINHOLE
 from warpav_kernels.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -440,10 +441,11 @@ def scatter_triangles_kernel(
 ):
     """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
-    A cluster whose bounding sphere misses the view is skipped whole; a triangle that crosses the near plane is cut to
-    one or two. Without a key buffer (``has_key`` 0) clusters without a layer are left out. Large triangles go to
-    the queue ``strip`` instead, as (view, triangle, part of the fan, first row), as long as it has room; a queue of
-    length 0 is for devices where one thread fills them as well as many.
+    Views whose lens is no pinhole are left to `trace`. A cluster whose bounding sphere misses the view is skipped
+    whole; a triangle that crosses the near plane is cut to one or two. Without a key buffer (``has_key`` 0) clusters
+    without a layer are left out. Large triangles go to the queue ``strip`` instead, as (view, triangle, part of the
+    fan, first row), as long as it has room; a queue of length 0 is for devices where one thread fills them as well as
+    many.
 
     Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
     the cluster's triangles lane, lane + lane_count, ... Not taped.
@@ -457,6 +459,8 @@ def scatter_triangles_kernel(
     if has_key == 0 and layer < 0:
         return
     camera = view[v]
+    if camera.lens.kind != PINHOLE:
+        return
     sphere = scene.cluster_sphere_ego_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
     if is_outside(centre_m, sphere[3], camera, width, height):

@@ -112,7 +112,12 @@ def patch_under(
 
 @wp.func
 def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3) -> wp.vec3:
-    """What a camera sees along a ray in ego axes: the patch of the key, or the sky where the key is empty."""
+    """What a camera sees along a ray in ego axes: the patch of the key, or the sky where the key is empty.
+
+    Black along a ray of zero, where the lens sees nothing.
+    """
+    if wp.length_sq(ray) == 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
     if nearest == wp.int64(0):
         return sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))
     return patch_rgb(patch, ray)

@@ -1,11 +1,15 @@
 """A view: one image of the scene, and the geometry that every kernel shares.
 
+Depth is z for pinhole and Brown-Conrady lenses and distance for the others, see `lens`: a ray times a depth is a point.
+
 Sample grid of a view: the image's pixels, each cut into supersampling x supersampling samples, inside a frame of one
 guard sample on every side. Sample (row, column) has its centre at (column + 0.5, row + 0.5). The guard band has weight
 0 in every measure; it is there so that outlines within half a sample of the image's edge still carry a gradient.
 """
 
 import warp as wp
+
+from warpav_kernels.lens import FISHEYE, PANORAMA, PINHOLE, Lens, lens_ray, place_gradient
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,7 +25,8 @@ class View:
         camera_from_ego: Rotation from ego axes to camera axes (x right, y down, z forward).
         focal: Focal lengths along columns and rows, in samples of the grid.
         centre: Principal point (column, row), in samples of the grid.
-        near_m: Depth of the near plane [m].
+        near_m: Depth below which nothing is seen [m].
+        lens: The lens without its focal lengths.
     """
 
     position_ego_m: wp.vec3
@@ -29,6 +34,7 @@ class View:
     focal: wp.vec2
     centre: wp.vec2
     near_m: float
+    lens: Lens
 
 
 @wp.func
@@ -39,13 +45,27 @@ def point_in_camera(view: View, point_ego_m: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ray_in_camera(view: View, column: float, row: float) -> wp.vec3:
-    """Ray of depth 1 through a place of the sample grid, in camera coordinates."""
-    return wp.vec3((column - view.centre[0]) / view.focal[0], (row - view.centre[1]) / view.focal[1], 1.0)
+    """Ray of depth 1 through a place of the sample grid, in camera coordinates; zero where the lens sees nothing."""
+    x = (column - view.centre[0]) / view.focal[0]
+    y = (row - view.centre[1]) / view.focal[1]
+    if view.lens.kind == PINHOLE:
+        return wp.vec3(x, y, 1.0)
+    return lens_ray(view.lens, x, y)
+
+
+@wp.func
+def sees(view: View, column: int, row: int) -> bool:
+    """Whether the lens sees anything at a sample."""
+    if view.lens.kind == PINHOLE or view.lens.kind == PANORAMA:
+        return True
+    return wp.length_sq(ray_in_camera(view, float(column) + 0.5, float(row) + 0.5)) > 0.0
 
 
 @wp.func
 def column_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
     """Gradient of the image column to a point in camera coordinates [samples/m]."""
+    if view.lens.kind != PINHOLE:
+        return view.focal[0] * place_gradient(view.lens, point_m)[0]
     w = 1.0 / point_m[2]
     return wp.vec3(view.focal[0] * w, 0.0, -view.focal[0] * point_m[0] * w * w)
 
@@ -53,13 +73,17 @@ def column_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
 @wp.func
 def row_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
     """Gradient of the image row to a point in camera coordinates [samples/m]."""
+    if view.lens.kind != PINHOLE:
+        return view.focal[1] * place_gradient(view.lens, point_m)[1]
     w = 1.0 / point_m[2]
     return wp.vec3(0.0, view.focal[1] * w, -view.focal[1] * point_m[1] * w * w)
 
 
 @wp.func
 def depth_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
-    """Gradient of the depth of a point to the point, in camera coordinates."""
+    """Gradient of the depth of a point to the point, in camera coordinates; of unit length."""
+    if view.lens.kind == FISHEYE or view.lens.kind == PANORAMA:
+        return point_m / wp.length(point_m)
     return wp.vec3(0.0, 0.0, 1.0)
 
 
@@ -87,6 +111,7 @@ def place_views_kernel(
     camera_from_ego: wp.array[wp.mat33],
     intrinsics_px: wp.array[wp.vec4],
     near_m: wp.array[float],
+    lens: wp.array[Lens],
     supersampling: int,
     # out
     view: wp.array[View],
@@ -100,11 +125,12 @@ def place_views_kernel(
     """
     i = wp.tid()
     scale = float(supersampling)
-    lens = intrinsics_px[i]
+    intrinsics = intrinsics_px[i]
     placed = View()
     placed.position_ego_m = position_ego_m[i]
     placed.camera_from_ego = camera_from_ego[i]
-    placed.focal = wp.vec2(lens[0] * scale, lens[1] * scale)
-    placed.centre = wp.vec2(lens[2] * scale + float(GUARD), lens[3] * scale + float(GUARD))
+    placed.focal = wp.vec2(intrinsics[0] * scale, intrinsics[1] * scale)
+    placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
+    placed.lens = lens[i]
     view[i] = placed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,15 @@ class DeviceScene:
     def layer_count(self) -> int:
         """Number of layers: the vehicles and the ego vehicle."""
         return self.vehicle_count + 1
+
+    @cached_property
+    def mesh(self) -> wp.Mesh:
+        """The triangles for ray queries, in their order, grouped by object; built when it is first asked for."""
+        return wp.Mesh(
+            self.triangles.vertex_ego_m,
+            wp.array(self.triangles.triangle.numpy().ravel(), dtype=wp.int32, device=self.layer_object.device),
+            groups=self.triangles.triangle_object,
+        )
 
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:

@@ -8,13 +8,28 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warpav.render.device_scene import DeviceScene
 from warpav.rig.camera import CameraModel
-from warpav_kernels import extent, hide, image_flow, layers, linearise, measure, outline, rasterise, shade, view
+from warpav.rig.lens import Lens
+from warpav_kernels import (
+    extent,
+    hide,
+    image_flow,
+    layers,
+    lens,
+    linearise,
+    measure,
+    outline,
+    rasterise,
+    shade,
+    trace,
+    view,
+)
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
 AMODAL_AREA = int(measure.AMODAL_AREA)
@@ -23,6 +38,13 @@ LEFT, RIGHT = int(measure.LEFT), int(measure.RIGHT)
 TOP, BOTTOM = int(measure.TOP), int(measure.BOTTOM)
 MEASURE_COUNT = int(measure.MEASURE_COUNT)
 AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
+
+LENS_KINDS = {
+    Lens.PINHOLE: int(lens.PINHOLE),
+    Lens.BROWN_CONRADY: int(lens.BROWN_CONRADY),
+    Lens.FISHEYE: int(lens.FISHEYE),
+    Lens.PANORAMA: int(lens.PANORAMA),
+}
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
 CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
@@ -36,6 +58,15 @@ CUDA_STRIPS = 1 << 18  # room in their queue
 # Warp's arrays have strides of 32 bits, in bytes; see `_reserve_samples` and `rgb`.
 MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
 MAX_VIEW_SAMPLES = 2**27
+
+
+def _lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
+    """The model's lens as the kernels take it."""
+    result = lens.Lens()
+    result.kind = LENS_KINDS[model.lens]
+    result.limit, result.edge = model.shape.limit, model.shape.edge
+    result.distortion = lens.vec8(*model.shape.coefficients)
+    return result
 
 
 def _sky_rgb(scene: DeviceScene) -> list[wp.vec3]:
@@ -187,6 +218,9 @@ class Renderer:
             )
         self._intrinsics_px = self._zeros(self.view_count, wp.vec4)
         self._near_m = self._zeros(self.view_count, float)
+        self._lens = self._zeros(self.view_count, lens.Lens)
+        self._traced: list[int] = []  # views whose lenses are no pinholes
+        self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self.set_lenses(models)
         self._view = self._zeros(self.view_count, view.View)
         self._position_ego_m = self._zeros(self.view_count, wp.vec3)
@@ -194,7 +228,6 @@ class Renderer:
         self._key = self._zeros((0, 0, 0), wp.int64)
         self._sample_count = self._zeros(1, wp.int64)
         self._needed_samples = self._zeros(1, wp.int64)
-        self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
         self._held: Held | None = None
@@ -232,6 +265,13 @@ class Renderer:
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
+        wp.copy(self._lens, wp.array([_lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
+        traced = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
+        if traced != self._traced:
+            wp.load_module(trace, device=self.device)  # takes seconds to compile, so only where it is needed
+            self._traced = traced
+            self._traced_view = wp.array(traced, dtype=wp.int32, device=self.device)
+            self.generation += 1
 
     def _kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
         """A buffer for one purpose and shape, the same from call to call; its contents are old."""
@@ -294,9 +334,12 @@ class Renderer:
         self._launch(
             view.place_views_kernel,
             self.view_count,
-            inputs=[self._position_ego_m, self._camera_from_ego, self._intrinsics_px, self._near_m, self.supersampling],
+            inputs=[
+                self._position_ego_m, self._camera_from_ego, self._intrinsics_px, self._near_m, self._lens,
+                self.supersampling,
+            ],
             outputs=[self._view],
-        )
+        )  # fmt: skip
         # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
         self._render_count += 1
         layer_count = scene.vehicle_count
@@ -336,8 +379,47 @@ class Renderer:
                 ],
                 outputs=[self._key, self._layers],
             )  # fmt: skip
+        if self._traced:
+            self._trace(scene, layer_count)
         if scene.vehicle_count and content is Content.ALL:
             self._hide(scene)
+
+    def _trace(self, scene: DeviceScene, layer_count: int) -> None:
+        """Fill the buffers of the views whose lenses are no pinholes, by ray queries."""
+        mesh, traced, count = scene.mesh.id, self._traced_view, len(self._traced)
+        if self._has_key:
+            self._over_views(
+                count,
+                lambda first, count: self._launch(
+                    trace.trace_keys_kernel,
+                    (count, self._height, self._width),
+                    inputs=[self._view, mesh, traced, first],
+                    outputs=[self._key],
+                ),
+            )
+        if layer_count == 0:
+            return
+        rows, columns = self._lanes
+
+        def launch(first: int, count: int) -> None:
+            dim = (count, layer_count, rows * columns)
+            self._launch(
+                trace.trace_layers_kernel,
+                dim,
+                inputs=[
+                    self._view, scene.triangles, mesh, scene.layer_object, traced, self._key, int(self._has_key),
+                    first, rows, columns,
+                ],
+                outputs=[self._layers],
+            )  # fmt: skip
+            self._launch(
+                trace.trace_reaches_kernel,
+                dim,
+                inputs=[self._view, mesh, scene.layer_object, traced, first, rows, columns],
+                outputs=[self._layers],
+            )
+
+        self._over_views(count, launch)
 
     def _place_layers(self, scene: DeviceScene, layer_count: int) -> None:
         """Rectangles and places of the first layers; the atlas grows where it is too small."""
