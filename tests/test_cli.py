@@ -12,6 +12,7 @@ import yaml
 
 from warpav.cli import main
 from warpav.config import Config
+from warpav.gallery import OBJECT_EGO
 from warpav.optimise.gradient import Descent
 from warpav.results import ARM_COLUMNS, RunFolder
 
@@ -389,6 +390,36 @@ def test_a_calibrated_camera_is_resized_as_a_whole(working_directory):
     (view,) = json.loads((working_directory / "images" / "views.json").read_text())
     np.testing.assert_allclose(view["intrinsics"], [[50, 0, 33], [0, 51, 23.5], [0, 0, 1]])
     assert (view["lens"], view["distortion"]) == ("pinhole", [])
+
+
+def test_wide_lenses_are_rendered_from_a_rig_file(working_directory):
+    camera = (
+        "  - {name: %s, position_m: [1.1, 0, 2.2], yaw_deg: 0, pitch_deg: %s, roll_deg: 0, lens: %s, fov_deg: %s, %s}"
+    )
+    size = "width_px: 96, height_px: 64"
+    lines = (camera % row for row in (("fish", 90, "fisheye", 190, size), ("round", 0, "panorama", 360, size)))
+    (working_directory / "rig.yaml").write_text("\n".join(["frame: ego", "cameras:", *lines]))
+    assert main(["render", "5", "--rig", "rig.yaml", "--out", "images"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert [view["lens"] for view in views] == ["fisheye", "panorama"]
+    # a fisheye that looks down sees the ground 2.2 m below it; a panorama at this height sees its own roof behind it
+    depth_m, round_m = (np.load(f"images/{view['name']}_depth_m.npy") for view in views)
+    assert np.isfinite(depth_m[32]).mean() > 0.8
+    assert depth_m.min() < 2.2
+    objects = cv2.imread("images/round_object.png", cv2.IMREAD_UNCHANGED)
+    assert (objects[-1] == OBJECT_EGO).all()
+    assert np.isfinite(round_m[-1]).all()
+
+
+def test_a_fisheye_rig_is_optimised(working_directory):
+    wide = ["camera.lens=fisheye", "camera.fov_deg=200", "camera.distortion=[0.01, -0.002, 0.0, 0.0]"]
+    small = [option for option in SMALL if not option.startswith("camera.")]
+    argv = ["optimise", *small, *wide, "camera.width_px=48", "camera.height_px=48", "run.out=wide"]
+    assert main(argv) == 0
+    rig = RunFolder.open("wide").rig()
+    assert {(camera.model.lens, camera.model.distortion) for camera in rig.cameras} == {
+        ("fisheye", (0.01, -0.002, 0.0, 0.0))
+    }
 
 
 def test_a_field_of_view_beyond_the_lens_is_refused(working_directory, capsys):

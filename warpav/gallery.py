@@ -34,8 +34,8 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     """Render a scene through every camera of a rig into files.
 
     Writes per camera ``<camera>_rgb.png``, ``<camera>_object.png`` (16 bit: 0 background and environment, 65535 ego,
-    else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing), and ``views.json``. The files
-    appear once all images are rendered.
+    else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing; the distance for a fisheye or a
+    panorama, else along the optical axis), and ``views.json``. The files appear once all images are rendered.
 
     Args:
         source: GLB file, or the seed of an embedded scene.
