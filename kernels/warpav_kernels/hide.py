@@ -97,7 +97,7 @@ def median_inverse_depth(
                     count += 1
     if count == 0:
         return 0.0
-    for _ in range(MEDIAN_STEPS):
+    for _ in range(wp.int32(MEDIAN_STEPS)):  # a loop, which Warp does not unroll
         middle = 0.5 * (low + high)
         below = int(0)
         for row in range(own_rectangle[3]):
