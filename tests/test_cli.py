@@ -411,6 +411,7 @@ def test_wide_lenses_are_rendered_from_a_rig_file(working_directory):
     assert np.isfinite(round_m[-1]).all()
 
 
+@pytest.mark.slow
 def test_a_fisheye_rig_is_optimised(working_directory):
     wide = ["camera.lens=fisheye", "camera.fov_deg=200", "camera.distortion=[0.01, -0.002, 0.0, 0.0]"]
     small = [option for option in SMALL if not option.startswith("camera.")]
