@@ -18,6 +18,7 @@ TO_TOP = wp.constant(1)
 TO_BOTTOM = wp.constant(2)
 TO_RIGHT = wp.constant(3)
 
+BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut to bound its image
 
 # set in the lower half of a reach's key where the near plane ends the surface
 NEAR_CUT = wp.constant(wp.int64(0x80000000))
@@ -139,26 +140,38 @@ def turned_bounds(left: float, right: float, turn: float, width: float) -> wp.ve
 def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.vec4:
     """Bounds (left, top, right, bottom) in samples of the image of a box in the ego frame, seen through any lens.
 
-    The box lies in the cone about its centre's direction that holds its corners.
+    A box lies in the cone about its centre's direction that holds its corners. The smaller, the better the bounds.
     """
-    axis = point_in_camera(camera, 0.5 * (low + high))
-    half_angle = float(0.0)
-    for corner in range(8):
-        place = point_in_camera(camera, box_corner(low, high, corner))
-        half_angle = wp.max(half_angle, wp.atan2(wp.length(wp.cross(axis, place)), wp.dot(axis, place)))
     far = 1.0e9
-    if half_angle >= 0.5 * wp.pi or wp.length_sq(axis) == 0.0:  # all about the camera
-        return wp.vec4(-far, -far, far, far)
-    bounds = cone_bounds(camera.lens, axis, half_angle)
-    bounds = wp.vec4(
-        camera.centre[0] + camera.focal[0] * bounds[0],
-        camera.centre[1] + camera.focal[1] * bounds[1],
-        camera.centre[0] + camera.focal[0] * bounds[2],
-        camera.centre[1] + camera.focal[1] * bounds[3],
-    )
-    if camera.lens.kind == PANORAMA and bounds[2] - bounds[0] < far:
-        columns = turned_bounds(bounds[0], bounds[2], 2.0 * wp.pi * camera.focal[0], width)
-        bounds = wp.vec4(columns[0], bounds[1], columns[1], bounds[3])
+    bounds = wp.vec4(far, far, -far, -far)
+    size = (high - low) / float(BOX_PARTS)
+    for part in range(BOX_PARTS * BOX_PARTS * BOX_PARTS):
+        x = float(part % BOX_PARTS)
+        y = float((part / BOX_PARTS) % BOX_PARTS)
+        z = float(part / (BOX_PARTS * BOX_PARTS))
+        part_low = low + wp.vec3(x * size[0], y * size[1], z * size[2])
+        axis = point_in_camera(camera, part_low + 0.5 * size)
+        half_angle = float(0.0)
+        for corner in range(8):
+            end = point_in_camera(camera, box_corner(part_low, part_low + size, corner))
+            half_angle = wp.max(half_angle, wp.atan2(wp.length(wp.cross(axis, end)), wp.dot(axis, end)))
+        if half_angle >= 0.5 * wp.pi or wp.length_sq(axis) == 0.0:  # all about the camera
+            return wp.vec4(-far, -far, far, far)
+        place = cone_bounds(camera.lens, axis, half_angle)
+        left = camera.centre[0] + camera.focal[0] * place[0]
+        right = camera.centre[0] + camera.focal[0] * place[2]
+        if right - left >= far:
+            return wp.vec4(-far, -far, far, far)
+        if camera.lens.kind == PANORAMA:
+            columns = turned_bounds(left, right, 2.0 * wp.pi * camera.focal[0], width)
+            left = columns[0]
+            right = columns[1]
+        if left <= right:
+            top = camera.centre[1] + camera.focal[1] * place[1]
+            bottom = camera.centre[1] + camera.focal[1] * place[3]
+            bounds = wp.vec4(
+                wp.min(bounds[0], left), wp.min(bounds[1], top), wp.max(bounds[2], right), wp.max(bounds[3], bottom)
+            )
     return bounds
 
 

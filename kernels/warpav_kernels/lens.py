@@ -2,7 +2,7 @@
 
 Image places are in focal lengths from the principal point, x to the right and y down. Rays are in camera axes; they
 have z = 1 for pinhole and Brown-Conrady lenses and unit length for the others. The inverse of a lens has no closed
-form; it is solved by a fixed number of Newton's steps.
+form; it is solved by Newton's steps.
 """
 
 import warp as wp
@@ -15,8 +15,10 @@ BROWN_CONRADY = wp.constant(1)
 FISHEYE = wp.constant(2)
 PANORAMA = wp.constant(3)
 
+# Newton's steps at most, and the step after which the error is far below single precision, being that step's square
 RADIUS_STEPS = wp.constant(16)
 PLACE_STEPS = wp.constant(8)
+LAST_STEP = wp.constant(3.0e-5)
 PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
 UNBOUNDED = wp.constant(1.0e9)  # beyond any image
 LEAST_ACROSS = wp.constant(1.0e-6)  # of a fisheye's ray: nearer to the axis it is a pinhole
@@ -94,10 +96,12 @@ def angle_at(lens: Lens, radius: float) -> float:
             low = angle
         else:
             high = angle
-        newton = angle - (reached[0] - radius) / reached[1]
-        angle = 0.5 * (low + high)
-        if newton >= low and newton <= high:
-            angle = newton
+        step = (reached[0] - radius) / reached[1]
+        if angle - step < low or angle - step > high:
+            step = angle - 0.5 * (low + high)
+        angle -= step
+        if wp.abs(step) < LAST_STEP:
+            break
     return angle
 
 
@@ -140,7 +144,10 @@ def brown_conrady_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     if lens.distortion[2] != 0.0 or lens.distortion[3] != 0.0:
         for _ in range(PLACE_STEPS):
             slope = moved_place_jacobian(lens, pinhole[0], pinhole[1])
-            pinhole = pinhole - wp.inverse(slope) * (moved_place(lens, pinhole[0], pinhole[1]) - place)
+            step = wp.inverse(slope) * (moved_place(lens, pinhole[0], pinhole[1]) - place)
+            pinhole -= step
+            if wp.length(step) < LAST_STEP:
+                break
     error = wp.length(moved_place(lens, pinhole[0], pinhole[1]) - place)
     # a place that has run away is not a number, and no comparison of it holds
     if error < PLACE_TOLERANCE and wp.length(pinhole) <= lens.limit:

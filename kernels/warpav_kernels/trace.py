@@ -16,8 +16,8 @@ from warpav_kernels.view import View, inverse_depth_of, ray_in_camera
 wp.set_module_options({"enable_backward": False})
 
 FARTHEST_M = wp.constant(1.0e6)
-REACH_STEPS = wp.constant(16)  # halvings of a sample
-NEAR_TOLERANCE = wp.constant(1.0e-4)  # of 1/z, by which a surface ends where it is too near
+REACH_STEPS = wp.constant(12)  # halvings of a sample
+NEAR_TOLERANCE = wp.constant(3.0e-4)  # of 1/z, by which a surface ends where it is too near
 WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 
