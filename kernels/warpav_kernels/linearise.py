@@ -40,3 +40,24 @@ def linearise_measures_kernel(
                 + wp.dot(per_spin[v, vehicle, i], spin_rad)
                 + per_zoom[v, vehicle, i] * log_zoom[v]
             )
+
+
+@wp.kernel
+def linearise_window_kernel(
+    # in
+    window_rad: wp.array[wp.vec4],
+    rendered_window_rad: wp.array[wp.vec4],
+    still_measure: wp.array3d[float],
+    per_window: wp.array2d[wp.vec4],
+    # out
+    measure: wp.array3d[float],
+):
+    """Measures with a still window plus their Jacobian times the change of the window.
+
+    Launch: ``dim=view_count``; one thread per view, so that a window's gradient is summed in a fixed order.
+    Writes: every element of ``measure`` [view, vehicle, 0] once.
+    """
+    v = wp.tid()
+    change_rad = window_rad[v] - rendered_window_rad[v]
+    for vehicle in range(measure.shape[1]):
+        measure[v, vehicle, 0] = still_measure[v, vehicle, 0] + wp.dot(per_window[v, vehicle], change_rad)

@@ -24,6 +24,8 @@ from warpav_kernels.outline import (
     Segment,
     cell_of,
     cell_segment,
+    is_in_mask,
+    mask_cell,
     own_corners,
     pair_of,
     segment_cuts,
@@ -324,32 +326,22 @@ def measure_weighted_area_kernel(
     weighted = Flow()
     for row in range(lane / column_lanes, pair.rectangle[3], row_lanes):
         for column in range(lane % column_lanes, pair.rectangle[2], column_lanes):
-            place = pair.offset + row * pair.rectangle[2] + column
-            if layers.inverse_depth_bits[place] != wp.int32(0):
-                is_inside = True
-                if kind == VISIBLE:
-                    is_inside = hiding.bits[place] == wp.int32(0)
-                if is_inside:
-                    x = float(pair.rectangle[0] + column) + 0.5
-                    y = float(pair.rectangle[1] + row) + 0.5
-                    weighted.area += image_weight(x, y, weight_image, v, samples_per_px)
-            if row + 1 < pair.rectangle[3] and column + 1 < pair.rectangle[2]:
-                mask = own_corners(pair, row, column, layers)
-                if mask != 0 and kind == VISIBLE:
-                    mask = mask & unhidden_corners(pair, row, column, hiding)
-                if mask != 0 and mask != 15:
-                    cell = cell_of(camera, pair, row, column, mask)
-                    for index in range(cell.segment_count):
-                        segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
-                        cut = segment_cuts(segment)
-                        extent = segment.end - segment.start
-                        weight = float(0.0)
-                        for k in range(3):
-                            middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
-                            weight += (cut[k + 1] - cut[k]) * outline_weight(
-                                middle[0], middle[1], weight_image, v, samples_per_px
-                            )
-                        weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
+            if is_in_mask(pair, row, column, kind, layers, hiding):
+                x = float(pair.rectangle[0] + column) + 0.5
+                y = float(pair.rectangle[1] + row) + 0.5
+                weighted.area += image_weight(x, y, weight_image, v, samples_per_px)
+            cell = mask_cell(camera, pair, row, column, kind, layers, hiding)
+            for index in range(cell.segment_count):
+                segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
+                cut = segment_cuts(segment)
+                extent = segment.end - segment.start
+                weight = float(0.0)
+                for k in range(3):
+                    middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
+                    weight += (cut[k + 1] - cut[k]) * outline_weight(
+                        middle[0], middle[1], weight_image, v, samples_per_px
+                    )
+                weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
     flow[v, vehicle, 0, lane] = weighted
 
 

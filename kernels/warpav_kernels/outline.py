@@ -372,6 +372,30 @@ def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
 
 
 @wp.func
+def is_in_mask(pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> bool:
+    """Whether the sample at a place of the pair's rectangle is of the mask."""
+    place = pair.offset + row * pair.rectangle[2] + column
+    if layers.inverse_depth_bits[place] == wp.int32(0):
+        return False
+    if kind == VISIBLE:
+        return hiding.bits[place] == wp.int32(0)
+    return True
+
+
+@wp.func
+def mask_cell(camera: View, pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> Cell:
+    """The cell at a place of the pair's rectangle and what it holds of the mask; no outline beyond the rectangle."""
+    mask = int(0)
+    if row + 1 < pair.rectangle[3] and column + 1 < pair.rectangle[2]:
+        mask = own_corners(pair, row, column, layers)
+        if mask != 0 and kind == VISIBLE:
+            mask = mask & unhidden_corners(pair, row, column, hiding)
+    if mask == 0 or mask == 15:
+        return Cell()
+    return cell_of(camera, pair, row, column, mask)
+
+
+@wp.func
 def side_from(mask: int, first: int, leaving: bool) -> int:
     """The first side of a cell, counted clockwise from ``first``, at which the mask ends (``leaving``) or begins.
 

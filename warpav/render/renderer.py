@@ -29,6 +29,7 @@ from warpav_kernels import (
     shade,
     trace,
     view,
+    window,
 )
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
@@ -170,6 +171,49 @@ class Measures:
         return result
 
 
+@dataclass(frozen=True)
+class WindowMeasures(Measures):
+    """Solid angle [sr] of every vehicle in every view inside the view's window, with Jacobians, on the device.
+
+    As `Measures`, with one element on the last axis.
+
+    Attributes:
+        per_window: Jacobian to the window [sr/rad], vec4 [view, vehicle].
+        window_rad: Windows with which it was measured, vec4 [view].
+    """
+
+    per_window: wp.array
+    window_rad: wp.array
+
+    def on_tape(
+        self,
+        position_ego_m: wp.array,
+        camera_from_ego: wp.array,
+        log_zoom: wp.array | None = None,
+        window_rad: wp.array | None = None,
+    ) -> wp.array:
+        """The solid angles as a function of views and windows, recorded on the active tape; float [view, vehicle, 1].
+
+        Args:
+            position_ego_m: Camera centres [m], vec3 [view].
+            camera_from_ego: Rotations from ego to camera axes, mat33 [view].
+            log_zoom: Logarithm of each view's focal length over the rendered one, float [view]; None: 0.
+            window_rad: The windows, as in `Renderer.window_area`, vec4 [view]; None: those that were measured.
+        """
+        still = super().on_tape(position_ego_m, camera_from_ego, log_zoom)
+        if window_rad is None:
+            return still
+        result = wp.empty_like(still, requires_grad=True)
+        wp.launch(
+            linearise.linearise_window_kernel,
+            dim=len(still),
+            inputs=[window_rad, self.window_rad, still, self.per_window],
+            outputs=[result],
+            device=still.device,
+        )
+        return result
+
+
 class Renderer:
     """Renders a fixed number of views of equal size, one scene at a time, into buffers that it owns.
 
@@ -231,7 +275,6 @@ class Renderer:
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
         self._held: Held | None = None
-        self._render_count = 0
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
@@ -247,7 +290,7 @@ class Renderer:
                 self._threads = ThreadPoolExecutor(thread_count)
         self.thread_count = thread_count or 1
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, layers, rasterise, hide, measure, extent, shade, image_flow):
+        for module in (view, layers, rasterise, hide, measure, extent, window, shade, image_flow):
             wp.load_module(module, device=self.device)
 
     def _zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
@@ -341,7 +384,6 @@ class Renderer:
             outputs=[self._view],
         )  # fmt: skip
         # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
-        self._render_count += 1
         layer_count = scene.vehicle_count
         if content is Content.IMAGES:
             layer_count = 0
@@ -579,6 +621,72 @@ class Renderer:
         self._sum_flow(scene, flow, result)
         return result
 
+    def window_area(
+        self,
+        scene: DeviceScene,
+        window_rad: wp.array,
+        *,
+        softness_rad: float,
+        visible: bool,
+        into: WindowMeasures | None = None,
+    ) -> WindowMeasures:
+        """Solid angle of every vehicle in every view inside a soft window of directions, with Jacobians.
+
+        The window is the field of view of a camera that looks elsewhere from the same place, with logistic edges; e.g.
+        four views to the ahead, left, rear and right, summed, are a panorama over which a camera's yaw, pitch and field
+        of view move, and what is outside still pulls. With azimuth a and elevation e of a direction from the window's
+        centre, half width w, half height h, softness t, and s the logistic function, a direction counts
+
+            s((w + a) / t) s((w - a) / t) s((h + e) / t) s((h - e) / t).
+
+        Args:
+            scene: The scene of the last `render`.
+            window_rad: Per view in its own axes: azimuth of the window's centre, counted like yaw from the optical axis
+                to the left; its elevation, upwards; half width; half height [rad], vec4 [view].
+            softness_rad: t, positive.
+            visible: Whether to leave out what other surfaces hide; else each vehicle counts as if it stood alone.
+            into: An earlier result to write over; None: fresh arrays.
+
+        Raises:
+            ValueError: There is not one window per view, or ``softness_rad`` is not positive.
+        """
+        self._require(scene, Content.ALL if visible else Content.VEHICLES)
+        if window_rad.shape != (self.view_count,):
+            raise ValueError(
+                f"window_rad must have one window for each of {self.view_count} views, got {window_rad.shape}"
+            )
+        if not softness_rad > 0.0:
+            raise ValueError(f"softness_rad must be positive, got {softness_rad}")
+        pairs = (self.view_count, scene.vehicle_count)
+        if into is None:
+            into = WindowMeasures(
+                **vars(self._measures(scene, 1, None)),
+                per_window=self._zeros(pairs, wp.vec4),
+                window_rad=wp.clone(window_rad, requires_grad=False),
+            )
+        else:
+            self._measures(scene, 1, into)
+            wp.copy(into.window_rad, window_rad)
+        kind = int(outline.VISIBLE if visible else outline.ALONE)
+        rows, columns = self._lanes
+        flow = self._kept("weighted flow", (*pairs, 1, rows * columns), measure.Flow)
+        window_flow = self._kept("window flow", (*pairs, rows * columns), wp.vec4)
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
+                window.measure_window_kernel,
+                (count, scene.vehicle_count, rows * columns),
+                inputs=[
+                    self._view, scene.triangles, self._layers, self._hiding, into.window_rad, softness_rad, kind,
+                    self._width, self._height, first, rows, columns,
+                ],
+                outputs=[flow, window_flow],
+            ),
+        )  # fmt: skip
+        self._sum_flow(scene, flow, into, is_in_px=False)
+        self._launch(window.sum_window_flow_kernel, pairs, inputs=[window_flow], outputs=[into.per_window])
+        return into
+
     def _measures(self, scene: DeviceScene, count: int, into: Measures | None) -> Measures:
         shape = (self.view_count, scene.vehicle_count, count)
         if into is not None:
@@ -596,13 +704,13 @@ class Renderer:
             camera_from_ego=wp.clone(self._camera_from_ego, requires_grad=False),
         )
 
-    def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures) -> None:
-        """Sum what the lanes have measured into the first measures of ``result``."""
+    def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures, *, is_in_px: bool = True) -> None:
+        """Sum what the lanes have measured into the first measures of ``result``; ``is_in_px``: from samples."""
         flow = self._grouped(flow)
         self._launch(
             measure.sum_flow_kernel,
             (self.view_count, scene.vehicle_count, flow.shape[2]),
-            inputs=[self._view, flow, self.supersampling],
+            inputs=[self._view, flow, self.supersampling if is_in_px else 1],
             outputs=[result.value, result.per_shift, result.per_spin, result.per_zoom],
         )
 
@@ -778,17 +886,17 @@ class Renderer:
         launch: Callable[[int, int, wp.array], None],
     ) -> None:
         """Record that ``launch(first, count, flow)`` turns the gradient to some images into that to their views."""
-        rendered = self._render_count
+        held = self._held
         wanted = [array for array in moved if array is not None and array.requires_grad]
         gradients = [
             array.grad
             if array is not None and array.requires_grad
-            else self._kept("unwanted", (self.view_count,), dtype)
+            else self._kept(f"unwanted {dtype.__name__}", (self.view_count,), dtype)
             for array, dtype in zip(moved, (wp.vec3, wp.mat33, float), strict=True)
         ]
 
         def backward() -> None:
-            if self._render_count != rendered:
+            if self._held is not held:
                 raise ValueError("the renderer has rendered again; run the backward pass of its images before that")
             flow = self._kept("image flow", (len(image), 1, 1, math.prod(self._flow_lanes)), measure.Flow)
             self._over_views(len(image), lambda first, count: launch(first, count, flow))
