@@ -50,6 +50,12 @@ def linearise_measures(new):
     return VIEWS, [*inputs, new(size=shape)], [new(np.zeros(shape))]
 
 
+def linearise_window(new):
+    windows = [new(size=(VIEWS, 4), dtype=wp.vec4) for _ in range(2)]
+    inputs = [*windows, new(size=(VIEWS, VEHICLES, 1)), new(size=(VIEWS, VEHICLES, 4), dtype=wp.vec4)]
+    return VIEWS, inputs, [new(np.zeros((VIEWS, VEHICLES, 1)))]
+
+
 def place_on_surface(new):
     # in the middle of cells of half a metre, because the slope jumps between them; and beyond the border
     place = np.array([[0.8, -0.2], [1.2, 4.0]])
@@ -115,6 +121,7 @@ def sum_target_areas(new):
 
 CASES = {
     linearise.linearise_measures_kernel: linearise_measures,
+    linearise.linearise_window_kernel: linearise_window,
     mount_pose.place_on_surface_kernel: place_on_surface,
     constraint_losses.out_of_bounds_loss_kernel: out_of_bounds_loss,
     constraint_losses.camera_spacing_loss_kernel: camera_spacing_loss,
@@ -136,7 +143,7 @@ def test_every_taped_kernel_is_checked():
         for function in module.functions
         if function.kind == "kernel" and function.is_differentiable(module.enable_backward)
     }
-    assert {kernel.key for kernel in CASES} == taped
+    assert {kernel.key for kernel in CASES} == taped, "say in CASES with what arrays it is checked"
 
 
 @pytest.mark.parametrize("kernel", [pytest.param(kernel, id=kernel.key) for kernel in CASES])
