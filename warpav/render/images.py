@@ -20,7 +20,8 @@ class CameraImage:
 
     Attributes:
         rgb: uint8 [row, column, 3].
-        depth_m: Depth along the optical axis [m], +inf where nothing is hit, float32 [row, column].
+        depth_m: Depth [m] along the optical axis, for a fisheye or a panorama the distance; +inf where nothing is hit,
+            float32 [row, column].
         object_index: -1 nothing, 0 environment, 1 ego vehicle, 2 + k vehicle k of the scene, int32 [row, column].
         visible_area_px: Area in the image that nothing hides [px^2], float32 [vehicle].
         amodal_area_px: Area in the image of the vehicle alone [px^2], float32 [vehicle].
