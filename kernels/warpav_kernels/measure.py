@@ -25,7 +25,7 @@ from warpav_kernels.outline import (
     cell_of,
     cell_segment,
     is_in_mask,
-    mask_cell,
+    mask_corners,
     own_corners,
     pair_of,
     segment_cuts,
@@ -330,18 +330,20 @@ def measure_weighted_area_kernel(
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
                 weighted.area += image_weight(x, y, weight_image, v, samples_per_px)
-            cell = mask_cell(camera, pair, row, column, kind, layers, hiding)
-            for index in range(cell.segment_count):
-                segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
-                cut = segment_cuts(segment)
-                extent = segment.end - segment.start
-                weight = float(0.0)
-                for k in range(3):
-                    middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
-                    weight += (cut[k + 1] - cut[k]) * outline_weight(
-                        middle[0], middle[1], weight_image, v, samples_per_px
-                    )
-                weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
+            mask = mask_corners(pair, row, column, kind, layers, hiding)
+            if mask != 0 and mask != 15:
+                cell = cell_of(camera, pair, row, column, mask)
+                for index in range(cell.segment_count):
+                    segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
+                    cut = segment_cuts(segment)
+                    extent = segment.end - segment.start
+                    weight = float(0.0)
+                    for k in range(3):
+                        middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
+                        weight += (cut[k + 1] - cut[k]) * outline_weight(
+                            middle[0], middle[1], weight_image, v, samples_per_px
+                        )
+                    weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
     flow[v, vehicle, 0, lane] = weighted
 
 

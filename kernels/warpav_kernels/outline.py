@@ -383,16 +383,14 @@ def is_in_mask(pair: Pair, row: int, column: int, kind: int, layers: Layers, hid
 
 
 @wp.func
-def mask_cell(camera: View, pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> Cell:
-    """The cell at a place of the pair's rectangle and what it holds of the mask; no outline beyond the rectangle."""
-    mask = int(0)
-    if row + 1 < pair.rectangle[3] and column + 1 < pair.rectangle[2]:
-        mask = own_corners(pair, row, column, layers)
-        if mask != 0 and kind == VISIBLE:
-            mask = mask & unhidden_corners(pair, row, column, hiding)
-    if mask == 0 or mask == 15:
-        return Cell()
-    return cell_of(camera, pair, row, column, mask)
+def mask_corners(pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> int:
+    """Which corners of the cell at a place of the pair's rectangle are of the mask; none of the last row and column."""
+    if row + 1 >= pair.rectangle[3] or column + 1 >= pair.rectangle[2]:
+        return 0
+    mask = own_corners(pair, row, column, layers)
+    if mask != 0 and kind == VISIBLE:
+        mask = mask & unhidden_corners(pair, row, column, hiding)
+    return mask
 
 
 @wp.func

@@ -19,7 +19,7 @@ import warp as wp
 
 from warpav_kernels.layers import Layers
 from warpav_kernels.measure import Flow, frame_weight, with_step
-from warpav_kernels.outline import Hiding, cell_segment, is_in_mask, mask_cell, pair_of, segment_cuts
+from warpav_kernels.outline import Hiding, cell_of, cell_segment, is_in_mask, mask_corners, pair_of, segment_cuts
 from warpav_kernels.rasterise import Triangles
 from warpav_kernels.view import GUARD, View, ray_in_camera, solid_angle
 
@@ -120,18 +120,20 @@ def measure_window_kernel(
                     seen.area += density[0]
                     per_window += wp.vec4(density[1], density[2], density[3], density[4])
                     zoom -= border_sweep(camera, grid_column, grid_row, width, height, window, softness_rad)
-            cell = mask_cell(camera, pair, row, column, kind, layers, hiding)
-            for index in range(cell.segment_count):
-                segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
-                cut = segment_cuts(segment)
-                extent = segment.end - segment.start
-                weight = float(0.0)
-                for k in range(3):
-                    middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
-                    if frame_weight(middle[0], middle[1], width, height) > 0.0:
-                        density = window_density(camera, middle[0], middle[1], window, softness_rad)
-                        weight += (cut[k + 1] - cut[k]) * density[0]
-                seen = with_step(seen, camera, scene, segment, weight * extent[1], -weight * extent[0])
+            mask = mask_corners(pair, row, column, kind, layers, hiding)
+            if mask != 0 and mask != 15:
+                cell = cell_of(camera, pair, row, column, mask)
+                for index in range(cell.segment_count):
+                    segment = cell_segment(cell, index, pair, kind, camera, scene, layers, hiding, width, height)
+                    cut = segment_cuts(segment)
+                    extent = segment.end - segment.start
+                    weight = float(0.0)
+                    for k in range(3):
+                        middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
+                        if frame_weight(middle[0], middle[1], width, height) > 0.0:
+                            density = window_density(camera, middle[0], middle[1], window, softness_rad)
+                            weight += (cut[k + 1] - cut[k]) * density[0]
+                    seen = with_step(seen, camera, scene, segment, weight * extent[1], -weight * extent[0])
     # an outline keeps its directions; only the image's border does not
     seen.zoom = zoom
     flow[v, vehicle, 0, lane] = seen
