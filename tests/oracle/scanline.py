@@ -34,11 +34,14 @@ def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
     else:
         columns, total = np.arange(width + 1.0), np.cumsum(np.pad(weight, ((0, 0), (0, 0), (1, 0))), axis=2)
     rows = _event_rows(corner, owner, columns, height)
+    intervals = _intervals(corner, 0.5 * (rows[1:] + rows[:-1]), width)
     result = np.zeros((len(total), 2, len(meshes)))
-    for low, high in pairwise(rows):
-        start, end, w_start, w_end, of = _intervals(corner, owner, 0.5 * (low + high), width)
-        if len(start) == 0:
+    for (low, high), line in zip(pairwise(rows), intervals, strict=True):
+        hit = ~np.isnan(line[:, 0])
+        if not hit.any():
             continue
+        start, end, w_start, w_end = line[hit].T
+        of = owner[hit]
         cut = np.unique(np.r_[start, end, _passes(start, end, w_start, w_end, of)])
         middle = 0.5 * (cut[1:] + cut[:-1])
         share = (middle - start[:, None]) / (end - start)[:, None]
@@ -166,21 +169,21 @@ def _pass_lines(corner, owner):
     return np.concatenate(starts), np.concatenate(ends)
 
 
-def _intervals(corner, owner, y, width_px):
-    """What a scanline cuts out of every triangle, inside the image: start, end, 1/z at both, owner."""
+def _intervals(corner, rows, width_px):
+    """What scanlines cut out of triangles, inside the image: start, end, 1/z at both, [line, triangle, 4]; or NaN."""
     a, b = corner, np.roll(corner, -1, axis=1)
+    y = rows[:, None, None]
     crosses = (a[..., 1] < y) != (b[..., 1] < y)
-    hit = crosses.sum(axis=1) == 2
-    a, b, crosses = a[hit], b[hit], crosses[hit]
-    share = (y - a[crosses][:, 1]) / (b[crosses][:, 1] - a[crosses][:, 1])
-    point = (a[crosses] + share[:, None] * (b[crosses] - a[crosses])).reshape(-1, 2, 3)
-    x = np.sort(point[..., 0], axis=1)
-    kept = (x[:, 1] - x[:, 0] > 1e-12) & (x[:, 1] > 0.0) & (x[:, 0] < width_px)
-    point, x, of = point[kept], x[kept], owner[hit][kept]
-    slope = (point[:, 1, 2] - point[:, 0, 2]) / (point[:, 1, 0] - point[:, 0, 0])
-    start, end = np.clip(x, 0.0, width_px).T
-    w_start, w_end = (point[:, 0, 2] + slope * (place - point[:, 0, 0]) for place in (start, end))
-    return start, end, w_start, w_end, of
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(crosses, (y - a[..., 1]) / (b[..., 1] - a[..., 1]), np.nan)[..., None]
+        point = a[..., [0, 2]] + share * (b - a)[..., [0, 2]]  # column and 1/z on every side
+        # NaN comes last: the two sides that cross the line are the first two
+        order = np.argsort(point[..., 0], axis=-1)[..., :2, None]
+        (x0, w0), (x1, w1) = (np.moveaxis(np.take_along_axis(point, order, axis=2)[:, :, k], -1, 0) for k in (0, 1))
+        slope = (w1 - w0) / (x1 - x0)
+        start, end = np.clip(x0, 0.0, width_px), np.clip(x1, 0.0, width_px)
+        found = np.stack([start, end, w0 + slope * (start - x0), w0 + slope * (end - x0)], axis=-1)
+        return np.where((end - start > 1e-12)[..., None], found, np.nan)
 
 
 def _passes(start, end, w_start, w_end, of):
