@@ -119,14 +119,16 @@ def with_step(
     """The flow with one more segment, whose weighted normal is (across_columns, across_rows)."""
     column = 0.5 * (segment.start[0] + segment.end[0])
     row = 0.5 * (segment.start[1] + segment.end[1])
+    moved = flow
+    moved.zoom += across_columns * (column - camera.centre[0]) + across_rows * (row - camera.centre[1])
+    if segment.is_fixed:
+        return moved
     point_m = ray_in_camera(camera, column, row) / segment.inverse_depth
     g = across_columns * column_gradient(camera, point_m) + across_rows * row_gradient(camera, point_m)
     if segment.start_cut >= 0 and segment.end_cut >= 0:
         g = cut_gradient(camera, scene, segment.start_cut, segment.end_cut, point_m, g)
-    moved = flow
     moved.gradient += g
     moved.moment += wp.cross(point_m, g)
-    moved.zoom += across_columns * (column - camera.centre[0]) + across_rows * (row - camera.centre[1])
     return moved
 
 

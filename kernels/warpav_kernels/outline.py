@@ -322,12 +322,14 @@ class Cell:
         column: Its column.
         mask: Bit 0 for the upper left, 1 upper right, 2 lower right, 3 lower left sample.
         segment_count: Segments of outline in the cell: 0, 1, or 2 where two opposite corners are of the mask.
+        is_whole: Whether the lens sees all corners.
     """
 
     row: int
     column: int
     mask: int
     segment_count: int
+    is_whole: bool
 
 
 @wp.func
@@ -354,7 +356,7 @@ def unhidden_corners(pair: Pair, row: int, column: int, hiding: Hiding) -> int:
 
 @wp.func
 def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
-    """The cell at a place of the pair's rectangle; without outline where the lens does not see all of it."""
+    """The cell at a place of the pair's rectangle."""
     cell = Cell()
     cell.row = pair.rectangle[1] + row
     cell.column = pair.rectangle[0] + column
@@ -364,10 +366,9 @@ def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
         cell.segment_count = 0
     elif mask == 5 or mask == 10:
         cell.segment_count = 2
-    if not sees(camera, cell.column, cell.row) or not sees(camera, cell.column + 1, cell.row):
-        cell.segment_count = 0
-    if not sees(camera, cell.column, cell.row + 1) or not sees(camera, cell.column + 1, cell.row + 1):
-        cell.segment_count = 0
+    is_upper_whole = sees(camera, cell.column, cell.row) and sees(camera, cell.column + 1, cell.row)
+    is_lower_whole = sees(camera, cell.column, cell.row + 1) and sees(camera, cell.column + 1, cell.row + 1)
+    cell.is_whole = is_upper_whole and is_lower_whole
     return cell
 
 
@@ -454,6 +455,7 @@ class Segment:
         inverse_depth: 1/z of the surface in front, in its middle [1/m].
         start_cut: The triangle that the near plane cuts at its start; -1 where there is none.
         end_cut: The same at its end.
+        is_fixed: Whether it is the edge of what the lens sees, which stays where it is in the image.
     """
 
     start: wp.vec2
@@ -461,6 +463,7 @@ class Segment:
     inverse_depth: float
     start_cut: int
     end_cut: int
+    is_fixed: bool
 
 
 @wp.func
@@ -492,6 +495,7 @@ def cell_segment(
     segment.inverse_depth = 0.5 * (start.inverse_depth + end.inverse_depth)
     segment.start_cut = start.cut_triangle
     segment.end_cut = end.cut_triangle
+    segment.is_fixed = not cell.is_whole
     return segment
 
 

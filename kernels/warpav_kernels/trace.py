@@ -3,8 +3,8 @@
 A straight edge is no straight line in such an image, so every sample sends a ray through the lens instead. The scene is
 one mesh whose triangles are grouped by object: a ray for a layer only asks that object's group.
 
-Where a layer ends between two samples is found by halving the way from the last ray that hits to the first that does
-not.
+Where a layer ends between two samples, or its front does and a farther part of it begins, is found by halving the way
+from the last ray that hits it to the first that does not.
 """
 
 import warp as wp
@@ -18,6 +18,7 @@ wp.set_module_options({"enable_backward": False})
 FARTHEST_M = wp.constant(1.0e6)
 REACH_STEPS = wp.constant(12)  # halvings of a sample
 NEAR_TOLERANCE = wp.constant(3.0e-4)  # of 1/z, by which a surface ends where it is too near
+LEAST_STEP = wp.constant(0.1)  # of 1/z, from a layer's front to a part behind it
 WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 
@@ -154,7 +155,7 @@ def trace_reaches_kernel(
     # out
     layers: Layers,
 ):
-    """How far every layer goes on from its outermost samples towards the neighbours that it does not cover.
+    """How far every layer's front goes on from its outermost samples towards the neighbours that it does not cover.
 
     Launch: ``dim=(traced views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
     samples. Not taped.
@@ -176,9 +177,14 @@ def trace_reaches_kernel(
                 for direction in range(4):
                     step = step_of(direction)
                     other = place_in(rectangle, offset, row + step[0], column + step[1])
+                    # what is at least so near is the front that is followed
+                    front = float(0.0)
                     is_outline = False
                     if other >= 0:
-                        is_outline = layers.inverse_depth_bits[other] == wp.int32(0)
+                        behind = inverse_depth_of(layers.inverse_depth_bits[other])
+                        is_outline = behind < (1.0 - LEAST_STEP) * inverse_depth_of(bits)
+                        if behind > 0.0:
+                            front = 0.5 * (behind + inverse_depth_of(bits))
                     if is_outline:
                         here = sample_ray(camera, row, column)
                         there = sample_ray(camera, row + step[0], column + step[1])
@@ -190,7 +196,7 @@ def trace_reaches_kernel(
                             for _ in range(REACH_STEPS):
                                 middle = 0.5 * (inside + outside)
                                 hit = first_hit(camera, mesh, root, ray_between(here, there, middle))
-                                if hit.triangle >= 0:
+                                if hit.triangle >= 0 and hit.inverse_depth >= front:
                                     inside = middle
                                     end_inverse_depth = hit.inverse_depth
                                     end_triangle = hit.triangle
