@@ -69,11 +69,13 @@ class Reach:
         distance: 0..1 in samples.
         inverse_depth: 1/z of the surface there [1/m].
         cut_triangle: The triangle that the near plane ends there; -1 where something else does.
+        is_known: Whether it is solved; else half way stands for it.
     """
 
     distance: float
     inverse_depth: float
     cut_triangle: int
+    is_known: bool
 
 
 @wp.func
@@ -83,7 +85,8 @@ def reach_from(key: wp.int64, bits: wp.int32, near_m: float) -> Reach:
     reach.distance = 0.5
     reach.inverse_depth = inverse_depth_of(bits)
     reach.cut_triangle = -1
-    if key != wp.int64(0):
+    reach.is_known = key != wp.int64(0)
+    if reach.is_known:
         reach.distance = wp.cast(wp.int32(key >> wp.int64(32)), float)
         end = wp.int32(key & wp.int64(0x7FFFFFFF))
         if (key & NEAR_CUT) == wp.int64(0):
@@ -161,6 +164,7 @@ def traced_triangle_reach(
     reach.distance = wp.min(share, cut_share)
     reach.inverse_depth = start_w + reach.distance * (end_w - start_w)
     reach.cut_triangle = -1
+    reach.is_known = True
     if cut_share < share:
         reach.cut_triangle = triangle
     return reach
@@ -189,6 +193,7 @@ def triangle_reach(
     part = front_part(camera, scene, triangle)
     reach = Reach()
     reach.cut_triangle = -1
+    reach.is_known = True
     for index in range(part.part_count):
         image = image_triangle(camera, part, index, True, width, height)
         w = image.w + image.w_per_column * (x - image.edge0.u) + image.w_per_row * (y - image.edge0.v)
@@ -240,6 +245,31 @@ def hiding_reach(
     if source < 0:
         return reach_from(wp.int64(0), bits, camera.near_m)
     return triangle_reach(camera, scene, source, bits, row, column, direction, width, height)
+
+
+@wp.func
+def plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int, column: int) -> float:
+    """Inverse depth of a triangle's plane at a sample's centre [1/m]; not positive where the camera looks past it."""
+    plane = scene.triangle_plane[triangle]
+    normal = wp.vec3(plane[0], plane[1], plane[2])
+    ray = wp.transpose(camera.camera_from_ego) * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
+    height_m = plane[3] - wp.dot(normal, camera.position_ego_m)
+    if height_m == 0.0:
+        return 0.0
+    return wp.dot(normal, ray) / height_m
+
+
+@wp.func
+def passing_share(front: float, front_next: float, back: float, back_next: float) -> float:
+    """Share of the way from one sample to the next at which the back surface comes through the front one; else -1.
+
+    All four are inverse depths, which are linear in the image.
+    """
+    before = front - back
+    after = back_next - front_next
+    if back <= 0.0 or before <= 0.0 or after <= 0.0:
+        return -1.0
+    return before / (before + after)
 
 
 @wp.struct
@@ -300,6 +330,15 @@ def crossing_from(
                 width,
                 height,
             )
+            own_next = inverse_depth_of(layers.inverse_depth_bits[other])
+            if own_next > 0.0 and hiding.source[other] >= 0:
+                own = inverse_depth_of(layers.inverse_depth_bits[place])
+                behind = plane_inverse_depth(camera, scene, hiding.source[other], row, column)
+                share = passing_share(own, own_next, behind, inverse_depth_of(bits))
+                if share >= 0.0 and (share > 1.0 - back.distance or not back.is_known):
+                    back.distance = 1.0 - share
+                    back.inverse_depth = own + share * (own_next - own)
+                    back.cut_triangle = -1
             # what lies behind the object hides nothing; it is only what one sees beside it
             if back.inverse_depth > reach.inverse_depth and 1.0 - back.distance <= reach.distance:
                 reach.distance = 1.0 - back.distance
