@@ -8,8 +8,9 @@ import pytest
 
 from tests.driving_scene import camera_pose
 from tests.oracle import scanline
-from tests.render.bodies import WEIGHT, cuboid, poses_towards, scene_of, weighed
+from tests.render.bodies import WEIGHT, cuboid, error, measured, poses_towards, scene_of, weighed
 from warpav.geometry.mesh import Mesh, merge
+from warpav.render.renderer import VISIBLE_AREA
 from warpav.rig.camera import CameraModel
 
 WIDTH_PX, HEIGHT_PX, FOV_RAD = 32, 24, math.radians(75.0)
@@ -133,3 +134,21 @@ def test_jacobians_of_noisy_weights_become_exact(device, name):
     # what is left is the small step over which weights at an outline are the mean: without it .008 and .018
     _, error = errors(name, 8, 2, device).T
     assert error.max() < 0.06  # seen .049 and .033
+
+
+@pytest.mark.parametrize("seed", [20, 27])
+@pytest.mark.parametrize("kind", ["wall", "floor"])
+def test_where_a_body_enters_a_surface_its_outline_is_solved(device, kind, seed):
+    corner = {
+        "wall": [[5.2, -30, -30], [4.2, 60, -30], [5.6, 0, 60]],
+        "floor": [[-30, -30, 0.1], [60, -30, 0.2], [0, 60, 0.3]],
+    }
+    surface, box = (
+        Mesh.create(corner[kind], [[0, 1, 2]], [9, 9, 9]),
+        cuboid([1.0, 3.0, 1.0], [5.0, 0.1, 0.2], (0.3, 0.2, 0.3)),
+    )
+    model, poses = CameraModel(WIDTH_PX, HEIGHT_PX, FOV_RAD, 0.1), look_at_boxes(seed)
+    expected = scanline.gradients([box, surface], poses[0], model, shift_m=1e-3, spin_rad=1e-4)[0, 0]
+    for supersampling, limit in ((2, 0.02), (4, 0.005)):  # worst seen .011, .0026; half a sample off: .10, .058
+        _, slope = measured(scene_of([box], surface), poses, model, device, supersampling=supersampling)
+        assert error(slope[0, 0, VISIBLE_AREA], expected) < limit
