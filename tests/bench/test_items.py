@@ -133,7 +133,7 @@ def scanline_loss(workload, pose, camera, sub_scanlines=64):
             a, b = before[:, None], behind[None]
             cut = a + (a[..., 2:] - model.near_m) / (a[..., 2:] - b[..., 2:]) * (b - a)
             point = np.concatenate([before, cut.reshape(-1, 3)])
-            image = model.focal_px * point[:, :2] / point[:, 2:] + 0.5 * size
+            image = model.intrinsics[0, 0] * point[:, :2] / point[:, 2:] + 0.5 * size
             corner = image[ConvexHull(image).vertices]
             low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
             for (x0, y0), (x1, y1) in zip(corner, np.roll(corner, -1, axis=0), strict=True):
