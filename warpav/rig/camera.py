@@ -18,8 +18,8 @@ _SAME_ANGLE_RAD = 1e-6
 class CameraModel:
     """A camera without skew. Give its field of view, or its focal lengths as a calibration found them.
 
-    A panorama all round has a seam at its left and right edge. The areas of an object across it, and their gradients, are
-    those of both its parts; it reaches from the left edge to the right.
+    A panorama all round has a seam at its left and right edge. The areas of an object across it, and their gradients,
+    are those of both its parts; it reaches from the left edge to the right.
 
     Attributes:
         width_px: Image width [px], at least 8.
