@@ -3,6 +3,8 @@
 Image places are in focal lengths from the principal point, x to the right and y down. Rays are in camera axes; they
 have z = 1 for pinhole and Brown-Conrady lenses and unit length for the others. The inverse of a lens has no closed
 form; it is solved by Newton's steps.
+
+What others ask for is kept out of line, so that kernels for pinholes stay small.
 """
 
 import warp as wp
@@ -168,7 +170,7 @@ def fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     return wp.vec3(share * x, share * y, wp.cos(angle))
 
 
-@wp.func
+@wp.func(inline=False)
 def lens_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     """Ray of an image place; zero where nothing is seen."""
     if lens.kind == BROWN_CONRADY:
@@ -205,7 +207,7 @@ def fisheye_gradient(lens: Lens, point: wp.vec3) -> mat23:
     )
 
 
-@wp.func
+@wp.func(inline=False)
 def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
     """Gradients (rows) of the image place of a point in camera coordinates to the point [1/m]."""
     x = point[0]
@@ -249,7 +251,7 @@ def farthest_place(low: float, high: float, least_radius: float, radius: float) 
     return least_radius * cosine
 
 
-@wp.func
+@wp.func(inline=False)
 def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
     """Bounds (left, top, right, bottom) of the image places of a cone of directions; right < left: none.
 

@@ -813,7 +813,10 @@ class Renderer:
         return image
 
     def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
-        """Depth along the optical axis [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column]."""
+        """Depth [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column].
+
+        Depth lies along the optical axis; of a fisheye or a panorama it is distance.
+        """
         return self._depth_and_object(scene, float("inf"))
 
     def _depth_and_object(self, scene: DeviceScene, sky_depth_m: float) -> tuple[wp.array, wp.array]:
