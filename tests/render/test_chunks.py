@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.render.chunks import chunk_view_count, render_in_chunks
@@ -36,6 +37,22 @@ def test_chunks_hold_the_views_of_one_render(device, rng):
         np.testing.assert_array_equal(chunk_object, object_index[views])
         np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[:count], value[views])
     np.testing.assert_array_equal(seen, 1)
+
+
+def test_images_can_be_written_over(device, rng):
+    pose, scene = poses(rng, 2), packed_street(device)
+    renderer = Renderer([CameraModel(64, 48)] * 2, device=device)
+    renderer.render(scene, *on_device(pose, device))
+    fresh = [array.numpy() for array in (*renderer.depth_and_object(scene), renderer.rgb(scene))]
+    old = [wp.array(np.full_like(array, -7), dtype=dtype, device=device)
+           for array, dtype in zip(fresh, (float, wp.int32, wp.vec3), strict=True)]  # fmt: skip
+    images = renderer.depth_and_object(scene, into=(old[0], old[1]))
+    assert images == (old[0], old[1])
+    assert renderer.rgb(scene, into=old[2]) is old[2]
+    for one, other in zip(fresh, old, strict=True):
+        np.testing.assert_array_equal(one, other.numpy())
+    with pytest.raises(ValueError, match=r"the images to write over must be \(1, 48, 64\), got \(2, 48, 64\)"):
+        renderer.rgb(scene, [0], into=old[2])
 
 
 def test_a_renderer_can_be_used_again(device, rng):

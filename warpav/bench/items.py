@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -113,11 +114,11 @@ class Bench:
 
     def time_depth_and_object(self, *, repeat: int) -> Timing:
         """Time W2: depth and object of the nearest surface at every pixel's centre, all views."""
-        return self._time_images(lambda renderer: renderer.depth_and_object(self.scene), repeat)
+        return self._time_images(lambda renderer, into: renderer.depth_and_object(self.scene, into=into), repeat)
 
     def time_rgb(self, *, repeat: int) -> Timing:
         """Time W3: colour of the nearest surface at every pixel's centre, all views."""
-        return self._time_images(lambda renderer: renderer.rgb(self.scene), repeat)
+        return self._time_images(lambda renderer, into: renderer.rgb(self.scene, into=into), repeat)
 
     def depth_and_object(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """W2 in the workload's terms, some views at a time.
@@ -126,9 +127,11 @@ class Bench:
             First view; object, integers [view, row, column], -1: none; depth [m], float32, -1 where nothing is.
         """
         integer = object_type(len(self.workload.triangle_count))
+        images = None
         for chunk, renderer in self._rendered():
             count = chunk.stop - chunk.start
-            depth, index = (array.numpy()[:count] for array in renderer.depth_and_object(self.scene))
+            images = renderer.depth_and_object(self.scene, into=images)
+            depth, index = (array.numpy()[:count] for array in images)
             index = np.where(index >= FIRST_VEHICLE, index - FIRST_VEHICLE, -1).astype(integer)
             yield chunk.start, index, np.where(index >= 0, depth, np.float32(-1.0))
 
@@ -138,8 +141,10 @@ class Bench:
         Yields:
             First view; colour 0..1, float32 [view, row, column, 3], 0 where nothing is.
         """
+        image = None
         for chunk, renderer in self._rendered():
-            yield chunk.start, renderer.rgb(self.scene).numpy()[: chunk.stop - chunk.start]
+            image = renderer.rgb(self.scene, into=image)
+            yield chunk.start, image.numpy()[: chunk.stop - chunk.start]
 
     def peak_mib(self) -> float | None:
         """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
@@ -171,22 +176,23 @@ class Bench:
             device=device,
         )
 
-    def _time_images(self, resolve: Callable[[Renderer], object], repeat: int) -> Timing:
+    def _time_images(self, resolve: Callable[[Renderer, Any], object], repeat: int) -> Timing:
         compile_ms = self._load_kernels()
         began = time.perf_counter()
         models = self._models()
         at_once = min(chunk_view_count(models[0]), len(models))
         renderer = Renderer(models[:at_once], device=self.device.alias)
         views = self._placed()
-        images: list[object] = [None]  # what a recorded run writes into must not be freed
+        images: object = None  # one set, written over from chunk to chunk and run to run
 
         def run() -> None:
+            nonlocal images
             if at_once == len(models):
                 renderer.render(self.scene, *views, content=Content.IMAGES)
-                images[0] = resolve(renderer)
+                images = resolve(renderer, images)
                 return
             for _ in self._rendered(renderer):
-                images[0] = resolve(renderer)
+                images = resolve(renderer, images)
 
         return self._time(run, repeat, renderer, began, compile_ms, is_capturable=at_once == len(models))
 

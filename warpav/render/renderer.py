@@ -745,12 +745,20 @@ class Renderer:
         if self._held.scene is not scene:
             raise ValueError(f"the last render shows another scene, {self._held.scene.name}; render {scene.name} first")
 
-    def rgb(self, scene: DeviceScene, shown_view: Sequence[int] | None = None) -> wp.array:
-        """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient."""
+    def rgb(
+        self, scene: DeviceScene, shown_view: Sequence[int] | None = None, *, into: wp.array | None = None
+    ) -> wp.array:
+        """Colour images 0..1 of the chosen views (None: all), vec3 [image, row, column]; no gradient.
+
+        ``into`` is an earlier result to write over; None: a fresh array.
+
+        Raises:
+            ValueError: ``into`` has another shape.
+        """
         self._require(scene, Content.IMAGES)
         shown = self._shown_views(shown_view)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
-        image = self._zeros((len(shown), self.height_px, self.width_px), wp.vec3)
+        image = self._image(len(shown), wp.vec3, into)
         self._over_views(
             len(shown),
             lambda first, count: self._launch(
@@ -812,18 +820,32 @@ class Renderer:
         self._record_flow(tape, image, shown, (position_ego_m, camera_from_ego, log_zoom), launch)
         return image
 
-    def depth_and_object(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
+    def depth_and_object(
+        self, scene: DeviceScene, *, into: tuple[wp.array, wp.array] | None = None
+    ) -> tuple[wp.array, wp.array]:
         """Depth [m] (+inf: nothing) and object index (-1: nothing), each [view, row, column].
 
-        Depth lies along the optical axis; of a fisheye or a panorama it is distance.
-        """
-        return self._depth_and_object(scene, float("inf"))
+        Depth lies along the optical axis; of a fisheye or a panorama it is distance. ``into`` is an earlier result to
+        write over; None: fresh arrays.
 
-    def _depth_and_object(self, scene: DeviceScene, sky_depth_m: float) -> tuple[wp.array, wp.array]:
+        Raises:
+            ValueError: ``into`` has another shape.
+        """
+        return self._depth_and_object(scene, float("inf"), into)
+
+    def _image(self, count: int, dtype: object, into: wp.array | None) -> wp.array:
+        shape = (count, self.height_px, self.width_px)
+        if into is not None and into.shape != shape:
+            raise ValueError(f"the images to write over must be {shape}, got {into.shape}")
+        return self._zeros(shape, dtype) if into is None else into
+
+    def _depth_and_object(
+        self, scene: DeviceScene, sky_depth_m: float, into: tuple[wp.array, wp.array] | None = None
+    ) -> tuple[wp.array, wp.array]:
         self._require(scene, Content.IMAGES)
         lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
-        shape = (self.view_count, self.height_px, self.width_px)
-        depth_m, object_index = self._zeros(shape, float), self._zeros(shape, wp.int32)
+        depth_m = self._image(self.view_count, float, into[0] if into else None)
+        object_index = self._image(self.view_count, wp.int32, into[1] if into else None)
         self._over_views(
             self.view_count,
             lambda first, count: self._launch(
