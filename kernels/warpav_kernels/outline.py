@@ -196,7 +196,7 @@ def triangle_reach(
     reach.is_known = True
     for index in range(part.part_count):
         image = image_triangle(camera, part, index, True, width, height)
-        w = image.w + image.w_per_column * (x - image.edge0.u) + image.w_per_row * (y - image.edge0.v)
+        w = image.w + image.w_per_column * (x - image.a[0]) + image.w_per_row * (y - image.a[1])
         span = wp.vec2(0.0, 0.0)
         here = x
         w_per_step = image.w_per_column

@@ -149,10 +149,17 @@ class Edge:
 
 @wp.func
 def edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> Edge:
-    """The edge from one corner to the next; ``side`` is the sign of the triangle's area."""
+    """The edge from one corner to the next; ``side`` is the sign of the triangle's area.
+
+    It starts at its upper end, whichever way it runs: so two triangles that share it meet every row at the same place,
+    to the last bit, and leave no hole.
+    """
     edge = Edge()
     edge.u = u
     edge.v = v
+    if next_v < v or (next_v == v and next_u < u):
+        edge.u = next_u
+        edge.v = next_v
     edge.a = (v - next_v) * side
     edge.b = (next_u - u) * side
     return edge
@@ -331,8 +338,8 @@ def fill_rows(
             # the place of column 0 of this row in the layer
             layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
             for column in range(first + lane, last + 1, lane_count):
-                w = image.w + image.w_per_column * (float(column) + 0.5 - image.edge0.u)
-                w = wp.max(w + image.w_per_row * (y - image.edge0.v), LEAST_INVERSE_DEPTH)
+                w = image.w + image.w_per_column * (float(column) + 0.5 - image.a[0])
+                w = wp.max(w + image.w_per_row * (y - image.a[1]), LEAST_INVERSE_DEPTH)
                 bits = wp.cast(w, wp.int32)
                 if has_key:
                     value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)

@@ -263,6 +263,7 @@ class Renderer:
         self._intrinsics_px = self._zeros(self.view_count, wp.vec4)
         self._near_m = self._zeros(self.view_count, float)
         self._lens = self._zeros(self.view_count, lens.Lens)
+        self._models: list[CameraModel] = []
         self._traced: list[int] = []  # views whose lenses are no pinholes
         self.generation = 0  # of the buffers that grow; recordings of launches end with it
         self.set_lenses(models)
@@ -305,6 +306,9 @@ class Renderer:
         size = (self.width_px, self.height_px)
         if len(models) != self.view_count or any((model.width_px, model.height_px) != size for model in models):
             raise ValueError(f"expected {self.view_count} camera models of {size[0]} x {size[1]} pixels")
+        if list(models) == self._models:
+            return
+        self._models = list(models)
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
