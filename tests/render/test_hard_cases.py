@@ -354,7 +354,8 @@ def test_images_differ_from_rays_only_at_edges(device, near_m, fov_deg):
 def test_large_triangles_leave_no_holes_between_them(device):
     rng = np.random.default_rng(5)
     count, half_m = 1000, 50.0
-    room = cuboid([2.0 * half_m] * 3, [0.0] * 3)  # seen from inside, often from so near that the near plane cuts its walls
+    # seen from inside, often from so near that the near plane cuts its walls
+    room = cuboid([2.0 * half_m] * 3, [0.0] * 3)
     place_m = rng.uniform(-1.0, 1.0, (count, 3)) * (half_m - rng.choice([0.1, 1.0, 10.0], (count, 3)))
     angles_rad = rng.uniform([-math.pi, -1.5, -math.pi], [math.pi, 1.5, math.pi], (count, 3))
     poses = np.stack([camera_pose(place, *angles) for place, angles in zip(place_m, angles_rad, strict=True)])
