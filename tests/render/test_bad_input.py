@@ -64,9 +64,9 @@ def test_more_triangles_than_keys_tell_apart_are_not_packed(monkeypatch, device)
 @pytest.mark.parametrize(
     ("size", "supersampling", "message"),
     [
-        ((0, 48), 1, "at least 8 x 8 pixels, got 0 x 48"),
-        ((64, 0), 1, "at least 8 x 8 pixels, got 64 x 0"),
-        ((64, -48), 1, "at least 8 x 8 pixels, got 64 x -48"),
+        ((0, 48), 1, "at least 8 x 8 whole pixels, got 0 x 48"),
+        ((64, 0), 1, "at least 8 x 8 whole pixels, got 64 x 0"),
+        ((64, -48), 1, "at least 8 x 8 whole pixels, got 64 x -48"),
         ((64, 48), 0, "a whole number of at least 1, got 0"),
         ((64, 48), 1.5, "a whole number of at least 1, got 1.5"),
         ((64, 48), 1000, "64 x 48 pixels with supersampling 1000 are more than"),
@@ -136,6 +136,8 @@ def test_arrays_of_another_shape_are_refused(device):
     for shape in ((64, 48), (2, 48, 64)):
         with pytest.raises(ValueError, match=r"weight_image must be \(48, 64\) or \(3, 48, 64\), got"):
             renderer.weighted_area(scene, wp.ones(shape, dtype=float, device=device), visible=True)
+    with pytest.raises(ValueError, match="weight_image must hold float32, got float64"):
+        renderer.weighted_area(scene, wp.ones((48, 64), dtype=wp.float64, device=device), visible=True)
     measures = renderer.measure(scene)
     with pytest.raises(ValueError, match=r"must be \(3, 3, 1\), got \(3, 3, 7\)"):
         renderer.weighted_area(scene, wp.ones((48, 64), dtype=float, device=device), visible=True, into=measures)

@@ -194,8 +194,10 @@ def test_a_camera_that_sees_all_round_need_not_turn():
         ({"centre_px": (128.0, 128.0)}, "centre_px needs focal_px"),
         ({"focal_px": (100.0, 100.0), "fov_rad": 1.0}, "fov_rad 1.0 contradicts focal_px, which gives 1.81"),
         ({"focal_px": (9.0, 9.0), "lens": "panorama"}, r"at least 40\.744 px, got focal_px\[0\] = 9\.0"),
-        ({"width_px": 4}, "at least 8 x 8 pixels, got 4 x 256"),
-        ({"near_m": 0.0}, "near_m must be positive, got 0.0"),
+        ({"width_px": 4}, "at least 8 x 8 whole pixels, got 4 x 256"),
+        ({"height_px": 64.5}, "at least 8 x 8 whole pixels, got 256 x 64.5"),
+        ({"near_m": math.inf}, "near_m must be positive and finite, got inf"),
+        ({"near_m": 0.0}, "near_m must be positive and finite, got 0.0"),
     ],
 )
 def test_a_camera_model_refuses(changes, message):

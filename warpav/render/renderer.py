@@ -604,6 +604,8 @@ class Renderer:
         size = (self.height_px, self.width_px)
         if weight_image.shape not in (size, (self.view_count, *size)):
             raise ValueError(f"weight_image must be {size} or {(self.view_count, *size)}, got {weight_image.shape}")
+        if weight_image.dtype is not wp.float32:
+            raise ValueError(f"weight_image must hold float32, got {weight_image.dtype.__name__}")
         if weight_image.ndim == 2:
             weight_image = weight_image.reshape((1, *size))
         result = self._measures(scene, 1, into)

@@ -51,10 +51,10 @@ class CameraModel:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.width_px < 8 or self.height_px < 8:
-            raise ValueError(f"an image needs at least 8 x 8 pixels, got {self.width_px} x {self.height_px}")
-        if not self.near_m > 0.0:
-            raise ValueError(f"near_m must be positive, got {self.near_m}")
+        if not all(size == int(size) and size >= 8 for size in (self.width_px, self.height_px)):
+            raise ValueError(f"an image needs at least 8 x 8 whole pixels, got {self.width_px} x {self.height_px}")
+        if not 0.0 < self.near_m < math.inf:
+            raise ValueError(f"near_m must be positive and finite, got {self.near_m}")
         if self.lens not in list(Lens):
             raise ValueError(f"lens must be one of {', '.join(Lens)}, got {self.lens!r}")
         self._set("lens", Lens(self.lens))
