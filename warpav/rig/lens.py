@@ -91,10 +91,10 @@ class LensShape:
         elif self.lens is Lens.FISHEYE:
             growth = _polynomial([1.0, *(self.coefficients[:4] * [3.0, 5.0, 7.0, 9.0])])
             end = math.pi
-        # terms too small to matter anywhere would only spoil the roots
-        scale = np.abs(growth.coef) * float(end) ** (2.0 * np.arange(len(growth.coef)))
-        root = growth.cutdeg(int(np.flatnonzero(scale > 1e-12)[-1])).roots()
-        turns = np.sqrt(root.real[(np.abs(root.imag) < 1e-9) & (root.real > 0.0)])
+        # as reciprocals, so that a minute term of high degree spoils only the roots far away
+        reciprocal = _polynomial(growth.coef[::-1]).roots()
+        reciprocal = reciprocal.real[np.abs(reciprocal.imag) < 1e-9 * np.maximum(1.0, np.abs(reciprocal))]
+        turns = reciprocal[reciprocal > end**-2.0] ** -0.5
         return min([end, *(_TURN_SHARE * turns)])
 
     @property
