@@ -17,7 +17,7 @@ from warpav.scene.houses import SceneryBuilder
 from warpav.scene.paint import PAINT_COLOURS, PAINT_SHARES
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
 from warpav.scene.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
-from warpav.scene.vehicle_shapes import VARIANT_COUNT, ego_mesh, vehicle_mesh
+from warpav.scene.vehicle_shapes import VARIANT_COUNT, ego_glass, ego_mesh, vehicle_glass, vehicle_mesh
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the middle of the ego vehicle
@@ -45,10 +45,26 @@ _TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses o
 
 
 @dataclass(frozen=True)
+class TownWorld:
+    """A scene and what a simulator knows beyond it.
+
+    Attributes:
+        scene: The scene.
+        ego_glass: Which triangles of the ego vehicle are window panes, bool [triangle].
+        vehicle_glass: The same of every other vehicle.
+    """
+
+    scene: Scene
+    ego_glass: np.ndarray
+    vehicle_glass: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
 class _Placed:
     """A vehicle in the town frame: its mesh still in the vehicle frame, where it stands, its length and width."""
 
     kind: str
+    variant: int
     mesh: Mesh
     size_m: np.ndarray
     x_m: float
@@ -76,23 +92,28 @@ def town_scene(seed: int) -> Scene:
     Raises:
         ValueError: The seed is negative.
     """
+    return town_world(seed).scene
+
+
+def town_world(seed: int) -> TownWorld:
+    """The scene of `town_scene` with what only a simulator knows; the same arguments and errors."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
     for attempt in range(16):
-        scene = _try_scene(seed, attempt)
-        if scene is not None:
-            return scene
+        world = _try_world(seed, attempt)
+        if world is not None:
+            return world
     raise RuntimeError(f"no scene with enough visible traffic for seed {seed}")
 
 
-def _try_scene(seed: int, attempt: int) -> Scene | None:
+def _try_world(seed: int, attempt: int) -> TownWorld | None:
     rng = np.random.default_rng([_TOWN_STREAM, seed, attempt])
     layout = town_layout(rng)
     ego = ego_vehicle()
     ego_bounds = ego.bounds_m()
     # The ego vehicle's middle stands on its slot; the ego frame's origin is its rear axle.
     origin = np.array([layout.ego.x_m - ego_bounds[:, 0].mean(), layout.ego.y_m, 0.0])
-    ego_placed = _Placed("ego", ego, ego_bounds[1] - ego_bounds[0], layout.ego.x_m, layout.ego.y_m, 0.0)
+    ego_placed = _Placed("ego", 0, ego, ego_bounds[1] - ego_bounds[0], layout.ego.x_m, layout.ego.y_m, 0.0)
 
     scenery = SceneryBuilder(rng)
     for rectangle in layout.asphalt_m:
@@ -137,7 +158,11 @@ def _try_scene(seed: int, attempt: int) -> Scene | None:
         for number, one in enumerate(placed, start=1)
     )
     environment = scenery.finish().transformed(np.eye(3), -origin)
-    return Scene(f"town_{seed:04d}", environment, ego, vehicles, _sky(rng), f"town seed {seed}")
+    return TownWorld(
+        Scene(f"town_{seed:04d}", environment, ego, vehicles, _sky(rng), f"town seed {seed}"),
+        ego_glass(),
+        tuple(vehicle_glass(one.kind, one.variant) for one in placed),
+    )
 
 
 def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
@@ -191,7 +216,8 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     kind = kinds[int(rng.choice(len(kinds), p=shares))]
     paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
     scale = 1.0 + rng.uniform(-_SCALE_SPREAD, _SCALE_SPREAD, 3)
-    mesh = vehicle_mesh(kind, paint, variant=int(rng.integers(VARIANT_COUNT)), scale=scale)
+    variant = int(rng.integers(VARIANT_COUNT))
+    mesh = vehicle_mesh(kind, paint, variant=variant, scale=scale)
     across = rng.uniform(-_LATERAL_JITTER_M, _LATERAL_JITTER_M)
     yaw = slot.yaw_rad + rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD)
     bounds = mesh.bounds_m().astype(np.float64)
@@ -199,7 +225,7 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     if size[0] > slot.room_m or (slot.parked and kind in _LONG_KINDS):
         return None
     x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
-    return _Placed(kind, mesh, size, float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))))
+    return _Placed(kind, variant, mesh, size, float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))))
 
 
 def _standing(placed: _Placed) -> Mesh:

@@ -424,6 +424,11 @@ def vehicle_mesh(kind: str, paint: np.ndarray, *, variant: int = 0, scale: Array
     return Mesh((mesh.vertex_m * np.asarray(scale, np.float32)).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
+def vehicle_glass(kind: str, variant: int = 0) -> np.ndarray:
+    """Which triangles of `vehicle_mesh` are window panes, bool [triangle]."""
+    return _glass(_baked(kind, variant)[0])
+
+
 @cache
 def ego_mesh() -> Mesh:
     """The vehicle that carries the cameras, in the ego frame (origin on the ground below its rear axle).
@@ -431,7 +436,21 @@ def ego_mesh() -> Mesh:
     Its bonnet and roof are meshed in cells of about 5 cm, smooth and without rails, so that a mount surface can be
     computed from them.
     """
-    surface = _build("estate", EGO_SPEC, fine_m=_EGO_CELL_M)
+    surface = _ego_surface()
     rear_axle_m = EGO_SPEC.length_m * (0.5 - EGO_SPEC.axles[-1])
     mesh = painted_mesh(surface, sky_share(surface), _EGO_PAINT)
     return mesh.transformed(np.eye(3), np.array([-rear_axle_m, 0.0, 0.0]))
+
+
+def ego_glass() -> np.ndarray:
+    """Which triangles of `ego_mesh` are window panes, bool [triangle]."""
+    return _glass(_ego_surface())
+
+
+@cache
+def _ego_surface() -> Surface:
+    return _build("estate", EGO_SPEC, fine_m=_EGO_CELL_M)
+
+
+def _glass(surface: Surface) -> np.ndarray:
+    return surface.material[surface.triangle[:, 0]] == Material.GLASS
