@@ -144,7 +144,7 @@ class Bench:
         image = None
         for chunk, renderer in self._rendered():
             image = renderer.rgb(self.scene, into=image)
-            yield chunk.start, image.numpy()[: chunk.stop - chunk.start]
+            yield chunk.start, image.numpy()[: chunk.stop - chunk.start].copy()
 
     def peak_mib(self) -> float | None:
         """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
