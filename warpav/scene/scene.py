@@ -23,6 +23,25 @@ class Box:
     size_m: np.ndarray
     yaw_rad: float
 
+    @property
+    def ego_from_box(self) -> np.ndarray:
+        """Rotation from the box's axes (along its length, to its left, up) to the ego frame, shape [3, 3]."""
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def corners_m(self) -> np.ndarray:
+        """The eight corners in the ego frame [m], shape [8, 3]."""
+        side = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        return self.center_m + side * self.size_m @ self.ego_from_box.T
+
+    def local_m(self, point_m: np.ndarray) -> np.ndarray:
+        """Points of the ego frame in the box's axes from its centre [m], shape [point, 3]."""
+        return (point_m - self.center_m) @ self.ego_from_box
+
+    def contains(self, point_m: np.ndarray, *, margin_m: float = 0.0) -> np.ndarray:
+        """Whether points of the ego frame [m], [point, 3], lie inside the box grown by a margin, bool [point]."""
+        return (np.abs(self.local_m(point_m)) <= 0.5 * np.asarray(self.size_m) + margin_m).all(axis=1)
+
 
 @dataclass(frozen=True)
 class Vehicle:
