@@ -123,7 +123,7 @@ class _Caster:
         counts = [len(mesh.triangle) for mesh in meshes]
         whole = merge(meshes)
         self._corner_m = whole.vertex_m[whole.triangle]
-        self._corner_rgb = whole.vertex_rgb[whole.triangle]
+        self._corner_rgb = whole.vertex_rgb[whole.triangle].astype(np.float32)
         self._instance = np.repeat(
             np.array([ENVIRONMENT_INSTANCE, EGO_INSTANCE, *(scene.vehicles[k].instance_id for k in there)], np.uint16),
             counts,
@@ -143,7 +143,7 @@ class _Caster:
         direction = (ray @ view.ego_from_camera[:3, :3].T).astype(np.float32)
         origin = np.broadcast_to(view.ego_from_camera[:3, 3].astype(np.float32), direction.shape).copy()
         count = len(direction)
-        rgb, through = np.zeros((count, 3)), np.ones(count)
+        rgb, through = np.zeros((count, 3), np.float32), np.ones(count, np.float32)
         depth_m = np.full(count, np.inf, np.float32)
         instance = np.zeros(count, np.uint16)
         passed_m = np.zeros(count, np.float32)
@@ -157,14 +157,17 @@ class _Caster:
             waiting, triangle = waiting[seen], triangle[seen]
             u, v, distance = (hit[name][seen] for name in ("u", "v", "tfar"))
             share = np.stack([1.0 - u - v, u, v], axis=1)
-            colour = np.einsum("ij,ijk->ik", share, self._corner_rgb[triangle])
+            corner_rgb = self._corner_rgb[triangle]
+            colour = sum(share[:, k, None] * corner_rgb[:, k] for k in range(3))
             is_inside = np.einsum("ij,ij->i", hit["Ng"][seen], direction[waiting]) > 0.0
             colour[is_inside & (self._instance[triangle] != ENVIRONMENT_INSTANCE)] *= INSIDE_SHADE
             if layer == 0:
                 instance[waiting] = self._instance[triangle]
             passed_m[waiting] += distance
             pane = self._is_pane[triangle] & (layer < _MAX_PANES - 1)
-            rgb[waiting] += (through[waiting] * np.where(pane, PANE_OPACITY, 1.0))[:, None] * colour
+            rgb[waiting] += (through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0)))[
+                :, None
+            ] * colour
             depth_m[waiting[~pane]] = passed_m[waiting[~pane]]
             waiting = waiting[pane]
             if not len(waiting):
