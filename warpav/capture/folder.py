@@ -2,7 +2,7 @@
 
 ``capture.json`` (schema ``warpav-capture/1``) holds, in the ego frame (ISO 8855, metres, degrees):
 
-* ``name``, ``source``; ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
+* ``name``, ``source``, ``recipe`` (what it was made with, so that it is not made twice); ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
 * ``vehicles``: for each ``instance_id`` (1 to 65534), ``class``, the three box fields, ``spawn_m``, ``spawn_yaw_deg``
   and ``instance_rgb``, the simulator's own colour of the instance;
 * ``images``: for each ``name``, ``kind`` (see `ViewKind`), ``width_px``, ``height_px``, ``intrinsics`` (3 x 3, pixel
@@ -17,6 +17,7 @@ else the instance id; window panes belong to their vehicle.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -29,6 +30,7 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from warpav import __version__
 from warpav.capture.capture import (
     EGO_INSTANCE,
     ENVIRONMENT_INSTANCE,
@@ -130,6 +132,7 @@ class CaptureRecord(_Record):
     schema_: Literal["warpav-capture/1"] = Field(alias="schema")
     name: Name
     source: str = ""
+    recipe: str = ""
     depth_step_m: float = Field(default=DEPTH_STEP_M, gt=0.0, allow_inf_nan=False)
     ego: BoxRecord
     vehicles: list[VehicleRecord]
@@ -196,8 +199,8 @@ def record_capture(
 ) -> Path:
     """Set up a situation, take its images, and write them; one that was interrupted goes on where it stopped.
 
-    ``capture.json`` is written last: a folder that holds it is complete. Images that an earlier run of the same plan has
-    written are kept; those of another plan are taken again.
+    ``capture.json`` is written last: a folder that holds it is complete, and if it was made with the same settings it is
+    left as it is. Images that an unfinished run of the same plan has written are kept; others are taken again.
 
     Args:
         simulator: Entered already.
@@ -216,10 +219,13 @@ def record_capture(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, got: {error.strerror}") from None
+    recipe = _recipe(simulator, seed, settings)
+    if (folder / DESCRIPTION).is_file() and _read_record(folder / DESCRIPTION).recipe == recipe:
+        return folder
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
     views = capture_plan(ego_box, vehicles, settings)
-    record = _record_of(simulator, ego_box, vehicles, views)
+    record = _record_of(simulator, recipe, ego_box, vehicles, views)
     planned = record.model_dump_json(by_alias=True, indent=1)
     is_same = _text(folder / _PLANNED) == planned
     if not is_same:
@@ -308,8 +314,13 @@ def _view_of(one: ImageRecord) -> CaptureView:
     return CaptureView(one.name, one.kind, np.array(one.ego_from_camera), model)
 
 
+def _recipe(simulator: Simulator, seed: int, settings: PlanSettings) -> str:
+    content = f"{__version__} {type(simulator).__name__} {seed} {settings}"
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
 def _record_of(
-    simulator: Simulator, ego_box: Box, vehicles: Sequence[CapturedVehicle], views: Sequence[CaptureView]
+    simulator: Simulator, recipe: str, ego_box: Box, vehicles: Sequence[CapturedVehicle], views: Sequence[CaptureView]
 ) -> CaptureRecord:
     def box(one: Box) -> dict[str, Any]:
         return {
@@ -323,6 +334,7 @@ def _record_of(
             "schema": SCHEMA,
             "name": simulator.name,
             "source": simulator.source,
+            "recipe": recipe,
             "ego": box(ego_box),
             "vehicles": [
                 {
@@ -366,11 +378,11 @@ def _read_record(file: Path) -> CaptureRecord:
         raise InputError("\n".join(_complaint(file, one) for one in error.errors(include_url=False))) from None
     for field, values in (
         ("images: name", [one.name for one in record.images]),
-        ("vehicles: instance_id", [one.instance_id for one in record.vehicles]),
+        ("vehicles: instance_id", [str(one.instance_id) for one in record.vehicles]),
     ):
         for value in values:
             if values.count(value) > 1:
-                raise InputError(f"{file}: {field}: expected each once, got {value!r} {values.count(value)} times")
+                raise InputError(f"{file}: {field}: expected each once, got {value} {values.count(value)} times")
     return record
 
 

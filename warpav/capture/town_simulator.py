@@ -158,14 +158,15 @@ class _Caster:
             u, v, distance = (hit[name][seen] for name in ("u", "v", "tfar"))
             share = np.stack([1.0 - u - v, u, v], axis=1)
             corner_rgb = self._corner_rgb[triangle]
-            colour = sum(share[:, k, None] * corner_rgb[:, k] for k in range(3))
+            colour = share[:, :1] * corner_rgb[:, 0] + share[:, 1:2] * corner_rgb[:, 1] + share[:, 2:] * corner_rgb[:, 2]
             is_inside = np.einsum("ij,ij->i", hit["Ng"][seen], direction[waiting]) > 0.0
             colour[is_inside & (self._instance[triangle] != ENVIRONMENT_INSTANCE)] *= INSIDE_SHADE
             if layer == 0:
                 instance[waiting] = self._instance[triangle]
             passed_m[waiting] += distance
             pane = self._is_pane[triangle] & (layer < _MAX_PANES - 1)
-            rgb[waiting] += (through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0)))[
+            opacity = through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0))
+            rgb[waiting] += opacity[:, None] * colour
                 :, None
             ] * colour
             depth_m[waiting[~pane]] = passed_m[waiting[~pane]]
