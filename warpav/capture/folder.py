@@ -2,7 +2,8 @@
 
 ``capture.json`` (schema ``warpav-capture/1``) holds, in the ego frame (ISO 8855, metres, degrees):
 
-* ``name``, ``source``, ``recipe`` (what it was made with, so that it is not made twice); ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
+* ``name``, ``source``, and ``recipe``, a hash of what it was made with, so that it is not made twice;
+* ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
 * ``vehicles``: for each ``instance_id`` (1 to 65534), ``class``, the three box fields, ``spawn_m``, ``spawn_yaw_deg``
   and ``instance_rgb``, the simulator's own colour of the instance;
 * ``images``: for each ``name``, ``kind`` (see `ViewKind`), ``width_px``, ``height_px``, ``intrinsics`` (3 x 3, pixel
@@ -199,8 +200,8 @@ def record_capture(
 ) -> Path:
     """Set up a situation, take its images, and write them; one that was interrupted goes on where it stopped.
 
-    ``capture.json`` is written last: a folder that holds it is complete, and if it was made with the same settings it is
-    left as it is. Images that an unfinished run of the same plan has written are kept; others are taken again.
+    ``capture.json`` is written last: a folder that holds it is complete, and one that was made with the same settings is
+    left alone. Images that an unfinished run of the same plan has written are kept; others are taken again.
 
     Args:
         simulator: Entered already.

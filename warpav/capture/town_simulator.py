@@ -156,9 +156,8 @@ class _Caster:
             rgb[sky] += through[sky, None] * _sky_rgb(self._sky, direction[sky])
             waiting, triangle = waiting[seen], triangle[seen]
             u, v, distance = (hit[name][seen] for name in ("u", "v", "tfar"))
-            share = np.stack([1.0 - u - v, u, v], axis=1)
-            corner_rgb = self._corner_rgb[triangle]
-            colour = share[:, :1] * corner_rgb[:, 0] + share[:, 1:2] * corner_rgb[:, 1] + share[:, 2:] * corner_rgb[:, 2]
+            a, b, c = np.moveaxis(self._corner_rgb[triangle], 1, 0)
+            colour = (1.0 - u - v)[:, None] * a + u[:, None] * b + v[:, None] * c
             is_inside = np.einsum("ij,ij->i", hit["Ng"][seen], direction[waiting]) > 0.0
             colour[is_inside & (self._instance[triangle] != ENVIRONMENT_INSTANCE)] *= INSIDE_SHADE
             if layer == 0:
@@ -167,8 +166,6 @@ class _Caster:
             pane = self._is_pane[triangle] & (layer < _MAX_PANES - 1)
             opacity = through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0))
             rgb[waiting] += opacity[:, None] * colour
-                :, None
-            ] * colour
             depth_m[waiting[~pane]] = passed_m[waiting[~pane]]
             waiting = waiting[pane]
             if not len(waiting):
