@@ -1,0 +1,282 @@
+"""Poisson surface reconstruction on a grid: from oriented points to a field that is 0 on the surface.
+
+Lengths are in cells of the grid at hand; grids are vertex-centred, and the one that is a level coarser keeps every
+second node. At the border every field is mirrored. Where threads write into the same nodes, they are launched in turns
+(colours), so that sums run in a fixed order on every device.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+SHEET_PEAK = wp.constant(0.55)  # of a sheet of points, splat and read again with `spline_weight`: share at its middle
+JUMP_SLOPE = wp.constant(0.55)  # slope per cell of the field's blurred jump at the surface
+HALF_JUMP = wp.constant(0.5)
+
+
+@wp.func
+def mirrored(index: int, count: int) -> int:
+    """An index at most one step outside a row of nodes, mirrored at the row's end."""
+    if index < 0:
+        return 1
+    if index == count:
+        return count - 2
+    return index
+
+
+@wp.func
+def spline_weight(distance: float) -> float:
+    """Quadratic B-spline: 3/4 at 0, no weight beyond 1.5 cells."""
+    d = wp.abs(distance)
+    if d < 0.5:
+        return 0.75 - d * d
+    if d < 1.5:
+        return 0.5 * (1.5 - d) * (1.5 - d)
+    return 0.0
+
+
+@wp.func
+def node_weight(node: wp.vec3i, place: wp.vec3) -> float:
+    """Weight of a node for a point."""
+    x = spline_weight(place[0] - float(node[0]))
+    y = spline_weight(place[1] - float(node[1]))
+    return x * y * spline_weight(place[2] - float(node[2]))
+
+
+@wp.kernel
+def splat_density_kernel(
+    # in
+    place: wp.array[wp.vec3],
+    nearest_node: wp.array[wp.vec3i],
+    group_start: wp.array[int],
+    first_group: int,
+    # out
+    density: wp.array3d[float],
+):
+    """Number of points near every node.
+
+    Launch: ``dim=groups of one colour``; thread g takes the points ``group_start[first_group + g]`` up to the next
+    start, which share their nearest node; nearest nodes within a launch are 3 or more apart along some axis. Not taped.
+    Writes: 27 nodes around each group, added to; the caller zeroes them.
+    """
+    group = first_group + wp.tid()
+    middle = nearest_node[group_start[group]]
+    for i in range(middle[0] - 1, middle[0] + 2):
+        for j in range(middle[1] - 1, middle[1] + 2):
+            for k in range(middle[2] - 1, middle[2] + 2):
+                total = float(0.0)
+                for p in range(group_start[group], group_start[group + 1]):
+                    total += node_weight(wp.vec3i(i, j, k), place[p])
+                density[i, j, k] = density[i, j, k] + total
+
+
+@wp.kernel
+def read_density_kernel(
+    # in
+    place: wp.array[wp.vec3],
+    nearest_node: wp.array[wp.vec3i],
+    density: wp.array3d[float],
+    # out
+    points_per_face: wp.array[float],
+):
+    """How many points the surface holds around every point, per area of a cell's face.
+
+    Launch: ``dim=point_count``. Not taped.
+    Writes: every element of ``points_per_face``.
+    """
+    p = wp.tid()
+    middle = nearest_node[p]
+    total = float(0.0)
+    for i in range(middle[0] - 1, middle[0] + 2):
+        for j in range(middle[1] - 1, middle[1] + 2):
+            for k in range(middle[2] - 1, middle[2] + 2):
+                total += node_weight(wp.vec3i(i, j, k), place[p]) * density[i, j, k]
+    points_per_face[p] = total / SHEET_PEAK
+
+
+@wp.kernel
+def splat_normals_kernel(
+    # in
+    place: wp.array[wp.vec3],
+    nearest_node: wp.array[wp.vec3i],
+    area_normal: wp.array[wp.vec3],
+    group_start: wp.array[int],
+    first_group: int,
+    # out
+    flux: wp.array3d[wp.vec3],
+    area: wp.array3d[float],
+    height: wp.array3d[float],
+):
+    """Oriented points as a vector field, and how high every node lies above the points' planes.
+
+    ``area_normal`` is a normal times the area that its point stands for [faces of a cell].
+
+    Launch: as `splat_density_kernel`. Not taped.
+    Writes: 27 nodes around each group, added to; the caller zeroes them. ``height`` is weighted by ``area``.
+    """
+    group = first_group + wp.tid()
+    middle = nearest_node[group_start[group]]
+    for i in range(middle[0] - 1, middle[0] + 2):
+        for j in range(middle[1] - 1, middle[1] + 2):
+            for k in range(middle[2] - 1, middle[2] + 2):
+                node = wp.vec3(float(i), float(j), float(k))
+                flux_here = wp.vec3(0.0, 0.0, 0.0)
+                area_here = float(0.0)
+                height_here = float(0.0)
+                for p in range(group_start[group], group_start[group + 1]):
+                    weighted = node_weight(wp.vec3i(i, j, k), place[p]) * area_normal[p]
+                    flux_here += weighted
+                    area_here += wp.length(weighted)
+                    height_here += wp.dot(weighted, node - place[p])
+                flux[i, j, k] = flux[i, j, k] + flux_here
+                area[i, j, k] = area[i, j, k] + area_here
+                height[i, j, k] = height[i, j, k] + height_here
+
+
+@wp.kernel
+def state_equation_kernel(
+    # in
+    flux: wp.array3d[wp.vec3],
+    area: wp.array3d[float],
+    height: wp.array3d[float],
+    screening: float,
+    scale: float,
+    lanes: int,
+    # out
+    source: wp.array3d[float],
+    screen: wp.array3d[float],
+):
+    """The equation ``screen x - laplacian x = source`` of the screened Poisson problem.
+
+    Near points the field is asked to rise as their planes do, with ``screening`` times the points' area as weight.
+
+    Launch: ``dim=(nodes along x, nodes along y, lanes)``; lanes share a column of nodes. Not taped.
+    Writes: every element of ``source`` and ``screen``, added to, times ``scale``.
+    """
+    i, j, lane = wp.tid()
+    before_i = mirrored(i - 1, area.shape[0])
+    after_i = mirrored(i + 1, area.shape[0])
+    before_j = mirrored(j - 1, area.shape[1])
+    after_j = mirrored(j + 1, area.shape[1])
+    for k in range(lane, area.shape[2], lanes):
+        x = flux[after_i, j, k][0] - flux[before_i, j, k][0]
+        y = flux[i, after_j, k][1] - flux[i, before_j, k][1]
+        z = flux[i, j, mirrored(k + 1, area.shape[2])][2] - flux[i, j, mirrored(k - 1, area.shape[2])][2]
+        weight = screening * area[i, j, k]
+        wanted = float(0.0)
+        if weight > 0.0:
+            rise = JUMP_SLOPE * height[i, j, k] / area[i, j, k]
+            wanted = weight * wp.clamp(rise, -HALF_JUMP, HALF_JUMP)
+        source[i, j, k] = source[i, j, k] + scale * (wanted - 0.5 * (x + y + z))
+        screen[i, j, k] = screen[i, j, k] + scale * weight
+
+
+@wp.kernel
+def relax_field_kernel(
+    # in
+    source: wp.array3d[float],
+    screen: wp.array3d[float],
+    cell: float,
+    colour: int,
+    lanes: int,
+    # out
+    field: wp.array3d[float],
+):
+    """Half a step of red-black Gauss-Seidel.
+
+    Launch: ``dim=(nodes along x, nodes along y, lanes)``, for colour 0, then 1; ``cell`` is the cell's length in cells
+    of the finest grid. Not taped.
+    Writes: the nodes of one colour of ``field``, whose neighbours have the other.
+    """
+    i, j, lane = wp.tid()
+    before_i = mirrored(i - 1, field.shape[0])
+    after_i = mirrored(i + 1, field.shape[0])
+    before_j = mirrored(j - 1, field.shape[1])
+    after_j = mirrored(j + 1, field.shape[1])
+    squared = cell * cell
+    for k in range(((i + j + colour) & 1) + 2 * lane, field.shape[2], 2 * lanes):
+        around = field[before_i, j, k] + field[after_i, j, k] + field[i, before_j, k] + field[i, after_j, k]
+        around += field[i, j, mirrored(k - 1, field.shape[2])] + field[i, j, mirrored(k + 1, field.shape[2])]
+        field[i, j, k] = (around + squared * source[i, j, k]) / (6.0 + squared * screen[i, j, k])
+
+
+@wp.kernel
+def find_residual_kernel(
+    # in
+    source: wp.array3d[float],
+    screen: wp.array3d[float],
+    field: wp.array3d[float],
+    cell: float,
+    lanes: int,
+    # out
+    residual: wp.array3d[float],
+):
+    """What the field leaves of the source.
+
+    Launch: ``dim=(nodes along x, nodes along y, lanes)``; ``cell`` as in `relax_field_kernel`. Not taped.
+    Writes: every element of ``residual``.
+    """
+    i, j, lane = wp.tid()
+    before_i = mirrored(i - 1, field.shape[0])
+    after_i = mirrored(i + 1, field.shape[0])
+    before_j = mirrored(j - 1, field.shape[1])
+    after_j = mirrored(j + 1, field.shape[1])
+    for k in range(lane, field.shape[2], lanes):
+        around = field[before_i, j, k] + field[after_i, j, k] + field[i, before_j, k] + field[i, after_j, k]
+        around += field[i, j, mirrored(k - 1, field.shape[2])] + field[i, j, mirrored(k + 1, field.shape[2])]
+        here = field[i, j, k]
+        residual[i, j, k] = source[i, j, k] - screen[i, j, k] * here + (around - 6.0 * here) / (cell * cell)
+
+
+@wp.kernel
+def restrict_field_kernel(
+    # in
+    fine: wp.array3d[float],
+    lanes: int,
+    # out
+    coarse: wp.array3d[float],
+):
+    """A field on the grid that is a level coarser: the mean of 27 nodes, weighted 1/2 for each step away.
+
+    Launch: ``dim=(coarse nodes along x, coarse nodes along y, lanes)``. Not taped.
+    Writes: every element of ``coarse``.
+    """
+    i, j, lane = wp.tid()
+    for k in range(lane, coarse.shape[2], lanes):
+        total = float(0.0)
+        for a in range(-1, 2):
+            x = mirrored(2 * i + a, fine.shape[0])
+            for b in range(-1, 2):
+                y = mirrored(2 * j + b, fine.shape[1])
+                row = 2.0 * fine[x, y, 2 * k]
+                row += fine[x, y, mirrored(2 * k - 1, fine.shape[2])] + fine[x, y, mirrored(2 * k + 1, fine.shape[2])]
+                total += float((2 - wp.abs(a)) * (2 - wp.abs(b))) * row
+        coarse[i, j, k] = total / 64.0
+
+
+@wp.kernel
+def add_prolonged_kernel(
+    # in
+    coarse: wp.array3d[float],
+    lanes: int,
+    # out
+    fine: wp.array3d[float],
+):
+    """Add a field of the grid that is a level coarser, interpolated.
+
+    Launch: ``dim=(fine nodes along x, fine nodes along y, lanes)``. Not taped.
+    Writes: every element of ``fine``, added to.
+    """
+    i, j, lane = wp.tid()
+    low_i = i / 2
+    low_j = j / 2
+    high_i = (i + 1) / 2
+    high_j = (j + 1) / 2
+    for k in range(lane, fine.shape[2], lanes):
+        low = k / 2
+        high = (k + 1) / 2
+        total = coarse[low_i, low_j, low] + coarse[high_i, low_j, low]
+        total += coarse[low_i, high_j, low] + coarse[high_i, high_j, low]
+        total += coarse[low_i, low_j, high] + coarse[high_i, low_j, high]
+        total += coarse[low_i, high_j, high] + coarse[high_i, high_j, high]
+        fine[i, j, k] = fine[i, j, k] + 0.125 * total
