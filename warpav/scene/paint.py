@@ -31,7 +31,8 @@ class Material(enum.IntEnum):
     CARGO_FRAME = 14
     INDICATOR = 15
     MARKER_YELLOW = 16
-    SIGN = 17
+    REFLECTOR = 17
+    LIFT = 18
 
 
 # Linear albedo and mirror strength of each material, in the order of Material.
@@ -54,11 +55,12 @@ _ALBEDO = np.array(
         (0.30, 0.31, 0.32),
         (0.75, 0.28, 0.02),
         (0.80, 0.58, 0.04),
-        (0.70, 0.36, 0.03),
+        (0.62, 0.03, 0.02),
+        (0.16, 0.17, 0.18),
     ]
 )
 _MIRROR = np.array(
-    [0.13, 0.12, 0.03, 0.0, 0.10, 0.25, 0.07, 0.02, 0.02, 0.0, 0.45, 0.0, 0.0, 0.03, 0.06, 0.08, 0.03, 0.0]
+    [0.13, 0.12, 0.03, 0.0, 0.10, 0.25, 0.07, 0.02, 0.02, 0.0, 0.45, 0.0, 0.0, 0.03, 0.06, 0.08, 0.03, 0.02, 0.05]
 )
 PAINT_COLOURS = np.array(
     [

@@ -18,7 +18,7 @@ from warpav.geometry.mesh import Mesh
 from warpav.scene.lorry_body import add_lorry_body
 from warpav.scene.paint import Material, painted_mesh, sky_share
 from warpav.scene.surface_builder import Surface, SurfaceBuilder
-from warpav.scene.vehicle_specs import EGO_SPEC, VEHICLE_SPECS, VehicleSpec
+from warpav.scene.vehicle_specs import EGO_SPEC, HIGH_VAN, VEHICLE_SPECS, VehicleSpec
 from warpav.scene.wheels import add_wheel_pair
 
 VARIANT_COUNT = 2  # shapes per kind; instances differ further by paint and scale
@@ -42,6 +42,8 @@ _HOUSE_SINK_M = 0.05
 _EGO_PAINT = np.array([0.060, 0.085, 0.125])
 _EGO_CELL_M = 0.075  # longest grid spacing of the ego vehicle's bonnet and roof
 _BELT_SHARE = 0.06  # the lowest share of the glass house is body
+# Rear doors as parts of the outline: the gap between them, the inner and the outer edge of their windows.
+_DOOR_GAP, _DOOR_GLASS_INNER, _DOOR_GLASS_OUTER = 4.985, 4.88, 4.10
 
 
 class _Body:
@@ -216,6 +218,7 @@ def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]
         (_Row.LAMP_LOW, _Row.LAMP_HIGH, 3.36, inner, Material.TAIL_LAMP),
         (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, inner - 0.26, inner - 0.10, Material.HEADLAMP),
         (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, 3.36, 3.60, Material.INDICATOR),
+        *([(_Row.WAIST_LOW, _Row.DECK, _DOOR_GAP, _OUTLINE_END, seam)] if spec.rear_doors else []),
     ]
 
 
@@ -273,6 +276,8 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
     side_lines = [0.0, 1.0, low, high, *(edge for pillar in spec.pillars for edge in pillar)]
     lines = [0.0, 0.5, 1.0, 1.45, 2.0, *(2.0 + line for line in side_lines if line <= 1.0)]
     lines += [3.0, 3.5, 4.0, 4.5, _OUTLINE_END]
+    if spec.rear_doors:
+        lines += [_DOOR_GLASS_OUTER, _DOOR_GLASS_INNER, _DOOR_GAP]
     lines = list(_merged_lines(lines, 0.004))
     for left, right in pairwise(tuple(lines)):
         part = min(int(0.5 * (left + right)), 4)
@@ -305,7 +310,10 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
     for start, end in spec.pillars:
         material[np.ix_(glass, (along > start) & (along < end) & side)] = Material.BLACK_PLASTIC
     if spec.rear_glass:
-        material[np.ix_(glass, middle > 3.5)] = Material.GLASS
+        pane = (middle > _DOOR_GLASS_OUTER) & (middle < _DOOR_GLASS_INNER) if spec.rear_doors else middle > 3.5
+        material[np.ix_(glass, pane)] = Material.GLASS
+    if spec.rear_doors:
+        material[np.ix_(level < bend_start, middle > _DOOR_GAP)] = Material.SEAM
     builder.add_loft(
         ring,
         material,
@@ -338,6 +346,8 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
         low, high = sorted((x, x - 0.07 * sign))
         builder.add_box((low, -0.26, point[2] - 0.057), (high, 0.26, point[2] + 0.057), material)
 
+    if spec.rear_doors:
+        _add_rear_doors(builder, body)
     if tall:
         x, z = body.front_m - 0.10, 0.72 * spec.height_m
         builder.add_ellipsoid_pair((x, body.half_width_m + 0.10, z), (0.07, 0.12, 0.22), Material.BLACK_PLASTIC)
@@ -357,10 +367,48 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
                              (x + 0.09, point[1] + 0.018, point[2] + 0.014), Material.SEAM)  # fmt: skip
 
 
-def _varied(spec: VehicleSpec, variant: int) -> VehicleSpec:
-    """The spec itself, or a relative with other proportions of glass, roof and lamps."""
+def _add_rear_doors(builder: SurfaceBuilder, body: _Body) -> None:
+    """Hinges, a handle and a high brake lamp on a van's rear doors; a bumper with a step below them."""
+    spec = body.spec
+    deck = float(body.deck_m(np.array(-body.front_m)))
+    roof = spec.height_m - 0.04
+
+    def skin_m(z: float) -> float:
+        """X of the doors in the middle of the vehicle at a height [m]."""
+        if z < deck:
+            share = np.array([(z - spec.sill_m) / (deck - spec.sill_m)])
+            return float(body.ring_m(np.array([_OUTLINE_END]), share, share)[0, 0, 0])
+        base, top = (body.x_at(fraction) for fraction in spec.rear_window)
+        return base + (top - base) * (z - deck) / (roof - deck)
+
+    def fitting(y: tuple[float, float], z: tuple[float, float], proud: float, material: Material, *, paired: bool):  # noqa: ANN202
+        x = skin_m(0.5 * (z[0] + z[1]))
+        add = builder.add_box_pair if paired else builder.add_box
+        add((x - proud, y[0], z[0]), (x + 0.09, y[1], z[1]), material)
+
+    edge = body.half_width_m * spec.roof_width
+    top = deck + 0.8 * (roof - deck)
+    for z in (deck - 0.22, deck + 0.10, top):
+        fitting((edge - 0.17, edge - 0.05), (z - 0.03, z + 0.03), 0.022, Material.BLACK_PLASTIC, paired=True)
+    fitting((-0.22, -0.05), (deck - 0.11, deck - 0.06), 0.035, Material.BLACK_PLASTIC, paired=False)
+    lamp = roof - (0.13 if spec.rear_glass else 0.24)  # between two rows of the grid, or its shadow smears
+    fitting((-0.17, 0.17), (lamp, lamp + 0.04), 0.028, Material.TAIL_LAMP, paired=False)
+    x = -body.front_m + 0.04
+    step = (0.40, 0.52)
+    builder.add_box((x - 0.12, -0.92 * body.half_width_m, step[0]), (x + 0.3, 0.92 * body.half_width_m, step[1]),
+                    Material.BLACK_PLASTIC)  # fmt: skip
+    builder.add_box((x - 0.10, -0.45, step[1] - 0.02), (x + 0.2, 0.45, step[1] + 0.012), Material.TYRE)
+    builder.add_box_pair((x - 0.13, 0.60 * body.half_width_m, step[0] + 0.035),
+                         (x + 0.1, 0.80 * body.half_width_m, step[1] - 0.035), Material.REFLECTOR)  # fmt: skip
+
+
+def _varied(kind: str, variant: int) -> VehicleSpec:
+    """The kind's spec itself, or a relative with other proportions of glass, roof and lamps."""
+    spec = VEHICLE_SPECS[kind]
     if variant % 2 == 0:
         return spec
+    if kind == "van":
+        return HIGH_VAN
     front_low, front_high = spec.front_lamp
     rear_low, rear_high = spec.rear_lamp
     return replace(
@@ -376,20 +424,20 @@ def _varied(spec: VehicleSpec, variant: int) -> VehicleSpec:
     )
 
 
-def _build(kind: str, spec: VehicleSpec, fine_m: float | None = None) -> Surface:
+def _build(kind: str, spec: VehicleSpec, *, fine_m: float | None = None, shutter: bool = False) -> Surface:
     body = _Body(spec)
     builder = SurfaceBuilder()
     _add_body(builder, body, fine_m)
     _add_house(builder, body, fine_m)
     _add_fittings(builder, kind, body)
     if kind == "lorry":
-        add_lorry_body(builder, spec)
+        add_lorry_body(builder, spec, shutter=shutter)
     return builder.finish()
 
 
 @cache
 def _baked(kind: str, variant: int) -> tuple[Surface, np.ndarray]:
-    surface = _build(kind, _varied(VEHICLE_SPECS[kind], variant))
+    surface = _build(kind, _varied(kind, variant), shutter=variant % 2 == 1)
     middle = 0.5 * (surface.vertex_m[:, 0].min() + surface.vertex_m[:, 0].max())
     surface = replace(surface, vertex_m=surface.vertex_m - [middle, 0.0, 0.0])
     return surface, sky_share(surface)

@@ -35,7 +35,8 @@ class VehicleSpec:
         house_corner_m: Plan radius of the glass house's corners [m].
         roof_round: Share of the glass house's height that rounds into the roof.
         glass_top: Share of the glass house's height where the glass ends.
-        rear_glass: False for blind rear doors.
+        rear_glass: False for a blind rear.
+        rear_doors: Two doors with hinges and a handle at the rear, and a bumper to step on.
         dark_bumpers: Bumpers of bare plastic.
     """
 
@@ -65,6 +66,7 @@ class VehicleSpec:
     roof_round: float = 0.15
     glass_top: float = 0.84
     rear_glass: bool = True
+    rear_doors: bool = False
     dark_bumpers: bool = False
 
 
@@ -121,6 +123,7 @@ _SUV = VehicleSpec(
 )
 _VAN = VehicleSpec(
     dark_bumpers=True,
+    rear_doors=True,
     length_m=5.10,
     width_m=1.95,
     height_m=1.98,
@@ -135,7 +138,7 @@ _VAN = VehicleSpec(
     side_glass=(0.02, 0.27),
     seams=(0.215, 0.40, 0.655),
     rear_lamp=(0.52, 0.96),
-    rear_lamp_inner=4.10,
+    rear_lamp_inner=4.12,
     corner_rear_m=(0.16, 0.16),
     taper_m=0.03,
     house_corner_m=0.14,
@@ -202,6 +205,20 @@ VEHICLE_SPECS = {
     "lorry": _LORRY,
     "bus": _BUS,
 }
+
+
+# A van for goods: a high roof, and no windows behind the driver's.
+HIGH_VAN = replace(
+    VEHICLE_SPECS["van"],
+    length_m=5.40,
+    height_m=2.36,
+    wheel_radius_m=0.355,
+    glass_top=0.62,
+    roof_round=0.12,
+    rear_glass=False,
+    rear_lamp=(0.42, 0.98),
+    seams=(0.205, 0.385, 0.62),
+)
 
 
 @dataclass(frozen=True)
