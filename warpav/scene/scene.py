@@ -40,7 +40,14 @@ class Box:
 
     def contains(self, point_m: np.ndarray, *, margin_m: float = 0.0) -> np.ndarray:
         """Whether points of the ego frame [m], [point, 3], lie inside the box grown by a margin, bool [point]."""
-        return (np.abs(self.local_m(point_m)) <= 0.5 * np.asarray(self.size_m) + margin_m).all(axis=1)
+        half_m = 0.5 * np.asarray(self.size_m) + margin_m
+        reach_m = np.hypot(*half_m[:2])
+        inside = (np.abs(point_m[:, 0] - self.center_m[0]) <= reach_m) & (
+            np.abs(point_m[:, 1] - self.center_m[1]) <= reach_m
+        )
+        near = np.flatnonzero(inside)  # most points are far away
+        inside[near] = (np.abs(self.local_m(point_m[near])) <= half_m).all(axis=1)
+        return inside
 
 
 @dataclass(frozen=True)

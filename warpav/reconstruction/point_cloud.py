@@ -1,0 +1,218 @@
+"""Coloured point clouds of single objects from the images of a capture (thesis, section III.A, figures 5 to 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from warpav.capture.capture import EGO_INSTANCE, Capture, CapturedImage
+from warpav.scene.scene import Box
+
+_MAP_CELL_M = 0.05
+_PANE_DEPTH_M = 0.15  # points this far behind the bridged outside were seen through a pane
+_BRIDGED_WIDTH, _BRIDGED_HEIGHT = 0.8, 0.5  # of the vehicle's extent: no pane is wider and higher than this
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points of surfaces in the ego frame.
+
+    Attributes:
+        point_m: Positions [m], float32 [point, 3].
+        rgb: sRGB colours, uint8 [point, 3].
+        sensor_m: Where each point was seen from [m], float32 [point, 3].
+    """
+
+    point_m: np.ndarray
+    rgb: np.ndarray
+    sensor_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.point_m)
+
+    def chosen(self, index: np.ndarray) -> PointCloud:
+        """Some of the points: indices or a mask."""
+        return PointCloud(self.point_m[index], self.rgb[index], self.sensor_m[index])
+
+
+@dataclass(frozen=True)
+class CloudSettings:
+    """What is kept of the images.
+
+    Attributes:
+        far_depth_m: Depths from here on are sky [m] (thesis: near the upper limit of the depth images).
+        radius_m: The environment beyond this distance from the ego frame's origin becomes a sphere [m].
+        max_height_m: What is higher then is left out [m].
+        box_margin_m: Points this far outside a 3D box still belong to the vehicle; as far inside, still to the
+            environment, such as the road below [m].
+        environment_grid_m: Of the environment's points in a cell of this edge one is kept [m].
+    """
+
+    far_depth_m: float = 900.0
+    radius_m: float = 40.0
+    max_height_m: float = 10.0
+    box_margin_m: float = 0.02
+    environment_grid_m: float = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectCloud:
+    """The points of one vehicle, and the rays that went through its window panes.
+
+    Attributes:
+        cloud: Points of its outside.
+        pane_origin_m: Origins of rays on which its instance was seen but none of its outside [m], [ray, 3].
+        pane_direction: Their directions, [ray, 3].
+    """
+
+    cloud: PointCloud
+    pane_origin_m: np.ndarray
+    pane_direction: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SceneClouds:
+    """The point clouds of a situation.
+
+    Attributes:
+        environment: What is no vehicle, up to the radius.
+        sphere: What lies beyond, moved to the sphere of that radius along the line to the ego frame's origin.
+        ego: The ego vehicle.
+        vehicles: The others, in the order of the capture.
+    """
+
+    environment: PointCloud
+    sphere: PointCloud
+    ego: ObjectCloud
+    vehicles: tuple[ObjectCloud, ...]
+
+
+def fuse(capture: Capture, images: Sequence[CapturedImage], settings: CloudSettings) -> SceneClouds:
+    """Point clouds of everything that the images show.
+
+    The instance image says whose a pixel is, and the 3D boxes correct it (figure 7): through a window pane the instance
+    image still shows the vehicle while colour and depth show what lies behind. Points of a vehicle's pixels count for
+    it only inside its box, and points count for the environment only outside all boxes.
+
+    Args:
+        capture: Boxes of the vehicles.
+        images: Its images.
+        settings: What is kept.
+    """
+    boxes = [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]
+    ids = [EGO_INSTANCE, *(vehicle.instance_id for vehicle in capture.vehicles)]
+    around: list[PointCloud] = []
+    parts: list[list[PointCloud]] = [[] for _ in ids]
+    rays: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in ids]
+    for image in images:
+        cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
+        is_around = np.ones(len(cloud), bool)
+        for box in boxes:
+            near = np.flatnonzero(is_around)
+            is_around[near] = ~box.contains(cloud.point_m[near], margin_m=-settings.box_margin_m)
+        # pixels of a vehicle whose points lie outside its box were seen through its panes, and so were those behind
+        for k, (instance_id, box) in enumerate(zip(ids, boxes, strict=True)):
+            own = np.flatnonzero(instance == instance_id)
+            inside = box.contains(cloud.point_m[own], margin_m=settings.box_margin_m)
+            parts[k].append(cloud.chosen(own[inside]))
+            is_around[own[inside]] = False
+            passed = np.flatnonzero(image.instance.ravel() == instance_id)
+            kept = row[own[inside]] * image.instance.shape[1] + column[own[inside]]
+            rays[k].append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
+        around.append(thinned_to_grid(cloud.chosen(is_around), settings.environment_grid_m))
+    environment = thinned_to_grid(joined(around), settings.environment_grid_m)
+    distance_m = np.linalg.norm(environment.point_m, axis=1)
+    is_far = distance_m > settings.radius_m
+    sphere = environment.chosen(is_far)
+    scale = (settings.radius_m / distance_m[is_far])[:, None]
+    sphere = PointCloud((sphere.point_m * scale).astype(np.float32), sphere.rgb, sphere.sensor_m)
+    sphere = sphere.chosen(sphere.point_m[:, 2] <= settings.max_height_m)
+    environment = environment.chosen(~is_far & (environment.point_m[:, 2] <= settings.max_height_m))
+    objects = [_outside(joined(part), box, ray) for part, box, ray in zip(parts, boxes, rays, strict=True)]
+    return SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
+
+
+def unproject(image: CapturedImage, *, far_depth_m: float) -> tuple[PointCloud, np.ndarray, np.ndarray, np.ndarray]:
+    """The points of all pixels that are nearer than a depth.
+
+    Returns:
+        Cloud in the ego frame; instance, row and column of each point's pixel.
+    """
+    row, column = np.nonzero(image.depth_m < far_depth_m)
+    ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1))
+    pose = image.view.ego_from_camera
+    point = (ray * image.depth_m[row, column, None]) @ pose[:3, :3].T + pose[:3, 3]
+    sensor = np.broadcast_to(pose[:3, 3].astype(np.float32), point.shape)
+    cloud = PointCloud(point.astype(np.float32), image.rgb[row, column], sensor)
+    return cloud, image.instance[row, column], row, column
+
+
+def pixel_rays(image: CapturedImage, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins [m] and directions of the rays of pixels (flat indices), each [ray, 3]."""
+    row, column = np.divmod(pixel, image.instance.shape[1])
+    ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)
+    pose = image.view.ego_from_camera
+    return np.broadcast_to(pose[:3, 3], ray.shape), ray @ pose[:3, :3].T
+
+
+def joined(clouds: Sequence[PointCloud]) -> PointCloud:
+    """All points of some clouds, in order."""
+    return PointCloud(
+        np.concatenate([cloud.point_m for cloud in clouds]),
+        np.concatenate([cloud.rgb for cloud in clouds]),
+        np.concatenate([cloud.sensor_m for cloud in clouds]),
+    )
+
+
+def thinned_to_grid(cloud: PointCloud, cell_m: float) -> PointCloud:
+    """The first point in every cell of a grid."""
+    cell = np.floor(cloud.point_m.astype(np.float64) / cell_m).astype(np.int64)
+    if len(cell) == 0:
+        return cloud
+    cell -= cell.min(axis=0)
+    size = cell.max(axis=0) + 1
+    _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
+    return cloud.chosen(np.sort(first))
+
+
+def is_outside(local_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
+    """Which points of a vehicle lie on its outside, not on what its window panes show of its inside.
+
+    From ahead, behind, both sides and above, the outermost points in cells of 5 cm make a map of depths. Its pits that
+    are neither wider nor higher than a pane are bridged (a grey closing). A point that lies deeper than that in all of
+    the maps was seen through a pane.
+
+    Args:
+        local_m: Points in the axes of the vehicle's box, from its centre [m], shape [point, 3].
+        size_m: Length, width and height of the box [m].
+
+    Returns:
+        bool [point].
+    """
+    outside = np.zeros(len(local_m), bool)
+    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0)):
+        across, up = (1 - axis, 2) if axis < 2 else (0, 1)
+        place = local_m[:, [across, up]] + 0.5 * size_m[[across, up]]
+        reach = np.array([_BRIDGED_WIDTH, _BRIDGED_HEIGHT if axis < 2 else _BRIDGED_WIDTH]) * size_m[[across, up]]
+        window = tuple(int(value) | 1 for value in np.ceil(reach / _MAP_CELL_M))  # odd, so that it has a middle
+        cells = np.ceil(size_m[[across, up]] / _MAP_CELL_M).astype(int) + 2
+        cell = np.clip(np.floor(place / _MAP_CELL_M).astype(int) + 1, 0, cells - 1)
+        # around the vehicle there is room for a pane of any size, so that what is open on a side is no pit
+        depth = np.full(cells + 2 * np.array(window), -np.inf)
+        where = tuple((cell + window).T)
+        height = sign * local_m[:, axis]
+        np.maximum.at(depth, where, height)
+        bridged = minimum_filter(maximum_filter(depth, window), window)
+        outside |= height >= bridged[where] - _PANE_DEPTH_M
+    return outside
+
+
+def _outside(cloud: PointCloud, box: Box, rays: Sequence[tuple[np.ndarray, np.ndarray]]) -> ObjectCloud:
+    kept = is_outside(box.local_m(cloud.point_m.astype(np.float64)), np.asarray(box.size_m))
+    inner = cloud.chosen(~kept)
+    origin = np.concatenate([*(origin for origin, _ in rays), inner.sensor_m])
+    direction = np.concatenate([*(direction for _, direction in rays), inner.point_m - inner.sensor_m])
+    return ObjectCloud(cloud.chosen(kept), origin, direction)
