@@ -76,8 +76,9 @@ class RayCaster:
 
 
 def cast_scene(scene):
-    """A caster over the whole scene: object 0 is the environment, 1 the ego vehicle, 2 + k vehicle k."""
-    return RayCaster([scene.environment, scene.ego, *(v.mesh for v in scene.vehicles)], sky=scene.sky)
+    """A caster over the whole scene: object 0 is the environment with people, 1 the ego vehicle, 2 + k vehicle k."""
+    surroundings = merge([scene.environment, *(other.mesh for other in scene.others)])
+    return RayCaster([surroundings, scene.ego, *(v.mesh for v in scene.vehicles)], sky=scene.sky)
 
 
 class Silhouettes:

@@ -1,5 +1,6 @@
 """Scene files: exact round trip, axes, the same bytes, and one-line messages for bad files."""
 
+import dataclasses
 import json
 import struct
 
@@ -77,6 +78,49 @@ def test_round_trip_is_exact(scene, tmp_path):
         assert one.box.yaw_rad == pytest.approx(other.box.yaw_rad, abs=1e-14)
 
 
+def _with_people(scene):
+    people = tuple(
+        Vehicle(
+            number,
+            kind,
+            _tetrahedron([3.0 * number, 4.0, 0.0], [10 * number, 20, 3]),
+            Box(np.array([3.0 * number, 4.0, 0.9]), np.array([0.8, 0.6, 1.8]), -0.2),
+        )
+        for number, kind in ((13, "pedestrian"), (14, "cyclist"))
+    )
+    return dataclasses.replace(scene, others=people)
+
+
+def test_people_survive_the_round_trip_and_are_no_vehicles(scene, tmp_path):
+    write_scene(_with_people(scene), tmp_path / "scene.glb")
+    again = read_scene(tmp_path / "scene.glb")
+    assert [vehicle.instance_id for vehicle in again.vehicles] == [1, 2, 12]
+    assert [(other.instance_id, other.category) for other in again.others] == [(13, "pedestrian"), (14, "cyclist")]
+    for one, other in zip(_with_people(scene).others, again.others, strict=True):
+        _assert_same_mesh(one.mesh, other.mesh)
+        np.testing.assert_array_equal(one.box.center_m, other.box.center_m)
+        np.testing.assert_array_equal(one.box.size_m, other.box.size_m)
+        assert one.box.yaw_rad == pytest.approx(other.box.yaw_rad, abs=1e-14)
+    data = (tmp_path / "scene.glb").read_bytes()
+    document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    assert _node(document, "other_14")["extras"]["role"] == "other"
+    assert _node(document, "other_14")["extras"]["class"] == "cyclist"
+
+
+def test_a_file_without_people_reads_and_its_bytes_hold_no_trace_of_them(scene, tmp_path):
+    write_scene(scene, tmp_path / "scene.glb")
+    assert read_scene(tmp_path / "scene.glb").others == ()
+    assert b"other" not in (tmp_path / "scene.glb").read_bytes()
+
+
+def test_people_and_vehicles_share_no_instance_id(scene, tmp_path):
+    path = tmp_path / "scene.glb"
+    write_scene(_with_people(scene), path)
+    _rewritten(path, lambda document: _node(document, "other_13")["extras"].update(instance_id=2))
+    with pytest.raises(InputError, match="instance_id must be unique, got 2 2 times"):
+        read_scene(path)
+
+
 def test_town_scene_round_trip_and_same_bytes(tmp_path):
     town = town_scene(7)
     write_scene(town, tmp_path / "one.glb")
@@ -86,8 +130,8 @@ def test_town_scene_round_trip_and_same_bytes(tmp_path):
     assert again.name == "town_0007"
     assert again.source == "town seed 7"
     for one, other in zip(
-        (town.environment, town.ego, *(v.mesh for v in town.vehicles)),
-        (again.environment, again.ego, *(v.mesh for v in again.vehicles)),
+        (town.environment, town.ego, *(v.mesh for v in (*town.vehicles, *town.others))),
+        (again.environment, again.ego, *(v.mesh for v in (*again.vehicles, *again.others))),
         strict=True,
     ):
         _assert_same_mesh(one, other)

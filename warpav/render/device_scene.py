@@ -80,7 +80,7 @@ def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -
 class DeviceScene:
     """A scene on a device, ready for `Renderer`.
 
-    Layers are the vehicles in order, then the ego vehicle.
+    Layers are the vehicles in order, then the ego vehicle. Road users that are no vehicles are part of the environment.
 
     Attributes:
         name: The scene's name.
@@ -92,7 +92,8 @@ class DeviceScene:
         vehicle_count: Number of vehicles, at least 0.
         cluster_count: Number of clusters.
         triangle_count: Number of triangles.
-        source_triangle: Place of every sorted triangle in environment, ego, vehicles, one behind the other, [triangle].
+        source_triangle: Place of every sorted triangle in environment, road users that are no vehicles, ego, vehicles,
+            one behind the other, [triangle].
     """
 
     name: str
@@ -132,7 +133,9 @@ class DeviceScene:
         Raises:
             ValueError: A mesh cannot be drawn (see `Mesh.check`), or there are too many vertices or triangles.
         """
-        meshes = [scene.environment, scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+        for other in scene.others:
+            other.mesh.check(f"{scene.name}: {other.category} {other.instance_id}")
+        meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
         names = ["environment", "ego", *(f"vehicle {vehicle.instance_id}" for vehicle in scene.vehicles)]
         for name, mesh in zip(names, meshes, strict=True):
             mesh.check(f"{scene.name}: {name}")

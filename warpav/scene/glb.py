@@ -1,8 +1,9 @@
 """Scenes as GLB files that Blender, trimesh and every glTF viewer open.
 
 Below one root node, whose matrix turns the ego frame (z up) into glTF's axes (y up), stand the nodes ``environment``,
-``ego`` and one ``vehicle_<instance id>`` per vehicle. Their vertices are in the ego frame, their colours are exact
-8-bit vertex colours, and the vehicles' extras hold instance id, class and 3D box.
+``ego``, one ``vehicle_<instance id>`` per vehicle, and one ``other_<instance id>`` per road user that is no vehicle.
+Their vertices are in the ego frame, their colours are exact 8-bit vertex colours, and the extras of vehicles and other
+road users hold instance id, class and 3D box.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "warpav-scene/1"
-_ROOT, _ENVIRONMENT, _EGO, _VEHICLE_PREFIX = "ego_frame", "environment", "ego", "vehicle_"
+_ROOT, _ENVIRONMENT, _EGO, _VEHICLE_PREFIX, _OTHER_PREFIX = "ego_frame", "environment", "ego", "vehicle_", "other_"
 # (x, y, z) in the ego frame is (x, z, -y) in glTF.
 _GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 
@@ -55,16 +56,20 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     file.graph.update(frame_from="world", frame_to=_ROOT, matrix=_GLTF_FROM_EGO)
     _add_node(file, _ENVIRONMENT, scene.environment, {"role": "environment"})
     _add_node(file, _EGO, scene.ego, {"role": "ego"})
-    for vehicle in scene.vehicles:
-        extras = {
-            "role": "vehicle",
-            "instance_id": int(vehicle.instance_id),
-            "class": vehicle.category,
-            "box_center_m": [float(value) for value in vehicle.box.center_m],
-            "box_size_m": [float(value) for value in vehicle.box.size_m],
-            "box_yaw_deg": float(np.degrees(vehicle.box.yaw_rad)),
-        }
-        _add_node(file, f"{_VEHICLE_PREFIX}{vehicle.instance_id}", vehicle.mesh, extras)
+    for role, prefix, users in (
+        ("vehicle", _VEHICLE_PREFIX, scene.vehicles),
+        ("other", _OTHER_PREFIX, scene.others),
+    ):
+        for user in users:
+            extras = {
+                "role": role,
+                "instance_id": int(user.instance_id),
+                "class": user.category,
+                "box_center_m": [float(value) for value in user.box.center_m],
+                "box_size_m": [float(value) for value in user.box.size_m],
+                "box_yaw_deg": float(np.degrees(user.box.yaw_rad)),
+            }
+            _add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
     _write_whole(path, data)
@@ -77,7 +82,7 @@ def read_scene(path: str | Path) -> Scene:
         path: A GLB file with the nodes and extras that this module documents.
 
     Returns:
-        The scene in the ego frame, vehicles in order of instance id.
+        The scene in the ego frame, vehicles and other road users in order of instance id.
 
     Raises:
         InputError: The file is missing, is no GLB, lacks a node or an extra, or holds a mesh without triangles or with
@@ -101,12 +106,18 @@ def read_scene(path: str | Path) -> Scene:
         if name not in nodes:
             known = ", ".join(sorted(nodes)) or "none"
             raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
-    vehicles = [
-        _read_vehicle(file, name, extras, f"{path}: node '{name}'")
-        for name, extras in nodes.items()
-        if name.startswith(_VEHICLE_PREFIX)
-    ]
-    ids = [vehicle.instance_id for vehicle in vehicles]
+    vehicles, others = (
+        sorted(
+            (
+                _read_vehicle(file, name, extras, f"{path}: node '{name}'")
+                for name, extras in nodes.items()
+                if name.startswith(prefix)
+            ),
+            key=lambda user: user.instance_id,
+        )
+        for prefix in (_VEHICLE_PREFIX, _OTHER_PREFIX)
+    )
+    ids = [user.instance_id for user in (*vehicles, *others)]
     for instance_id in ids:
         if ids.count(instance_id) > 1:
             raise InputError(f"{path}: instance_id must be unique, got {instance_id} {ids.count(instance_id)} times")
@@ -115,12 +126,13 @@ def read_scene(path: str | Path) -> Scene:
         str(metadata.get("name", path.stem)),
         _read_mesh(file, _ENVIRONMENT, f"{path}: node '{_ENVIRONMENT}'"),
         _read_mesh(file, _EGO, f"{path}: node '{_EGO}'"),
-        tuple(sorted(vehicles, key=lambda vehicle: vehicle.instance_id)),
+        tuple(vehicles),
         Sky(
             _colour(metadata, "sky_horizon_rgb", BLACK_SKY.horizon_rgb, path),
             _colour(metadata, "sky_zenith_rgb", BLACK_SKY.zenith_rgb, path),
         ),
         str(metadata.get("source", "")),
+        tuple(others),
     )
 
 

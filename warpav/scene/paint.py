@@ -1,8 +1,12 @@
-"""Materials of vehicles, and the light that is baked into their vertex colours: sky, overhead sun, reflections."""
+"""Materials of vehicles, people and furniture, and the light that is baked into their colours.
+
+Light is sky, an overhead sun, and reflections.
+"""
 
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
@@ -12,7 +16,7 @@ from warpav.scene.surface_builder import Surface
 
 
 class Material(enum.IntEnum):
-    """What a part of a vehicle is made of; ``PAINT`` takes the colour of the individual vehicle."""
+    """What a part is made of; ``PAINT`` and people's clothes take the colours of the individual."""
 
     PAINT = 0
     GLASS = 1
@@ -33,6 +37,13 @@ class Material(enum.IntEnum):
     MARKER_YELLOW = 16
     REFLECTOR = 17
     LIFT = 18
+    SKIN = 19
+    HAIR = 20
+    TOP = 21
+    LEGWEAR = 22
+    SHOE = 23
+    BAG = 24
+    HELMET = 25
 
 
 # Linear albedo and mirror strength of each material, in the order of Material.
@@ -57,10 +68,44 @@ _ALBEDO = np.array(
         (0.80, 0.58, 0.04),
         (0.62, 0.03, 0.02),
         (0.16, 0.17, 0.18),
+        (0.50, 0.30, 0.20),
+        (0.03, 0.02, 0.015),
+        (0.30, 0.30, 0.30),
+        (0.05, 0.05, 0.06),
+        (0.03, 0.028, 0.026),
+        (0.10, 0.08, 0.06),
+        (0.60, 0.60, 0.60),
     ]
 )
 _MIRROR = np.array(
-    [0.13, 0.12, 0.03, 0.0, 0.10, 0.25, 0.07, 0.02, 0.02, 0.0, 0.45, 0.0, 0.0, 0.03, 0.06, 0.08, 0.03, 0.02, 0.05]
+    [
+        0.13,
+        0.12,
+        0.03,
+        0.0,
+        0.10,
+        0.25,
+        0.07,
+        0.02,
+        0.02,
+        0.0,
+        0.45,
+        0.0,
+        0.0,
+        0.03,
+        0.06,
+        0.08,
+        0.03,
+        0.02,
+        0.05,
+        0.02,
+        0.02,
+        0.0,
+        0.0,
+        0.03,
+        0.02,
+        0.08,
+    ]
 )
 PAINT_COLOURS = np.array(
     [
@@ -123,13 +168,13 @@ def sky_share(surface: Surface) -> np.ndarray:
     return np.round(light / np.maximum(weight, 1e-6) * OCCLUSION_STEPS) / OCCLUSION_STEPS
 
 
-def painted_mesh(surface: Surface, sky: np.ndarray, paint: np.ndarray) -> Mesh:
+def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material, np.ndarray]) -> Mesh:
     """The surface as a mesh with the light baked into its colours.
 
     Args:
         surface: The surface, z up, the ground at z = 0.
         sky: The result of `sky_share`, shape [vertex].
-        paint: Linear albedo of ``Material.PAINT``, 0..1, shape [3].
+        own_albedo: Linear albedo of what the individual has its own colour of, 0..1, shape [3] each.
 
     Returns:
         Mesh in the frame of the surface.
@@ -137,7 +182,8 @@ def painted_mesh(surface: Surface, sky: np.ndarray, paint: np.ndarray) -> Mesh:
     up = surface.normal[:, 2]
     irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT
     albedo = _ALBEDO.copy()
-    albedo[Material.PAINT] = paint
+    for material, colour in own_albedo.items():
+        albedo[material] = colour
     # A level line of sight that meets a surface tilted up by phi leaves it at an elevation of 2 phi.
     mirrored = np.where(up > 0.7, 1.0, 2.0 * up * np.sqrt(np.maximum(1.0 - up * up, 0.0)))
     reflected = np.interp(mirrored, _ENVIRONMENT_ELEVATION, _ENVIRONMENT_LIGHT) * np.minimum(0.35 + sky, 1.0)

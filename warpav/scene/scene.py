@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpav.geometry.mesh import Mesh
+from warpav.geometry.mesh import Mesh, merge
 
 
 @dataclass(frozen=True)
 class Box:
     """An upright 3D bounding box in the ego frame.
+
+    It has a heading but neither pitch nor roll: around a vehicle on a grade it is as large as the tilted vehicle needs,
+    a few centimetres more than on level ground.
 
     Attributes:
         center_m: Centre [m], shape [3].
@@ -28,6 +31,10 @@ class Box:
         """Rotation from the box's axes (along its length, to its left, up) to the ego frame, shape [3, 3]."""
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def mirrored(self) -> Box:
+        """The box with left and right exchanged."""
+        return Box(np.asarray(self.center_m) * [1.0, -1.0, 1.0], self.size_m, -self.yaw_rad)
 
     def corners_m(self) -> np.ndarray:
         """The eight corners in the ego frame [m], shape [8, 3]."""
@@ -52,11 +59,12 @@ class Box:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle other than the ego vehicle.
+    """A vehicle other than the ego vehicle, or a road user that is none.
 
     Attributes:
         instance_id: Number of the instance within its scene, from 1.
-        category: What it is: ``hatchback``, ``saloon``, ``estate``, ``suv``, ``van``, ``lorry`` or ``bus``.
+        category: What it is: ``hatchback``, ``saloon``, ``estate``, ``suv``, ``van``, ``lorry`` or ``bus``; of those
+            that are no vehicles ``pedestrian`` or ``cyclist``.
         mesh: Its surface in the ego frame.
         box: Its bounding box in the ego frame.
     """
@@ -65,6 +73,10 @@ class Vehicle:
     category: str
     mesh: Mesh
     box: Box
+
+    def mirrored(self) -> Vehicle:
+        """The same with left and right exchanged."""
+        return replace(self, mesh=self.mesh.mirrored(), box=self.box.mirrored())
 
 
 @dataclass(frozen=True)
@@ -91,6 +103,8 @@ class Scene:
         vehicles: The others, in order of instance id.
         sky: The background.
         source: Where it came from, such as ``town seed 7``.
+        others: Road users that are no vehicles. They are drawn and hide vehicles as the environment does, but no loss
+            and no metric asks for them. Their instance ids continue those of the vehicles.
     """
 
     name: str
@@ -99,3 +113,18 @@ class Scene:
     vehicles: tuple[Vehicle, ...]
     sky: Sky = BLACK_SKY
     source: str = ""
+    others: tuple[Vehicle, ...] = ()
+
+    def surroundings(self) -> Mesh:
+        """The environment, followed by the road users that are no vehicles, as one mesh."""
+        return merge([self.environment, *(other.mesh for other in self.others)]) if self.others else self.environment
+
+    def mirrored(self) -> Scene:
+        """The scene with left and right exchanged, where traffic keeps to the other side; the ego vehicle stays."""
+        return replace(
+            self,
+            name=f"{self.name}_mirrored",
+            environment=self.environment.mirrored(),
+            vehicles=tuple(vehicle.mirrored() for vehicle in self.vehicles),
+            others=tuple(other.mirrored() for other in self.others),
+        )

@@ -468,7 +468,7 @@ def vehicle_mesh(kind: str, paint: np.ndarray, *, variant: int = 0, scale: Array
     if kind not in VEHICLE_SPECS or not 0 <= variant < VARIANT_COUNT:
         raise ValueError(f"no vehicle {kind!r} variant {variant}; kinds: {', '.join(VEHICLE_SPECS)}; variants 0..1")
     surface, sky = _baked(kind, variant)
-    mesh = painted_mesh(surface, sky, paint)
+    mesh = painted_mesh(surface, sky, {Material.PAINT: paint})
     return Mesh((mesh.vertex_m * np.asarray(scale, np.float32)).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
@@ -486,7 +486,7 @@ def ego_mesh() -> Mesh:
     """
     surface = _ego_surface()
     rear_axle_m = EGO_SPEC.length_m * (0.5 - EGO_SPEC.axles[-1])
-    mesh = painted_mesh(surface, sky_share(surface), _EGO_PAINT)
+    mesh = painted_mesh(surface, sky_share(surface), {Material.PAINT: _EGO_PAINT})
     return mesh.transformed(np.eye(3), np.array([-rear_axle_m, 0.0, 0.0]))
 
 

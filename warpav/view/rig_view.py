@@ -216,12 +216,13 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
 
     low, high = scene.ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2
-    near = [vehicle.mesh for vehicle in scene.vehicles if _distance_m(vehicle.mesh, middle) < HAZE_END_M]
+    traffic = (*scene.vehicles, *scene.others)
+    near = [user.mesh for user in traffic if _distance_m(user.mesh, middle) < HAZE_END_M]
     if near:
-        traffic = mesh_to_pyvista(merge(near))
+        surface = mesh_to_pyvista(merge(near))
         distance = np.repeat([_distance_m(mesh, middle) for mesh in near], [len(mesh.vertex_m) for mesh in near])
-        traffic.point_data["RGB"] = _blend(traffic.point_data["RGB"], 0.12 + 0.88 * _haze(distance))
-        plotter.add_mesh(traffic, scalars="RGB", rgb=True, name=f"{name}/vehicles", **_BAKED)
+        surface.point_data["RGB"] = _blend(surface.point_data["RGB"], 0.12 + 0.88 * _haze(distance))
+        plotter.add_mesh(surface, scalars="RGB", rgb=True, name=f"{name}/vehicles", **_BAKED)
     ground = _ground_of(scene.environment, middle)
     if ground is not None:
         street = _blend(ground.point_data["RGB"], softness)
