@@ -232,11 +232,12 @@ def find_residual_kernel(
 def restrict_field_kernel(
     # in
     fine: wp.array3d[float],
+    factor: float,
     lanes: int,
     # out
     coarse: wp.array3d[float],
 ):
-    """A field on the grid that is a level coarser: the mean of 27 nodes, weighted 1/2 for each step away.
+    """A field on the grid that is a level coarser: mean of 27 nodes, weighted 1/2 for each step away, times ``factor``.
 
     Launch: ``dim=(coarse nodes along x, coarse nodes along y, lanes)``. Not taped.
     Writes: every element of ``coarse``.
@@ -251,7 +252,7 @@ def restrict_field_kernel(
                 row = 2.0 * fine[x, y, 2 * k]
                 row += fine[x, y, mirrored(2 * k - 1, fine.shape[2])] + fine[x, y, mirrored(2 * k + 1, fine.shape[2])]
                 total += float((2 - wp.abs(a)) * (2 - wp.abs(b))) * row
-        coarse[i, j, k] = total / 64.0
+        coarse[i, j, k] = factor * total / 64.0
 
 
 @wp.kernel

@@ -20,9 +20,9 @@ MAX_NODE_COUNT = 20_000_000
 _SPARSE_LEVELS = 3  # grids on which points are splat: cells of 1, 2 and 4 times the length
 _LEAST_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
 _COARSEST_CELLS = 8  # along the shortest side
-_COARSEST_STEPS = 40
+_COARSEST_STEPS = 10
 _CYCLES = 2  # of every level
-_STEPS = 2  # of relaxation before and after the coarser levels
+_COARSE_SCREEN = 0.7  # from level to level: a field that is 0 between two nodes is not 0 on them
 _GPU_LANES = 32
 
 
@@ -31,7 +31,7 @@ def poisson_surface(
     normal: np.ndarray,
     *,
     cell_m: float,
-    screening: float = 2.0,
+    screening: float = 4.0,
     margin_m: float | None = None,
     device: str = "cpu",
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -121,12 +121,12 @@ class _Grid:
             record_tape=False,
         )
 
-    def restrict(self, fine: wp.array, coarse: wp.array) -> None:
-        """Write a field of the next finer grid into one of this grid."""
+    def restrict(self, fine: wp.array, coarse: wp.array, factor: float = 1.0) -> None:
+        """Write a field of the next finer grid into one of this grid, times a factor."""
         wp.launch(
             poisson.restrict_field_kernel,
             dim=self.columns,
-            inputs=[fine, self.lanes],
+            inputs=[fine, factor, self.lanes],
             outputs=[coarse],
             device=self.device,
             record_tape=False,
@@ -243,27 +243,29 @@ class _Splat:
 
 
 def _state_equation(grids: list[_Grid], place: np.ndarray, normal: np.ndarray, screening: float) -> None:
-    """Source and screen of every grid; ``place`` is in cells of the finest."""
-    splats = [_Splat.of(place / grid.cell, grid.shape, grid.device) for grid in grids[:_SPARSE_LEVELS]]
-    # the share of a point that each grid takes: the finest on which it has company
-    left, coarser = np.ones(len(place)), None
-    for level, (splat, grid) in enumerate(zip(splats, grids, strict=False)):
+    """Source and screen of the finest grid; ``place`` is in its cells.
+
+    A point goes to the finest of the first grids on which it has company; between two of them it is shared.
+    """
+    left, used = np.ones(len(place)), 0
+    while used < _SPARSE_LEVELS and left.any():
+        grid = grids[used]
+        splat = _Splat.of(place / grid.cell, grid.shape, grid.device)
         count = splat.points_per_face(grid.shape)
-        share = left if level + 1 == len(splats) else left * np.clip(2.0 * count / _LEAST_PER_FACE - 1.0, 0.0, 1.0)
-        if share.any():
-            splat.add_to_equation(grid, normal * (share / count)[:, None], screening)
+        used += 1
+        share = left * np.clip(2.0 * count / _LEAST_PER_FACE - 1.0, 0.0, 1.0) if used < _SPARSE_LEVELS else left
+        splat.add_to_equation(grid, normal * (share / count)[:, None], screening)
         left = left - share
-        coarser = level
-    for level in range(coarser or 0, 0, -1):
-        grids[level - 1].add_prolonged(grids[level].source, grids[level - 1].source)
-        grids[level - 1].add_prolonged(grids[level].screen, grids[level - 1].screen)
+    for fine, coarse in reversed(list(pairwise(grids[:used]))):
+        fine.add_prolonged(coarse.source, fine.source)
+        fine.add_prolonged(coarse.screen, fine.screen)
 
 
 def _solve(grids: list[_Grid]) -> None:
-    """Full multigrid: from the coarsest grid to the finest, each improved by V-cycles."""
+    """Full multigrid: from the coarsest grid to the finest, each improved by W-cycles."""
     for fine, coarse in pairwise(grids):
         coarse.restrict(fine.source, coarse.source)
-        coarse.restrict(fine.screen, coarse.screen)
+        coarse.restrict(fine.screen, coarse.screen, _COARSE_SCREEN)
     grids[-1].relax(_COARSEST_STEPS)
     for level in range(len(grids) - 2, -1, -1):
         grids[level].add_prolonged(grids[level + 1].field, grids[level].field)
@@ -272,18 +274,19 @@ def _solve(grids: list[_Grid]) -> None:
 
 
 def _cycle(grids: list[_Grid]) -> None:
-    """One V-cycle; overwrites the source and the field of all but the first grid."""
+    """One W-cycle; overwrites the source and the field of all but the first grid."""
     if len(grids) == 1:
         grids[0].relax(_COARSEST_STEPS)
         return
     fine, coarse = grids[:2]
-    fine.relax(_STEPS)
+    fine.relax(1)
     fine.find_residual()
     coarse.restrict(fine.residual, coarse.source)
     coarse.field.zero_()
-    _cycle(grids[1:])
+    for _ in range(min(2, len(grids) - 1)):
+        _cycle(grids[1:])
     fine.add_prolonged(coarse.field, fine.field)
-    fine.relax(_STEPS)
+    fine.relax(1)
 
 
 def _contour(field: np.ndarray, lower_m: np.ndarray, cell_m: float, device: str) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
 _LEAST_SUPPORT = 15  # points that a piece of surface needs
+_COLOUR_STEP = 0.8  # what white against black weighs in a collapse, in lengths of a final triangle's side
+_LIFTED_SHARE = 5  # final triangles times this are left by the first, faster collapse
+_BRIGHTNESS = np.array([0.30, 0.59, 0.11])
+_COLOUR_SAMPLES = 4  # rows of places in a triangle at which the dense mesh is asked for its colour
+_SPLIT_LEVELS = 40  # of 255; corners of one vertex that differ more get vertices of their own
 _LEAST_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
 
 
@@ -106,10 +111,16 @@ def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_cou
     point_m, sensor_m = checked_points(point_m, sensor_m)
     if neighbour_count < 3:
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
-    neighbour = KDTree(point_m).query(point_m, min(neighbour_count, len(point_m)), workers=-1)[1]
-    offset_m = point_m[neighbour] - point_m[:, None, :]
-    offset_m -= offset_m.mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.swapaxes(offset_m, 1, 2) @ offset_m)
+    count = min(neighbour_count, len(point_m))
+    neighbour = KDTree(point_m).query(point_m, count, workers=-1)[1]
+    offset_m = [axis_m[neighbour] - axis_m[:, None] for axis_m in point_m.T]  # from the point itself: no cancellation
+    mean_m = [offset.mean(axis=1) for offset in offset_m]
+    spread_m2 = np.empty((len(point_m), 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            product_m2 = np.einsum("pn,pn->p", offset_m[i], offset_m[j]) / count - mean_m[i] * mean_m[j]
+            spread_m2[:, i, j] = spread_m2[:, j, i] = product_m2
+    _, axes = np.linalg.eigh(spread_m2)
     normal = axes[:, :, 0]
     away = np.sum((sensor_m - point_m) * normal, axis=1) < 0.0
     return np.where(away[:, None], -normal, normal)
@@ -184,9 +195,7 @@ def trimmed(
     count, piece = connected_components(links, directed=False)
     distance_m, vertex = KDTree(vertex_m).query(support_m, distance_upper_bound=reach_m)
     support = np.bincount(piece[np.asarray(vertex)[np.isfinite(distance_m)]], minlength=count)
-    corner_m = vertex_m[triangle].astype(np.float64)
-    double_area_m2 = np.linalg.norm(np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]), axis=1)
-    area_m2 = 0.5 * np.bincount(piece[triangle[:, 0]], double_area_m2, minlength=count)
+    area_m2 = 0.5 * np.bincount(piece[triangle[:, 0]], _double_area_m2(vertex_m, triangle), minlength=count)
     density = support.sum() / area_m2.sum()
     kept = (support >= _LEAST_SUPPORT) & (support >= _LEAST_DENSITY * density * area_m2)
     return _referenced(vertex_m, triangle[kept[piece[triangle[:, 0]]]])
@@ -213,9 +222,7 @@ def cleaned(mesh: Mesh) -> Mesh:
     rank[order] = np.arange(len(order))
     first = first[order]
     triangle = rank[merged.reshape(-1)][mesh.triangle]
-    corner_m = mesh.vertex_m[first].astype(np.float64)[triangle]
-    flat = np.linalg.norm(np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]), axis=1) == 0.0
-    triangle = triangle[~flat]
+    triangle = triangle[_double_area_m2(mesh.vertex_m[first], triangle) > 0.0]
     turn = np.argmin(triangle, axis=1)[:, None] if len(triangle) else np.zeros((0, 1), int)
     begun_at_least = np.take_along_axis(triangle, (turn + np.arange(3)) % 3, axis=1)
     _, kept = np.unique(begun_at_least, axis=0, return_index=True)
@@ -228,20 +235,143 @@ def cleaned(mesh: Mesh) -> Mesh:
 
 
 def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
-    """The mesh with about ``triangle_count`` triangles or fewer, by quadric edge collapse.
+    """The mesh with about ``triangle_count`` triangles, by quadric edge collapse that keeps the borders of colours.
+
+    First geometry alone, with bright surface lifted a little so that borders are steps that the quadrics see; then
+    geometry and colour together. At last every triangle's corners get the colours that fit the dense surface inside it;
+    where those of one vertex differ much, the vertex is split, so that a border is sharp.
+
+    Args:
+        mesh: A dense mesh.
+        triangle_count: Triangles to keep, at least 4.
+
+    Returns:
+        A mesh that may have vertices of different colours at one place; the mesh itself when it is small enough.
 
     Raises:
         ValueError: A target below 4.
     """
-    import fast_simplification
-
     if triangle_count < 4:
         raise ValueError(f"triangle_count must be at least 4, got {triangle_count}")
     if len(mesh.triangle) <= triangle_count:
         return mesh
-    vertex_m, triangle = fast_simplification.simplify(mesh.vertex_m, mesh.triangle, target_count=triangle_count)[:2]
-    nearest = KDTree(mesh.vertex_m).query(vertex_m)[1]
-    return Mesh(vertex_m.astype(np.float32), triangle.astype(np.int32), mesh.vertex_rgb[nearest])
+    area_m2 = 0.5 * _double_area_m2(mesh.vertex_m, mesh.triangle).sum()
+    step_m = _COLOUR_STEP * float(np.sqrt(area_m2 / triangle_count))
+    vertex_m, triangle, rgb = _welded(mesh)
+    if len(triangle) > _LIFTED_SHARE * triangle_count:
+        vertex_m, triangle, rgb = _collapsed_lifted(vertex_m, triangle, rgb, _LIFTED_SHARE * triangle_count, step_m)
+    vertex_m, triangle = _collapsed_coloured(vertex_m, triangle, rgb, triangle_count, step_m)
+    return cleaned(_coloured_corners(vertex_m, triangle, mesh))
+
+
+def _double_area_m2(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    corner_m = vertex_m.astype(np.float64)[triangle]
+    return np.linalg.norm(np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]), axis=1)
+
+
+def _welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices of one place as one, float64; triangles; mean colours, float64."""
+    place_m, merged, count = np.unique(
+        mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True, return_counts=True
+    )
+    merged = merged.reshape(-1)
+    rgb = np.stack([np.bincount(merged, channel) for channel in mesh.vertex_rgb.T.astype(np.float64)], axis=1)
+    return place_m, merged[mesh.triangle].astype(np.int32), rgb / count[:, None]
+
+
+def _collapsed_lifted(
+    vertex_m: np.ndarray, triangle: np.ndarray, rgb: np.ndarray, count: int, step_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """About ``count`` triangles: collapsed with white lifted by ``step_m`` along the normals, then lowered again."""
+    import fast_simplification
+
+    corner_m = vertex_m[triangle]
+    face_normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    normal = np.stack(
+        [np.bincount(triangle.ravel(), np.repeat(axis, 3), len(vertex_m)) for axis in face_normal.T], axis=1
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    lift_m = normal * (step_m / 255.0 * (rgb @ _BRIGHTNESS))[:, None]
+    lifted_m = vertex_m + lift_m
+    kept_m, kept = fast_simplification.simplify(lifted_m, triangle, target_count=count)[:2]
+    nearest = KDTree(lifted_m).query(kept_m, workers=-1)[1]
+    return kept_m - lift_m[nearest], kept.astype(np.int32), rgb[nearest]
+
+
+def _collapsed_coloured(
+    vertex_m: np.ndarray, triangle: np.ndarray, rgb: np.ndarray, count: int, step_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """About ``count`` triangles, by quadrics over place and colour: white against black counts as ``step_m``."""
+    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray, vtk_to_numpy
+    from vtkmodules.vtkCommonDataModel import vtkCellArray
+    from vtkmodules.vtkFiltersCore import vtkQuadricDecimation
+
+    body, cells = _vtk_cloud(vertex_m, {"rgb": rgb}), vtkCellArray()
+    body.GetPointData().SetActiveScalars("rgb")
+    cells.SetData(
+        numpy_to_vtkIdTypeArray(np.arange(0, triangle.size + 1, 3, dtype=np.int64), deep=True),
+        numpy_to_vtkIdTypeArray(triangle.astype(np.int64).ravel(), deep=True),
+    )
+    body.SetPolys(cells)
+    collapse = vtkQuadricDecimation()
+    collapse.SetInputData(body)
+    collapse.SetTargetReduction(max(0.0, 1.0 - count / len(triangle)))
+    collapse.AttributeErrorMetricOn()
+    collapse.ScalarsAttributeOn()
+    collapse.SetScalarsWeight(step_m * float(np.ptp(rgb)) / 255.0)  # VTK scales the range of the colours to 1
+    collapse.Update()
+    kept = collapse.GetOutput()
+    place_m = np.array(vtk_to_numpy(kept.GetPoints().GetData()), np.float32)
+    return place_m, np.array(vtk_to_numpy(kept.GetPolys().GetConnectivityArray()), np.int32).reshape(-1, 3)
+
+
+def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -> Mesh:
+    """A mesh with the colours of a dense one: linear within each triangle, fitted to the nearest dense triangles."""
+    share = _places_in_triangle(_COLOUR_SAMPLES)
+    place_m = np.einsum("sc,tcx->tsx", share, vertex_m.astype(np.float64)[triangle])
+    middle_m = dense.vertex_m.astype(np.float64)[dense.triangle].mean(axis=1)
+    nearest = KDTree(middle_m).query(place_m.reshape(-1, 3), workers=-1)[1]
+    sample_rgb = dense.vertex_rgb.astype(np.float64)[dense.triangle].mean(axis=1)[nearest]
+    sample_rgb = sample_rgb.reshape(*place_m.shape)
+    corner_rgb = np.einsum("cs,tsx->tcx", np.linalg.pinv(share), sample_rgb)
+    corner_rgb = np.clip(corner_rgb, sample_rgb.min(axis=1, keepdims=True), sample_rgb.max(axis=1, keepdims=True))
+    corner_rgb, weight = corner_rgb.reshape(-1, 3), np.repeat(_double_area_m2(vertex_m, triangle) + 1e-12, 3)
+    vertex = triangle.reshape(-1).astype(np.int64)
+    for _ in range(2):  # into up to four colours at one place
+        vertex = _split_by_colour(vertex, corner_rgb, weight)
+    count = int(vertex.max()) + 1
+    rgb = np.stack([np.bincount(vertex, weight * channel, count) for channel in corner_rgb.T], axis=1)
+    rgb = np.rint(rgb / np.bincount(vertex, weight, count)[:, None]).astype(np.uint8)
+    place = np.empty(count, np.int64)
+    place[vertex] = triangle.reshape(-1)
+    return Mesh(vertex_m[place].astype(np.float32), vertex.reshape(-1, 3).astype(np.int32), rgb)
+
+
+def _places_in_triangle(rows: int) -> np.ndarray:
+    """Middles of the ``rows`` squared small triangles that divide a triangle, as shares of its corners [place, 3]."""
+    upright = [(i + 1 / 3, j + 1 / 3) for i in range(rows) for j in range(rows - i)]
+    inverted = [(i + 2 / 3, j + 2 / 3) for i in range(rows - 1) for j in range(rows - 1 - i)]
+    place = np.array(upright + inverted) / rows
+    return np.column_stack([place, 1.0 - place.sum(axis=1)])
+
+
+def _split_by_colour(vertex: np.ndarray, corner_rgb: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Vertices of corners, those in two whose corners differ by more than `_SPLIT_LEVELS`; numbered from 0 again."""
+    count = int(vertex.max()) + 1
+    total = np.bincount(vertex, weight, count)[:, None]
+    mean = np.stack([np.bincount(vertex, weight * channel, count) for channel in corner_rgb.T], axis=1) / total
+
+    def farthest(distance: np.ndarray) -> np.ndarray:
+        """The corner of every vertex at which the distance is largest; the last of several."""
+        order = np.lexsort((distance, vertex))
+        return order[np.flatnonzero(np.r_[np.diff(vertex[order]) != 0, True])]
+
+    first = farthest(np.abs(corner_rgb - mean[vertex]).max(axis=1))
+    to_first = np.abs(corner_rgb - corner_rgb[first][vertex]).max(axis=1)
+    second = farthest(to_first)
+    to_second = np.abs(corner_rgb - corner_rgb[second][vertex]).max(axis=1)
+    moves = (to_first[second] > _SPLIT_LEVELS)[vertex] & (to_second < to_first)
+    return np.unique(np.where(moves, vertex + count, vertex), return_inverse=True)[1]
 
 
 SurfaceMethod = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
