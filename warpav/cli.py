@@ -36,6 +36,8 @@ for _group in (scenes_app, config_app, rig_app):
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
 Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
+Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
+Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
 SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
 
 
@@ -187,18 +189,75 @@ def bench(
 @scenes_app.command(name="make")
 def scenes_make(
     *,
-    seeds: Annotated[str, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")],
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
-) -> None:
-    """Build embedded street scenes and write each as a GLB file."""
-    from warpav.config import read_seeds
-    from warpav.console import RunDisplay
-    from warpav.gallery import make_scenes
+    seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
+    count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    executor: Executor = "serial",
+    workers: Workers = None,
+) -> int:
+    """Build embedded street scenes and write each as a GLB file; what is there already stays."""
+    from warpav.gallery import build_scenes
 
-    numbers = read_seeds(seeds, place="command line (--seeds)")
-    with RunDisplay() as display:
-        for file in display.steps("building scenes", make_scenes(numbers, out), count=len(numbers)):
-            display.say(str(file))
+    return build_scenes(_seeds(seeds, count), out, executor=executor, worker_count=workers)
+
+
+@scenes_app.command(name="capture")
+def scenes_capture(
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="Folder for the captures, scene_SEED.")],
+    seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
+    count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    simulator: Annotated[
+        Literal["town", "carla"], Parameter(help="town is embedded; carla needs a running server.")
+    ] = "town",
+    host: Annotated[str, Parameter(help="CARLA's host.")] = "localhost",
+    port: Annotated[int, Parameter(help="CARLA's port.")] = 2000,
+    executor: Executor = "serial",
+    workers: Workers = None,
+    config: Config = DEFAULT_CONFIG,
+) -> int:
+    """Take colour, depth and instance images of situations; interrupted captures go on."""
+    from warpav.config import placed_config
+    from warpav.gallery import record_scenes
+
+    with placed_config(config, overrides) as settings:
+        return record_scenes(
+            settings,
+            _seeds(seeds, count),
+            out,
+            server=(host, port) if simulator == "carla" else None,
+            executor=executor,
+            worker_count=workers,
+        )
+
+
+@scenes_app.command(name="reconstruct")
+def scenes_reconstruct(
+    captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")],
+    /,
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
+    executor: Executor = "serial",
+    workers: Workers = None,
+    config: Config = DEFAULT_CONFIG,
+) -> int:
+    """Make scenes of captures: point clouds, triangle meshes, colours."""
+    from warpav.config import placed_config
+    from warpav.gallery import reconstruct_scenes
+
+    with placed_config(config, overrides) as settings:
+        return reconstruct_scenes(settings, captures, out, executor=executor, worker_count=workers)
+
+
+@scenes_app.command(name="check")
+def scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
+    """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
+    from warpav.collection import captures_in, check_captures
+
+    found = list(captures_in([captures]).values())
+    bad = check_captures(found, _complain)
+    _say(f"{len(found) - bad} of {len(found)} captures are valid")
+    return 2 if bad else 0
 
 
 @scenes_app.command(name="show")
@@ -272,6 +331,16 @@ def rig_presets() -> None:
 
     for name in preset_names():
         _say(f"{name}: {len(preset_rig(name).cameras)} cameras")
+
+
+def _seeds(seeds: str | None, count: int | None) -> tuple[int, ...]:
+    from warpav.config import read_seeds
+
+    if (seeds is None) == (count is None):
+        raise InputError("command line: expected either --seeds or --count, got both or none; write --seeds 0..9")
+    if count is not None and count < 1:
+        raise InputError(f"command line (--count): expected at least 1, got {count}")
+    return tuple(range(count)) if count is not None else read_seeds(str(seeds), place="command line (--seeds)")
 
 
 def _load(config: str, overrides: Sequence[str]):  # noqa: ANN202 (importing the type would cost start-up time)

@@ -143,12 +143,6 @@ def _read_path(value: object) -> object:
     return value
 
 
-def _read_source(value: object) -> object:
-    if value == "captured":
-        _mistake("expected town or folder, got 'captured'; captured scenes are not there yet")
-    return value
-
-
 def _read_device(value: object) -> object:
     if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
         hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
@@ -196,13 +190,21 @@ class RunConfig(Section):
 class SceneConfig(Section):
     """Which traffic scenes are trained and tested on."""
 
-    source: Annotated[Literal["town", "folder"], BeforeValidator(_read_source)] = Field(
-        default="town", description="town builds the embedded street scenes; folder reads scene_<seed>.glb files"
+    source: Literal["town", "captured", "folder"] = Field(
+        default="town",
+        description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
+        "folder reads scene_<seed>.glb files",
     )
     train_seeds: Seeds = Field(default=tuple(range(30)), description="scenes that the optimiser sees")
     test_seeds: Seeds = Field(default=tuple(range(1000, 1010)), description="scenes that only the evaluation sees")
     folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
-        default=None, description="where source: folder finds its scene_<seed>.glb files"
+        default=None,
+        description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
+        "makes; null keeps that in the user's cache",
+    )
+    mirror: bool = Field(
+        default=False,
+        description="train on every scene's mirror image as well, against traffic that keeps to one side",
     )
 
     @model_validator(mode="after")
@@ -223,6 +225,45 @@ class SceneConfig(Section):
                     "folder",
                 )
         return self
+
+
+class CaptureConfig(Section):
+    """The images that source: captured and warpav scenes capture take of a situation."""
+
+    width_px: int = Field(default=640, ge=32, le=4096, description="image width")
+    height_px: int = Field(default=480, ge=32, le=4096, description="image height")
+    vehicles: int = Field(default=12, ge=1, le=200, description="vehicles besides the ego vehicle, at most")
+    radius_m: Metres = Field(
+        default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego vehicle"
+    )
+    rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
+    scene_heights_m: Annotated[
+        tuple[float, ...],
+        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+        PlainSerializer(list),
+        Expectation("a list of heights in metres, such as [14, 28, 45]"),
+    ] = Field(default=(14.0, 28.0, 45.0), description="heights of the images of the whole place from above")
+
+
+class ReconstructionConfig(Section):
+    """How source: captured and warpav scenes reconstruct make meshes from images."""
+
+    method: Literal["poisson", "signed_distance", "nksr"] = Field(
+        default="poisson", description="surface method; nksr needs the package of that name"
+    )
+    radius_m: Metres = Field(
+        default=40.0, gt=1.0, le=1000.0, description="the environment beyond is drawn on a sphere of this radius"
+    )
+    max_height_m: Metres = Field(default=10.0, gt=0.0, le=1000.0, description="what is higher is left out")
+    far_depth_m: Metres = Field(default=900.0, gt=1.0, description="depths from here on are sky")
+    vehicle_points: int = Field(default=60_000, ge=200, description="points that are kept of each vehicle")
+    vehicle_triangles: int = Field(default=4500, ge=50, description="triangles of each vehicle")
+    vehicle_cell_m: Metres = Field(default=0.03, ge=0.005, le=1.0, description="cells in which a vehicle is found")
+    environment_points: int = Field(default=250_000, ge=200, description="points that are kept of the environment")
+    environment_triangles: int = Field(default=46_000, ge=50, description="triangles of the environment")
+    environment_cell_m: Metres = Field(
+        default=0.2, ge=0.02, le=5.0, description="cells in which the environment is found"
+    )
 
 
 class RigConfig(Section):
@@ -391,6 +432,8 @@ class Config(Section):
         "costs something",
     )
     scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
+    capture: CaptureConfig = Field(default=CaptureConfig(), description="images of scenes")
+    reconstruction: ReconstructionConfig = Field(default=ReconstructionConfig(), description="scenes from images")
     rig: RigConfig = Field(default=RigConfig(), description="the cameras together")
     camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
     mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")

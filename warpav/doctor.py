@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from warpav.errors import InputError
 from warpav.results import package_versions, required_packages
-from warpav.sources import load_warp
+from warpav.warp_setup import load_warp
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120

@@ -7,18 +7,37 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.collection import (
+    CaptureTask,
+    SceneTask,
+    capture_path,
+    capture_scenes,
+    captures_in,
+    make_scenes,
+    scene_path,
+    split_seeds,
+)
 from warpav.config import Config
+from warpav.console import RunDisplay
 from warpav.errors import InputError
+from warpav.executor import ExecutorName, Outcome
 from warpav.results import RunFolder
 from warpav.rig.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
-from warpav.sources import checked_device, find_rig, load_scene, load_scenes
+from warpav.sources import (
+    checked_device,
+    find_rig,
+    load_scene,
+    load_scenes,
+    plan_settings,
+    reconstruction_settings,
+)
 
 if TYPE_CHECKING:
     from warpav.figures import DetectionPanel
@@ -26,6 +45,7 @@ if TYPE_CHECKING:
     from warpav.render.images import CameraImage
     from warpav.scene.scene import Scene
 
+_SPLIT_FROM = 5  # scenes that make training, validation and test scenes
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
 
@@ -68,24 +88,107 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     return out
 
 
-def make_scenes(seeds: Sequence[int], out: Path) -> Iterator[Path]:
-    """Build embedded scenes one after the other and write each as ``scene_<seed>.glb``; yields the files.
+def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, worker_count: int | None) -> int:
+    """Build embedded scenes as GLB files that are not there yet; returns the exit status.
 
     Raises:
         InputError: The folder cannot be written to.
     """
-    from warpav.scene.glb import write_scene
-    from warpav.scene.town import town_scene
+    tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
+    status = _show_outcomes(
+        "building scenes",
+        (
+            (str(outcome.task.file), outcome)
+            for outcome in make_scenes(tasks, executor=executor, worker_count=worker_count)
+        ),
+        len(tasks),
+    )
+    if len(seeds) >= _SPLIT_FROM:
+        _say_split(seeds, out)
+    return status
 
-    _check_folder(out, "--out")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
-    for seed in seeds:
-        file = out / f"scene_{seed}.glb"
-        write_scene(town_scene(seed), file)
-        yield file
+
+def record_scenes(
+    config: Config,
+    seeds: Sequence[int],
+    out: Path,
+    *,
+    server: tuple[str, int] | None,
+    executor: ExecutorName,
+    worker_count: int | None,
+) -> int:
+    """Record situations that are not recorded yet; returns the exit status.
+
+    Args:
+        config: What to record.
+        seeds: Which situations.
+        out: Folder for the captures.
+        server: Host and port of CARLA; None: the embedded town.
+        executor: How the embedded town's situations are spread; CARLA records one after the other.
+        worker_count: Processes.
+
+    Raises:
+        InputError: The folder cannot be written to, or CARLA is not there.
+    """
+    tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
+    if server is None:
+        outcomes = capture_scenes(tasks, executor=executor, worker_count=worker_count)
+    else:
+        from warpav.collection import capture_carla_scenes
+
+        outcomes = capture_carla_scenes(tasks, host=server[0], port=server[1])
+    return _show_outcomes("recording", ((str(outcome.task.folder), outcome) for outcome in outcomes), len(tasks))
+
+
+def reconstruct_scenes(
+    config: Config, captures: Path, out: Path, *, executor: ExecutorName, worker_count: int | None
+) -> int:
+    """Make scenes of captures that are not there yet; one that cannot be used is refused, the others go on.
+
+    Returns:
+        The exit status: 2 if any was refused.
+
+    Raises:
+        InputError: There are no captures, or the folder cannot be written to.
+    """
+    settings = reconstruction_settings(config)
+    tasks = [
+        SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
+    ]
+    outcomes = make_scenes(tasks, executor=executor, worker_count=worker_count)
+    return _show_outcomes("reconstructing", ((str(outcome.task.file), outcome) for outcome in outcomes), len(tasks))
+
+
+def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
+    """Tell what became of every task, and what was refused once more at the end."""
+    refused: list[str] = []
+    with RunDisplay() as display:
+        for name, outcome in display.steps(title, outcomes, count=count):
+            if outcome.error is not None:
+                refused.append(outcome.error)
+            elif outcome.result:
+                display.say(name)
+            else:
+                display.say(f"{name} is there already")
+        if refused:
+            display.say(f"{count - len(refused)} of {count} done; refused:")
+            for error in refused:
+                display.say(error)
+    return 2 if refused else 0
+
+
+def _say_split(seeds: Sequence[int], out: Path) -> None:
+    split = {name: _seed_text(part) for name, part in split_seeds(seeds).items()}
+    with RunDisplay() as display:
+        display.say(
+            f"to train on 60 % and test on 20 % of them: warpav optimise scenes.source=folder scenes.folder={out} "
+            f"scenes.train_seeds={split['train']} scenes.test_seeds={split['test']}"
+        )
+
+
+def _seed_text(seeds: Sequence[int]) -> str:
+    is_range = list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
+    return f"{seeds[0]}..{seeds[-1]}" if is_range else f"[{','.join(map(str, seeds))}]"
 
 
 def inspect_rig(source: str, config: Config, out: Path | None) -> Path | None:
@@ -122,10 +225,11 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
     from warpav.view.picture import inspect_rig as show
 
     scene = load_scene(source)
-    meshes = [scene.environment, scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+    meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
     triangle_count = sum(len(mesh.triangle) for mesh in meshes)
-    yield f"{scene.name}: {len(scene.vehicles)} vehicles, {triangle_count} triangles"
-    for vehicle in scene.vehicles:
+    people = f", {len(scene.others)} people" if scene.others else ""
+    yield f"{scene.name}: {len(scene.vehicles)} vehicles{people}, {triangle_count} triangles"
+    for vehicle in (*scene.vehicles, *scene.others):
         x, y = vehicle.box.center_m[:2]
         length, width, height = vehicle.box.size_m
         yield (

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from warpav.console import RunDisplay
 
 # streams of random numbers: one more draw in one place moves nothing elsewhere
+EGO_TOLERANCE_M = 0.2
+"""Ego vehicles that were reconstructed from images of different scenes differ by less."""
 _SEGREGATION, _START, _BATCHES, _RANDOM_ARM = range(4)
 
 
@@ -96,13 +98,18 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     train_count = len(config.scenes.train_seeds)
     seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)
     packed: list[DeviceScene] = []
+    mirrored: list[DeviceScene] = []
     ego = shown = None
     for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds), count=len(seeds))):
         ego = scene.ego if ego is None else ego
-        if scene.ego.vertex_m.shape != ego.vertex_m.shape or not np.allclose(scene.ego.vertex_m, ego.vertex_m):
+        if np.abs(scene.ego.bounds_m() - ego.bounds_m()).max() > EGO_TOLERANCE_M:
             raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
         shown = scene if k == train_count else shown
         packed.append(DeviceScene.pack(scene, device=device))
+        if config.scenes.mirror and k < train_count:
+            mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
+    packed[train_count:train_count] = mirrored
+    train_count += len(mirrored)
     assert ego is not None
     assert shown is not None
     display.stage("sharing the vehicles among the cameras")

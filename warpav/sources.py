@@ -6,22 +6,25 @@ import contextlib
 import dataclasses
 import difflib
 import math
-import os
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import platformdirs
 
+from warpav.capture.plan import PlanSettings
+from warpav.collection import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
 from warpav.config import Config, placed_config
 from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.reconstruction.settings import ReconstructionSettings
 from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig, read_rig
+from warpav.warp_setup import load_warp
 
 if TYPE_CHECKING:
     from warpav.geometry.mesh import Mesh
@@ -30,31 +33,6 @@ if TYPE_CHECKING:
 
 HIGHEST = "highest"
 SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
-
-
-def load_warp() -> Any:  # noqa: ANN401 (the module)
-    """The module ``warp``, initialised without its start-up messages."""
-    import warp
-
-    warp.config.log_level = warp.LOG_ERROR
-    with _muted_stderr():  # without a GPU its native library complains whatever the log level
-        warp.init()
-    return warp
-
-
-@contextlib.contextmanager
-def _muted_stderr() -> Iterator[None]:
-    """Nothing that this process writes to file 2 comes through, not even from C."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(nowhere)
-        os.close(kept)
 
 
 def checked_device(device: str) -> str:
@@ -77,7 +55,7 @@ def device_name(device: str) -> str:
 
 
 def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
-    """The scenes of ``seeds``, one after the other, built or read.
+    """The scenes of ``seeds``, one after the other: built, captured and reconstructed, or read.
 
     Raises:
         InputError: A file is missing or cannot be used.
@@ -88,8 +66,11 @@ def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     if config.scenes.source == "town":
         yield from map(town_scene, seeds)
         return
+    if config.scenes.source == "captured":
+        yield from map(read_scene, _captured(config, seeds))
+        return
     assert config.scenes.folder is not None
-    files = [config.scenes.folder / f"scene_{seed}.glb" for seed in seeds]
+    files = [scene_path(config.scenes.folder, seed) for seed in seeds]
     missing = [file for file in files if not file.is_file()]
     if missing:
         raise OptionError(
@@ -98,6 +79,53 @@ def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
             f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds",
         )
     yield from map(read_scene, files)
+
+
+def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
+    """Files of scenes that went through images; those that are not there yet are made."""
+    folder = config.scenes.folder or Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "captured"
+    for seed in seeds:
+        captured = CaptureTask(seed, capture_path(folder / "captures", seed), plan_settings(config))
+        scene = SceneTask(seed, scene_path(folder, seed), captured.folder, reconstruction_settings(config))
+        for outcome in (*capture_scenes([captured]), *make_scenes([scene])):
+            if outcome.error is not None:
+                raise InputError(outcome.error)
+        yield scene.file
+
+
+def plan_settings(config: Config) -> PlanSettings:
+    """What is recorded of a situation."""
+    capture = config.capture
+    return PlanSettings(
+        vehicle_count=capture.vehicles,
+        radius_m=capture.radius_m,
+        width_px=capture.width_px,
+        height_px=capture.height_px,
+        scene_heights_m=capture.scene_heights_m,
+        rotation_count=capture.rotations,
+    )
+
+
+def reconstruction_settings(config: Config) -> ReconstructionSettings:
+    """How a capture becomes a scene."""
+    how = config.reconstruction
+    standard = ReconstructionSettings()
+    vehicle = {"point_count": how.vehicle_points, "cell_m": how.vehicle_cell_m, "reach_m": 2.0 * how.vehicle_cell_m}
+    return ReconstructionSettings(
+        cloud=dataclasses.replace(
+            standard.cloud, far_depth_m=how.far_depth_m, radius_m=how.radius_m, max_height_m=how.max_height_m
+        ),
+        method=how.method,
+        vehicle=dataclasses.replace(standard.vehicle, **vehicle, triangle_count=how.vehicle_triangles),
+        ego=dataclasses.replace(standard.ego, **vehicle),
+        environment=dataclasses.replace(
+            standard.environment,
+            point_count=how.environment_points,
+            cell_m=how.environment_cell_m,
+            reach_m=2.5 * how.environment_cell_m,
+            triangle_count=how.environment_triangles,
+        ),
+    )
 
 
 def load_scene(source: str) -> Scene:

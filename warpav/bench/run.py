@@ -28,7 +28,8 @@ from warpav.bench.workload import (
 )
 from warpav.errors import InputError
 from warpav.results import write_json
-from warpav.sources import checked_device, load_warp
+from warpav.sources import checked_device
+from warpav.warp_setup import load_warp
 
 if TYPE_CHECKING:
     from rich.table import Table

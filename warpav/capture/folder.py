@@ -18,7 +18,6 @@ else the instance id; window panes belong to their vehicle.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -31,7 +30,6 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from warpav import __version__
 from warpav.capture.capture import (
     EGO_INSTANCE,
     ENVIRONMENT_INSTANCE,
@@ -44,6 +42,7 @@ from warpav.capture.capture import (
 from warpav.capture.plan import PlanSettings, capture_plan, spawn_visible_traffic
 from warpav.capture.simulator import Simulator
 from warpav.errors import InputError
+from warpav.recipe import recipe
 from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Box
 
@@ -200,8 +199,8 @@ def record_capture(
 ) -> Path:
     """Set up a situation, take its images, and write them; one that was interrupted goes on where it stopped.
 
-    ``capture.json`` is written last: a folder that holds it is complete, and one that was made with the same settings is
-    left alone. Images that an unfinished run of the same plan has written are kept; others are taken again.
+    ``capture.json`` is written last: a folder that holds it is complete, and if it was made with the same settings it
+    is left alone. Images that an unfinished run of the same plan has written are kept; others are taken again.
 
     Args:
         simulator: Entered already.
@@ -220,13 +219,13 @@ def record_capture(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, got: {error.strerror}") from None
-    recipe = _recipe(simulator, seed, settings)
-    if (folder / DESCRIPTION).is_file() and _read_record(folder / DESCRIPTION).recipe == recipe:
+    made_with = recipe(type(simulator).__name__, seed, settings)
+    if (folder / DESCRIPTION).is_file() and _read_record(folder / DESCRIPTION).recipe == made_with:
         return folder
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
     views = capture_plan(ego_box, vehicles, settings)
-    record = _record_of(simulator, recipe, ego_box, vehicles, views)
+    record = _record_of(simulator, made_with, ego_box, vehicles, views)
     planned = record.model_dump_json(by_alias=True, indent=1)
     is_same = _text(folder / _PLANNED) == planned
     if not is_same:
@@ -315,13 +314,12 @@ def _view_of(one: ImageRecord) -> CaptureView:
     return CaptureView(one.name, one.kind, np.array(one.ego_from_camera), model)
 
 
-def _recipe(simulator: Simulator, seed: int, settings: PlanSettings) -> str:
-    content = f"{__version__} {type(simulator).__name__} {seed} {settings}"
-    return hashlib.sha256(content.encode()).hexdigest()[:16]
-
-
 def _record_of(
-    simulator: Simulator, recipe: str, ego_box: Box, vehicles: Sequence[CapturedVehicle], views: Sequence[CaptureView]
+    simulator: Simulator,
+    made_with: str,
+    ego_box: Box,
+    vehicles: Sequence[CapturedVehicle],
+    views: Sequence[CaptureView],
 ) -> CaptureRecord:
     def box(one: Box) -> dict[str, Any]:
         return {
@@ -335,7 +333,7 @@ def _record_of(
             "schema": SCHEMA,
             "name": simulator.name,
             "source": simulator.source,
-            "recipe": recipe,
+            "recipe": made_with,
             "ego": box(ego_box),
             "vehicles": [
                 {

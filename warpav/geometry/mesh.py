@@ -83,6 +83,10 @@ class Mesh:
         moved = self.vertex_m.astype(np.float64) @ np.asarray(rotation, np.float64).T + np.asarray(translation_m)
         return Mesh(np.ascontiguousarray(moved, dtype=np.float32), self.triangle, self.vertex_rgb)
 
+    def mirrored(self) -> Mesh:
+        """The mesh with left and right (y) exchanged; triangles still face outwards."""
+        return Mesh(self.vertex_m * np.array([1, -1, 1], np.float32), self.triangle[:, ::-1].copy(), self.vertex_rgb)
+
     def bounds_m(self) -> np.ndarray:
         """Lowest and highest corner [m], shape [2, 3]."""
         return np.stack([self.vertex_m.min(axis=0), self.vertex_m.max(axis=0)])

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from warpav.capture.capture import EGO_INSTANCE, Capture, CapturedImage
+from warpav.reconstruction.settings import CloudSettings
 from warpav.scene.scene import Box
 
 _MAP_CELL_M = 0.05
@@ -37,25 +38,9 @@ class PointCloud:
         """Some of the points: indices or a mask."""
         return PointCloud(self.point_m[index], self.rgb[index], self.sensor_m[index])
 
-
-@dataclass(frozen=True)
-class CloudSettings:
-    """What is kept of the images.
-
-    Attributes:
-        far_depth_m: Depths from here on are sky [m] (thesis: near the upper limit of the depth images).
-        radius_m: The environment beyond this distance from the ego frame's origin becomes a sphere [m].
-        max_height_m: What is higher then is left out [m].
-        box_margin_m: Points this far outside a 3D box still belong to the vehicle; as far inside, still to the
-            environment, such as the road below [m].
-        environment_grid_m: Of the environment's points in a cell of this edge one is kept [m].
-    """
-
-    far_depth_m: float = 900.0
-    radius_m: float = 40.0
-    max_height_m: float = 10.0
-    box_margin_m: float = 0.02
-    environment_grid_m: float = 0.06
+    def below(self, height_m: float) -> PointCloud:
+        """The points that are no higher than this above the ground [m]."""
+        return self.chosen(self.point_m[:, 2] <= height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +109,19 @@ def fuse(capture: Capture, images: Sequence[CapturedImage], settings: CloudSetti
             rays[k].append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
         around.append(thinned_to_grid(cloud.chosen(is_around), settings.environment_grid_m))
     environment = thinned_to_grid(joined(around), settings.environment_grid_m)
-    distance_m = np.linalg.norm(environment.point_m, axis=1)
-    is_far = distance_m > settings.radius_m
-    sphere = environment.chosen(is_far)
-    scale = (settings.radius_m / distance_m[is_far])[:, None]
-    sphere = PointCloud((sphere.point_m * scale).astype(np.float32), sphere.rgb, sphere.sensor_m)
-    sphere = sphere.chosen(sphere.point_m[:, 2] <= settings.max_height_m)
-    environment = environment.chosen(~is_far & (environment.point_m[:, 2] <= settings.max_height_m))
+    near, sphere = split_at_radius(environment, settings.radius_m)
+    environment, sphere = near.below(settings.max_height_m), sphere.below(settings.max_height_m)
     objects = [_outside(joined(part), box, ray) for part, box, ray in zip(parts, boxes, rays, strict=True)]
     return SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
+
+
+def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, PointCloud]:
+    """The points within a distance of the ego frame's origin, and those beyond, moved to the sphere of that radius."""
+    distance_m = np.linalg.norm(cloud.point_m, axis=1)
+    is_far = distance_m > radius_m
+    far = cloud.chosen(is_far)
+    scale = (radius_m / distance_m[is_far])[:, None]
+    return cloud.chosen(~is_far), PointCloud((far.point_m * scale).astype(np.float32), far.rgb, far.sensor_m)
 
 
 def unproject(image: CapturedImage, *, far_depth_m: float) -> tuple[PointCloud, np.ndarray, np.ndarray, np.ndarray]:

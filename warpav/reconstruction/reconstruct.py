@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -16,7 +15,8 @@ from warpav.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, 
 from warpav.errors import InputError
 from warpav.geometry.mesh import Mesh, merge
 from warpav.reconstruction.colours import seen_rgb, vertex_normals
-from warpav.reconstruction.point_cloud import CloudSettings, ObjectCloud, PointCloud, fuse
+from warpav.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse
+from warpav.reconstruction.settings import MeshSettings, ReconstructionSettings
 from warpav.reconstruction.surface import (
     SURFACE_METHODS,
     cleaned,
@@ -30,48 +30,6 @@ from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
 LEAST_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
 _SKY_STEP = 7  # every so many pixels tell the sky's colour
-
-
-@dataclass(frozen=True)
-class MeshSettings:
-    """How a cloud becomes a mesh.
-
-    Attributes:
-        point_count: Points that are kept, by Poisson disks.
-        cell_m: Length of the cells in which the surface is found [m].
-        reach_m: Surface farther than this from every point goes [m].
-        triangle_count: Triangles that are kept, by quadric edge collapse.
-    """
-
-    point_count: int
-    cell_m: float
-    reach_m: float
-    triangle_count: int
-
-
-@dataclass(frozen=True)
-class ReconstructionSettings:
-    """How a capture becomes a scene.
-
-    Attributes:
-        cloud: What is kept of the images.
-        method: Surface method, a name of `SURFACE_METHODS`.
-        vehicle: For every vehicle; of their points few are dropped, since a detector looks at them.
-        ego: For the ego vehicle.
-        environment: For everything else within the radius.
-        sphere_deg: Size of the sphere's cells [deg].
-        seed: Of the Poisson disks.
-        thread_count: Objects that are worked on at once.
-    """
-
-    cloud: CloudSettings = field(default_factory=CloudSettings)
-    method: str = "poisson"
-    vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 4500))
-    ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))
-    environment: MeshSettings = field(default_factory=lambda: MeshSettings(250_000, 0.2, 0.5, 46_000))
-    sphere_deg: float = 2.0
-    seed: int = 0
-    thread_count: int = 2
 
 
 def reconstruct(
@@ -205,9 +163,9 @@ def _sphere_mesh(cloud: PointCloud, settings: ReconstructionSettings) -> Mesh | 
         axis=1,
     )
     # a cell without points between others has the colour of the nearest
-    nearest = KDTree(direction[known]).query(direction, distance_upper_bound=2.5 * step)
-    filled = np.isfinite(nearest[0])
-    rgb[filled] = rgb[known][nearest[1][filled]]
+    distance, nearest = KDTree(direction[known]).query(direction, distance_upper_bound=2.5 * step)
+    filled = np.isfinite(distance)
+    rgb[filled] = rgb[known][np.asarray(nearest)[filled]]
     first = place[: (rows - 1) * around]
     right = first - first % around + (first + 1) % around
     quad = np.stack([first, right, right + around, first + around], axis=1)

@@ -1,0 +1,67 @@
+"""How captures become scenes: what is kept of the images, and how fine the meshes are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class CloudSettings:
+    """What is kept of the images.
+
+    Attributes:
+        far_depth_m: Depths from here on are sky [m] (thesis: near the upper limit of the depth images).
+        radius_m: The environment beyond this distance from the ego frame's origin becomes a sphere [m].
+        max_height_m: What is higher then is left out [m].
+        box_margin_m: Points this far outside a 3D box still belong to the vehicle; as far inside, still to the
+            environment, such as the road below [m].
+        environment_grid_m: Of the environment's points in a cell of this edge one is kept [m].
+    """
+
+    far_depth_m: float = 900.0
+    radius_m: float = 40.0
+    max_height_m: float = 10.0
+    box_margin_m: float = 0.02
+    environment_grid_m: float = 0.06
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """How a cloud becomes a mesh.
+
+    Attributes:
+        point_count: Points that are kept, by Poisson disks.
+        cell_m: Length of the cells in which the surface is found [m].
+        reach_m: Surface farther than this from every point goes [m].
+        triangle_count: Triangles that are kept, by quadric edge collapse.
+    """
+
+    point_count: int
+    cell_m: float
+    reach_m: float
+    triangle_count: int
+
+
+@dataclass(frozen=True)
+class ReconstructionSettings:
+    """How a capture becomes a scene.
+
+    Attributes:
+        cloud: What is kept of the images.
+        method: Surface method, a name of `SURFACE_METHODS`.
+        vehicle: For every vehicle; of their points few are dropped, since a detector looks at them.
+        ego: For the ego vehicle.
+        environment: For everything else within the radius.
+        sphere_deg: Size of the sphere's cells [deg].
+        seed: Of the Poisson disks.
+        thread_count: Objects that are worked on at once.
+    """
+
+    cloud: CloudSettings = field(default_factory=CloudSettings)
+    method: str = "poisson"
+    vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 4500))
+    ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))
+    environment: MeshSettings = field(default_factory=lambda: MeshSettings(250_000, 0.2, 0.5, 46_000))
+    sphere_deg: float = 2.0
+    seed: int = 0
+    thread_count: int = 2
