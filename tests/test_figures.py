@@ -1,12 +1,10 @@
 """Figures of a run, looked at by their colours and places."""
 
-import math
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.stand_ins import ego, rig, scene, vehicle
+from tests.view.stand_ins import ego, rig
 from warpav import figures
 from warpav.errors import InputError
 from warpav.geometry.mount_surface import MountSurface
@@ -81,15 +79,6 @@ def test_top_view_shows_cameras_on_their_side(tmp_path):
     assert left[0] < ahead[0] < right[0]
 
 
-def test_height_map_is_brightest_on_top(tmp_path):
-    image = pixels(figures.height_map_figure(surface(), ego(), tmp_path / "height.png"))
-    image = image[: image.shape[0] // 2, : int(0.85 * image.shape[1])]  # without the colour bar
-    top, bottom = where(image, (253, 231, 37), 20.0), where(image, (68, 1, 84), 20.0)  # the ends of viridis
-    assert len(top[0]) > 100
-    assert len(bottom[0]) > 100
-    assert top[1].mean() < bottom[1].mean()  # the stand-in falls off towards the front
-
-
 def test_detections_have_their_colours_and_sizes(tmp_path):
     none = np.full(4, np.nan)
     panel = figures.DetectionPanel(
@@ -122,29 +111,6 @@ def test_detections_need_an_image(tmp_path):
 def test_rows_of_a_detection_sheet_may_differ_in_length(tmp_path):
     panel = figures.DetectionPanel("a", np.zeros((8, 8, 3), np.uint8), np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
     assert figures.detections_sheet({"start": [], "end": [panel, panel]}, tmp_path / "found.png").is_file()
-
-
-def test_occupancy_of_a_turned_box_is_its_area():
-    one = vehicle(1, 3.0, 2.0)
-    turned = type(one)(1, one.category, one.mesh, type(one.box)(one.box.center_m, one.box.size_m, math.radians(30.0)))
-    share = figures.vehicle_occupancy([scene(turned), scene()], radius_m=8.0, cell_m=0.05)
-    assert share.max() == 0.5
-    assert share.sum() / 0.5 * 0.05**2 == pytest.approx(4.0 * 1.8, rel=0.01)
-    row, column = np.nonzero(share)
-    assert (row.mean() + 0.5) * 0.05 - 8.0 == pytest.approx(3.0, abs=0.05)
-    assert (column.mean() + 0.5) * 0.05 - 8.0 == pytest.approx(2.0, abs=0.05)
-
-
-def test_heat_map_puts_what_is_ahead_on_top_and_what_is_left_on_the_left(tmp_path):
-    image = pixels(figures.scene_heat_map([scene(vehicle(1, 12.0, 12.0))], tmp_path / "heat.png"))
-    rows, columns = where(image[:, : int(0.8 * image.shape[1])], (127, 0, 0), 30.0)  # the dark end of the colours
-    assert rows.mean() < 0.45 * image.shape[0]
-    assert columns.mean() < 0.45 * image.shape[1]
-
-
-def test_heat_map_needs_a_scene():
-    with pytest.raises(InputError, match="at least one scene"):
-        figures.vehicle_occupancy([], radius_m=5.0, cell_m=0.5)
 
 
 def test_running_mean_is_the_mean_of_what_is_there():

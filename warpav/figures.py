@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from warpav.geometry.mesh import Mesh
     from warpav.geometry.mount_surface import MountSurface
     from warpav.rig.rig import Rig
-    from warpav.scene.scene import Scene
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
@@ -102,8 +101,8 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
         raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
     iteration = np.array([record["iteration"] for record in records])
     multiplier_names = list(records[0]["multipliers"])
-    with _style():
-        figure = _figure(WIDTH_INCH, 5.6)
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.6)
         axes = figure.subplots(2, 2, sharex=True)
         loss = np.array([record["loss"] for record in records], dtype=np.float64)
         axes[0, 0].plot(iteration, loss, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2)
@@ -143,7 +142,7 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
                 axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
         for axis in axes[1]:
             axis.set_xlabel("iteration")
-        return _save(figure, path)
+        return save_figure(figure, path)
 
 
 def rig_top_view(
@@ -167,11 +166,11 @@ def rig_top_view(
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
         sector_radius_m: How far the sectors are drawn [m].
     """
-    with _style():
-        figure = _figure(WIDTH_INCH, 6.0)
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 6.0)
         axis = figure.subplots()
-        _draw_vehicle(axis, ego)
-        image = _draw_height_map(axis, mount_surface, colours=_pale_map())
+        draw_vehicle(axis, ego)
+        image = draw_height_map(axis, mount_surface, colours=_pale_map())
         if trajectory_m is not None:
             step = np.asarray(trajectory_m, dtype=np.float64)
             for index in range(step.shape[1]):
@@ -224,42 +223,7 @@ def rig_top_view(
         bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
         bar.set_label("height of the mount surface [m]")
         bar.outline.set_visible(False)
-        return _save(figure, path)
-
-
-def height_map_figure(mount_surface: MountSurface, ego: Mesh, path: Path | str) -> Path:
-    """Draw the height map over the vehicle, from above and from the side (after figure 9 of the thesis)."""
-    low, high = ego.bounds_m().astype(np.float64)
-    margin = 0.12
-    width, height = high[1] - low[1] + 2 * margin, high[2] - low[2] + 2 * margin
-    with _style():
-        figure = _figure(WIDTH_INCH, 1.4 + 0.86 * WIDTH_INCH * (width + height) / (high[0] - low[0] + 2 * margin))
-        above, side = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [width, height]})
-        corner = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)]
-        _draw_triangles(above, corner[:, :, :2], colour=hex_colour(GRID_RGB))
-        _draw_triangles(side, corner[:, :, [0, 2]], colour=hex_colour(GRID_RGB))
-        image = _draw_height_map(above, mount_surface, colours="viridis")
-        raster = np.asarray(mount_surface.height_m, dtype=np.float64)
-        x = mount_surface.origin_m[0] + mount_surface.cell_m * np.arange(raster.shape[0])
-        colour = hex_colour(camera_rgb(0))
-        side.fill_between(
-            x, raster.min(axis=1), raster.max(axis=1), color=colour, alpha=0.25, lw=0, label="over the width"
-        )
-        side.plot(x, raster[:, raster.shape[1] // 2], color=colour, label="along the middle")
-        side.legend(loc="lower center", ncols=2)
-        above.set_title("From above")
-        side.set_title("From the side")
-        above.set_ylabel("y, left [m]")
-        side.set_ylabel("z, up [m]")
-        side.set_xlabel("x, forward [m]")
-        for axis, first, last in ((above, low[1], high[1]), (side, low[2], high[2])):
-            axis.set_aspect("equal")
-            axis.set_xlim(low[0] - margin, high[0] + margin)
-            axis.set_ylim(first - margin, last + margin)
-        bar = figure.colorbar(image, ax=[above, side], shrink=0.6, pad=0.02, aspect=28)
-        bar.set_label("height of the mount surface [m]")
-        bar.outline.set_visible(False)
-        return _save(figure, path)
+        return save_figure(figure, path)
 
 
 def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | str) -> Path:
@@ -282,8 +246,8 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
     sample = next(panels[0].image_rgb for panels in rows.values() if panels)
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
     row_inch = edge_inch * sample.shape[0] / sample.shape[1] + 0.3
-    with _style():
-        figure = _figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
+    with figure_style():
+        figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
         grid = figure.subplots(len(rows), column_count, squeeze=False)
         for (heading, panels), axes in zip(rows.items(), grid, strict=True):
             for column, axis in enumerate(axes):
@@ -298,64 +262,7 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
             Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
-        return _save(figure, path)
-
-
-def scene_heat_map(scenes: Sequence[Scene], path: Path | str, *, radius_m: float = 25.0, cell_m: float = 0.25) -> Path:
-    """Draw how often traffic stands where around the ego vehicle (after figure 8 of the thesis).
-
-    Args:
-        scenes: What to count; each needs its vehicles' boxes.
-        path: PNG file to write.
-        radius_m: Half the edge of the map [m].
-        cell_m: Edge of a cell [m].
-    """
-    share = vehicle_occupancy(scenes, radius_m=radius_m, cell_m=cell_m)
-    with _style():
-        figure = _figure(6.4, 5.4)
-        axis = figure.subplots()
-        extent = (radius_m, -radius_m, -radius_m, radius_m)
-        image = axis.imshow(
-            share[::-1, ::-1], extent=extent, cmap="OrRd", interpolation="bilinear", aspect="equal", origin="upper"
-        )
-        axis.grid(visible=False)
-        low, high = scenes[0].ego.bounds_m()
-        axis.fill([low[1], high[1], high[1], low[1]], [low[0], low[0], high[0], high[0]], color=hex_colour(INK_RGB))
-        axis.text((low[1] + high[1]) / 2, high[0] + 0.6, "ego", ha="center", fontweight="bold")
-        axis.set_xlabel("y, left [m]")
-        axis.set_ylabel("x, forward [m]")
-        axis.set_title(f"Share of {len(scenes)} scenes with a vehicle there")
-        figure.colorbar(image, ax=axis, shrink=0.8, pad=0.02).outline.set_visible(False)
-        return _save(figure, path)
-
-
-def vehicle_occupancy(scenes: Sequence[Scene], *, radius_m: float, cell_m: float) -> np.ndarray:
-    """Share of the scenes in which a vehicle's box covers a cell.
-
-    Args:
-        scenes: At least one scene.
-        radius_m: Half the edge of the map [m], around the origin of the ego frame.
-        cell_m: Edge of a cell [m].
-
-    Returns:
-        0..1, float64, shape [row, column]; rows run along x, columns along y, both from ``-radius_m``.
-    """
-    if not scenes:
-        raise InputError("a heat map needs at least one scene, got 0")
-    count = math.ceil(2.0 * radius_m / cell_m)
-    centre = -radius_m + (np.arange(count) + 0.5) * cell_m
-    x, y = np.meshgrid(centre, centre, indexing="ij")
-    total = np.zeros((count, count))
-    for scene in scenes:
-        covered = np.zeros((count, count), dtype=bool)
-        for vehicle in scene.vehicles:
-            cosine, sine = math.cos(vehicle.box.yaw_rad), math.sin(vehicle.box.yaw_rad)
-            dx, dy = x - vehicle.box.center_m[0], y - vehicle.box.center_m[1]
-            covered |= (np.abs(cosine * dx + sine * dy) <= vehicle.box.size_m[0] / 2) & (
-                np.abs(cosine * dy - sine * dx) <= vehicle.box.size_m[1] / 2
-            )
-        total += covered
-    return total / len(scenes)
+        return save_figure(figure, path)
 
 
 def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
@@ -376,19 +283,18 @@ def _smallest_distance_m(position_m: object) -> float:
     return float(np.linalg.norm(position[first] - position[second], axis=1).min())
 
 
-def _draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
-    _draw_triangles(axis, np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, :2], colour=hex_colour(GRID_RGB))
-
-
-def _draw_triangles(axis: Any, corner_m: np.ndarray, *, colour: str) -> None:  # noqa: ANN401 (matplotlib)
-    """A silhouette: all triangles in one flat colour, those that are edge on left out; [triangle, 3, 2]."""
+def draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw a vehicle from above as a silhouette in one flat colour; x points right."""
     from matplotlib.collections import PolyCollection
 
+    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, :2]
+    colour = hex_colour(GRID_RGB)
     axis.add_collection(PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=0.6, zorder=1))
     axis.autoscale_view()
 
 
-def _draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)
+def draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)
+    """Draw a height map from above, x pointing right; cells that are NaN stay empty. Returns matplotlib's image."""
     low, high = np.asarray(mount_surface.bounds_m, dtype=np.float64)
     half = mount_surface.cell_m / 2.0
     return axis.imshow(
@@ -437,13 +343,14 @@ def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **lin
     axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=hex_colour(colour), **line))
 
 
-def _style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
+def figure_style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
+    """A context in which figures have this module's fonts, lines and colours."""
     import matplotlib
 
     return matplotlib.rc_context(STYLE)
 
 
-def _figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matplotlib)
+def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matplotlib)
     """A figure that belongs to no window, whatever backend the caller's notebook uses."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -453,7 +360,15 @@ def _figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matp
     return figure
 
 
-def _save(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
+def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
+    """Write a figure as a PNG file that appears whole or not at all; missing folders are made.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: It cannot be written.
+    """
     path = Path(path)
     encoded = io.BytesIO()
     figure.savefig(encoded, format="png", metadata={"Software": None})

@@ -91,7 +91,8 @@ def mount_surface_from_mesh(
         min_upward_normal: Least z of a face's unit normal, in (0, 1]: 0.9 keeps slopes up to 26 degrees, which a
             windscreen exceeds.
         min_height_m: Lower points are left out [m].
-        smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive.
+        smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive; inf:
+            cells without points keep the height of the nearest one with.
 
     Returns:
         The surface, cropped to the cells that hold points.
@@ -100,8 +101,39 @@ def mount_surface_from_mesh(
         InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
         ValueError: An option is out of its range.
     """
-    if not (cell_m > 0.0 and smoothing_tolerance_m > 0.0):
-        raise ValueError(f"cell_m and smoothing_tolerance_m must be positive, got {cell_m}, {smoothing_tolerance_m}")
+    if not smoothing_tolerance_m > 0.0:
+        raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
+    measured_m, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    is_measured = np.isfinite(measured_m)
+    filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
+    return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m, float(cell_m))
+
+
+def measured_surface(
+    mesh: Mesh, *, cell_m: float = 0.02, min_upward_normal: float = 0.9, min_height_m: float = 0.0
+) -> MountSurface:
+    """The same as `mount_surface_from_mesh` before its holes are filled: NaN where nothing was measured.
+
+    Args:
+        mesh: The vehicle in the ego frame [m].
+        cell_m: Edge of a cell [m], positive.
+        min_upward_normal: Least z of a face's unit normal, in (0, 1].
+        min_height_m: Lower points are left out [m].
+
+    Raises:
+        InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
+        ValueError: An option is out of its range.
+    """
+    measured_m, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
+
+
+def _measured(
+    mesh: Mesh, cell_m: float, min_upward_normal: float, min_height_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heights [m], float64 [row, column], NaN where there is none; centre of cell (0, 0) [m], shape [2]."""
+    if not cell_m > 0.0:
+        raise ValueError(f"cell_m must be positive, got {cell_m}")
     if not 0.0 < min_upward_normal <= 1.0:
         raise ValueError(f"min_upward_normal must lie in (0, 1], got {min_upward_normal}")
     low_m, high_m = mesh.bounds_m().astype(np.float64)[:, :2]
@@ -126,9 +158,8 @@ def mount_surface_from_mesh(
             f"height of at least {min_height_m} m), got none among {len(mesh.triangle)}; check that z points up"
         )
     kept = (_used_range(is_measured, 0), _used_range(is_measured, 1))
-    filled_m = _filled(np.where(is_measured, height_m, 0.0)[kept], is_measured[kept], smoothing_tolerance_m)
     first = np.array([kept[0].start, kept[1].start])
-    return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m + first * cell_m, float(cell_m))
+    return np.where(is_measured, height_m, np.nan)[kept], origin_m + first * cell_m
 
 
 def _used_range(is_measured: np.ndarray, axis: int) -> slice:
