@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
 _LEAST_SUPPORT = 15  # points that a piece of surface needs
+_HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 _COLOUR_STEP = 0.8  # what white against black weighs in a collapse, in lengths of a final triangle's side
 _LIFTED_SHARE = 5  # final triangles times this are left by the first, faster collapse
 _BRIGHTNESS = np.array([0.30, 0.59, 0.11])
@@ -27,42 +28,68 @@ _LEAST_DENSITY = 0.15  # points per area of a piece, of those of the whole surfa
 
 
 def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
-    """Choose about ``count`` points evenly: no two nearer than a spacing that is found by halving (Poisson disks).
+    """Choose about ``count`` points evenly: Poisson disks, no two nearer than a spacing that the function finds.
 
     Args:
         point_m: Points [m], shape [point, 3].
-        count: How many to keep, at least 1; missed by 3 % at most, unless points coincide.
+        count: How many to keep, at least 1; missed by 3 % at most, by 1 if there are few, unless many points coincide.
         seed: Chooses among the possible choices.
 
     Returns:
         Indices of the points kept, ascending, int64. All of them when there are no more than ``count``.
 
     Raises:
-        ValueError: A count below 1, or values that are not finite.
+        ValueError: A count below 1, values that are not finite, or another shape.
     """
-    point_m = np.asarray(point_m, np.float64).reshape(-1, 3)
+    point_m = np.asarray(point_m, np.float64)
+    if point_m.ndim != 2 or point_m.shape[1] != 3 or not np.isfinite(point_m).all():
+        raise ValueError(f"point_m: expected finite numbers of shape [point, 3], got {list(point_m.shape)}")
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")
-    if not np.isfinite(point_m).all():
-        raise ValueError("point_m has values that are not finite")
     if len(point_m) <= count:
         return np.arange(len(point_m))
     order = np.random.default_rng(seed).permutation(len(point_m))
-    shuffled = point_m[order]
-    low_m, high_m = 0.0, float(np.linalg.norm(np.ptp(point_m, axis=0)))
-    spacing_m = high_m / np.sqrt(count)
-    chosen = np.arange(1)
-    for _ in range(20):
-        chosen = _spaced(shuffled, spacing_m)
-        if abs(len(chosen) - count) <= 0.03 * count:
+    shuffled = point_m[order] - point_m.mean(axis=0)
+    spacing_m, exponent = _guessed_spacing_m(shuffled, count)
+    best, low_m, high_m = np.arange(1), 0.0, np.inf
+    for _ in range(12):
+        if not low_m < spacing_m < high_m or spacing_m <= 0.0:
             break
-        if len(chosen) > count:
-            low_m = spacing_m
-        else:
-            high_m = spacing_m
-        guess_m = spacing_m * np.sqrt(len(chosen) / count)  # exact for a surface much denser than the spacing
-        spacing_m = guess_m if low_m < guess_m < high_m else 0.5 * (low_m + high_m)
-    return np.sort(order[chosen])
+        chosen = _spaced(shuffled, spacing_m)
+        if abs(len(chosen) - count) < abs(len(best) - count):
+            best = chosen
+        if abs(len(best) - count) <= max(0.03 * count, 1.0):
+            break
+        low_m, high_m = (spacing_m, high_m) if len(chosen) > count else (low_m, spacing_m)
+        spacing_m *= (len(chosen) / count) ** (1.0 / exponent)
+        if not low_m < spacing_m < high_m:
+            spacing_m = 0.5 * (low_m + high_m)
+    return np.sort(order[best])
+
+
+def _guessed_spacing_m(point_m: np.ndarray, count: int) -> tuple[float, float]:
+    """A spacing that leaves nearly ``count`` points, and by which power of it their number falls.
+
+    Disks of a spacing leave as many points as there are points in cells of 1.55 times that length (1.35 to 1.65 for
+    clouds of vehicles and streets); cells are counted faster.
+    """
+    from_corner_m = point_m - point_m.min(axis=0)
+
+    def occupied(cell_m: float) -> int:
+        index = (from_corner_m * (1.0 / cell_m)).astype(np.int64)
+        is_taken = np.zeros(1 << 22, bool)  # a hash table: that cells fall together matters little
+        is_taken[(index @ _HASH_FACTORS) & (len(is_taken) - 1)] = True
+        return np.count_nonzero(is_taken)
+
+    high_m = float(from_corner_m.max())
+    low_m = high_m / 2**20
+    if low_m == 0.0:
+        return 0.0, 2.0
+    while high_m > 1.05 * low_m:
+        cell_m = float(np.sqrt(low_m * high_m))
+        low_m, high_m = (cell_m, high_m) if occupied(cell_m) > count else (low_m, cell_m)
+    fall = np.log(occupied(high_m) / occupied(1.5 * high_m)) / np.log(1.5)
+    return high_m / 1.55, float(np.clip(fall, 0.3, 3.0))
 
 
 def _spaced(point_m: np.ndarray, spacing_m: float) -> np.ndarray:
