@@ -119,7 +119,8 @@ class _Caster:
 
         scene = world.scene
         there = [k for k, vehicle in enumerate(scene.vehicles) if vehicle.instance_id in spawned]
-        meshes = [scene.environment, scene.ego, *(scene.vehicles[k].mesh for k in there)]
+        around = merge([scene.environment, *(other.mesh for other in scene.others)])
+        meshes = [around, scene.ego, *(scene.vehicles[k].mesh for k in there)]
         counts = [len(mesh.triangle) for mesh in meshes]
         whole = merge(meshes)
         self._corner_m = whole.vertex_m[whole.triangle]
@@ -183,6 +184,5 @@ class _Caster:
 
 def _sky_rgb(sky: Sky, direction: np.ndarray) -> np.ndarray:
     """Colour of the sky along rays, 0..255."""
-    up = direction[:, 2] / np.linalg.norm(direction, axis=1)
-    share = np.clip(up, 0.0, 1.0)[:, None]
+    share = sky.zenith_share(direction[:, 2] / np.linalg.norm(direction, axis=1))[:, None]
     return (1.0 - share) * sky.horizon_rgb + share * sky.zenith_rgb

@@ -74,7 +74,7 @@ def reconstruct(
 
     def work(job: tuple[str, ObjectCloud, int, MeshSettings]) -> Mesh:
         name, one, instance_id, how = job
-        mesh = _object_mesh(one, images, instance_id, how, settings)
+        mesh = object_mesh(one, images, instance_id, how, settings)
         if len(mesh.triangle) == 0:
             raise InputError(f"{capture.name}: {name}: expected a surface through its points, got none")
         if on_object is not None:
@@ -97,13 +97,22 @@ def reconstruct(
     )
 
 
-def _object_mesh(
+def object_mesh(
     one: ObjectCloud,
     images: Sequence[CapturedImage],
     instance_id: int,
     how: MeshSettings,
     settings: ReconstructionSettings,
 ) -> Mesh:
+    """The surface of one object: no triangles where none goes through its points.
+
+    Args:
+        one: Its points, and rays through its window panes.
+        images: All images of the capture, for its colours.
+        instance_id: Its value in the instance images.
+        how: How fine it becomes.
+        settings: Method and seed.
+    """
     chosen = one.cloud.chosen(thin_out(one.cloud.point_m, how.point_count, seed=settings.seed))
     normal = oriented_normals(chosen.point_m, chosen.sensor_m)
     vertex_m, triangle = SURFACE_METHODS[settings.method](
@@ -187,7 +196,7 @@ def _sky(images: Sequence[CapturedImage], far_depth_m: float) -> Sky:
         ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)
         up = (ray @ image.view.ego_from_camera[2, :3]) / np.linalg.norm(ray, axis=1)
         above = up > 0.0
-        shares.append(up[above])
+        shares.append(Sky.zenith_share(up[above]))
         colours.append(image.rgb[row[above], column[above]])
     share, colour = np.concatenate(shares), np.concatenate(colours).astype(np.float64)
     if len(share) < 3:

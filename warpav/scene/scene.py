@@ -86,6 +86,11 @@ class Sky:
     horizon_rgb: np.ndarray
     zenith_rgb: np.ndarray
 
+    @staticmethod
+    def zenith_share(elevation_sine: np.ndarray) -> np.ndarray:
+        """Share of the zenith's colour at the sine of an elevation, 0..1: 0 at the horizon and below, 1 overhead."""
+        return 1.0 - (1.0 - np.clip(elevation_sine, 0.0, 1.0)) ** 2
+
 
 BLACK_SKY = Sky(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
 
