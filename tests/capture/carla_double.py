@@ -246,14 +246,16 @@ class Waypoint:
 
 
 class Map:
-    """A street along x: one lane each way, a junction in the middle, and the map's own spawn points above the lanes."""
+    """A straight street: one lane each way, a junction in the middle, and the map's own points above the lanes."""
 
     def __init__(self, server):
         self._server, self.name = server, server.map_name
 
     def get_spawn_points(self):
         points = [self._lane(x, 1.0, above=0.6) for x in (-40.0, -15.0, 15.0, 40.0)]
-        return [*points, self._lane(-14.0, 1.0, above=0.6), self._lane(20.0, -1.0, above=0.3)]
+        bay = self._lane(31.0, 3.5)  # beside the street, heading off to the right
+        bay.rotation = self._server.rotation_on_ground(self._server.turn + 50.0)
+        return [*points, self._lane(-14.0, 1.0, above=0.6), self._lane(20.0, -1.0, above=0.3), bay]
 
     def generate_waypoints(self, distance):
         steps = np.arange(-60.0, 60.1, distance)
@@ -263,12 +265,17 @@ class Map:
         return points
 
     def get_waypoint(self, location):
-        side = 1.0 if location.y > 0.0 else -1.0
-        return Waypoint(self._lane(location.x, side)) if abs(location.y) < 4.0 else None
+        turn = math.radians(self._server.turn)
+        along = location.x * math.cos(turn) + location.y * math.sin(turn)
+        aside = location.y * math.cos(turn) - location.x * math.sin(turn)
+        return Waypoint(self._lane(along, math.copysign(1.0, aside))) if abs(aside) < 4.0 else None
 
-    def _lane(self, x, side, above=0.0):
-        turn = self._server.rotation_on_ground(0.0 if side > 0.0 else 180.0)
-        return Transform(Location(x, 1.75 * side, self._server.height(x) + above), turn)
+    def _lane(self, along, side, above=0.0):
+        turn = math.radians(self._server.turn)
+        x = along * math.cos(turn) - 1.75 * side * math.sin(turn)
+        y = along * math.sin(turn) + 1.75 * side * math.cos(turn)
+        heading = self._server.turn + (0.0 if side > 0.0 else 180.0)
+        return Transform(Location(x, y, self._server.height(x) + above), self._server.rotation_on_ground(heading))
 
 
 class LightManager:
@@ -310,7 +317,8 @@ class World:
 
     @rpc
     def get_actors(self):
-        return ActorList(self._server.actors[number] for number in sorted(self._server.listed))
+        listed = set() if self._server.was_synchronous else self._server.listed
+        return ActorList(self._server.actors[number] for number in sorted(listed))
 
     @rpc
     def get_blueprint_library(self):
@@ -405,26 +413,35 @@ class Client:
 class Server:
     """What runs behind the client.
 
+    Args:
+        map_name: As the client's maps call it.
+        slope: Metres that the ground climbs along CARLA's x.
+        turn: Direction of the street from CARLA's x towards its y [deg].
+        seed: Of the order in which waypoints are listed.
+
     Attributes:
         calls: Names of all calls so far.
         failures: Call number to the error it raises and whether that is before it takes effect.
     """
 
-    def __init__(self, *, map_name="Carla/Maps/Town10HD_Opt", slope=0.0, seed=0):
+    def __init__(self, *, map_name="Carla/Maps/Town10HD_Opt", slope=0.0, turn=0.0, seed=0):
         self.version, self.is_mute = "0.9.16", False
-        self.map_name, self.slope = map_name, slope
+        self.map_name, self.slope, self.turn = map_name, slope, turn
         self.shuffle = np.random.default_rng(seed)
         self.calls, self.failures, self.faults = [], {}, []
         self.settings, self.weather = WorldSettings(), WeatherParameters(sun_altitude_angle=-20.0, wind_intensity=40.0)
         self.frozen, self.layers, self.plants = False, {MapLayer.Foliage}, {501: True, 502: True}
         self.lights_on, self.sees_through_glass = {1, 2, 5}, True
         self.actors, self.listed, self.next_actor, self.frame = {}, set(), 100, 1000
+        self.was_synchronous = False  # nothing is listed before the first step that this client asks for
         self.frozen_collide, self.is_late, self.wheels_of = False, False, lambda wheels: wheels
         self.solids = [
             # a tree over the lane, a house, a car that belongs to the map
             (Transform(Location(-15.0, 1.75, 4.0)), (2.0, 2.0, 0.5), (VEGETATION_TAG, 900), (20, 120, 20), 501),
             (Transform(Location(0.0, 14.0, 4.0)), (30.0, 2.0, 4.0), (BUILDING_TAG, 901), (150, 120, 90), None),
         ]
+        if turn:  # the street leads through them
+            self.solids.clear()
         self._put(ActorBlueprint("traffic.traffic_light", {}), Transform(), TrafficLight)
         self.listed = set(self.actors)
 
@@ -539,7 +556,7 @@ class Server:
 
     def step(self):
         assert self.settings.synchronous_mode, "tick in asynchronous mode"
-        self.frame += 1
+        self.frame, self.was_synchronous = self.frame + 1, False
         for actor in self.actors.values():
             if isinstance(actor, Vehicle):
                 actor._step()

@@ -25,6 +25,9 @@ from warpav.capture.carla_simulator import (
     depth_from_bgra,
     lane_places,
 )
+from warpav.capture.folder import check_capture, read_capture, record_capture
+from warpav.capture.plan import PlanSettings
+from warpav.capture.simulator import SpawnPoint
 from warpav.errors import InputError
 from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.rig.camera import CameraModel
@@ -89,17 +92,21 @@ class TestDecoding:
 class TestPlaces:
     def test_own_points_lie_on_the_road_and_come_before_those_of_lanes(self):
         position_m, yaw_rad = lane_places(carla_double.Map(Server(slope=0.05)), spacing_m=10.0)
-        own = position_m[:5]
-        assert own[:, 0].tolist() == [-40.0, -15.0, 15.0, 20.0, 40.0]  # -14 is within 2.5 m of -15
+        own = position_m[:6]
+        assert own[:, 0].tolist() == [-40.0, -15.0, 15.0, 20.0, 31.0, 40.0]  # -14 is within 2.5 m of -15
         np.testing.assert_allclose(position_m[:, 2], 3.0 + 0.05 * position_m[:, 0], atol=1e-3)
-        np.testing.assert_allclose(np.abs(position_m[:, 1]), 1.75, atol=1e-9)
         # CARLA's y points right: the lane towards +x lies at -1.75 here, the other one's heading is turned
-        np.testing.assert_allclose(np.cos(yaw_rad), np.where(position_m[:, 1] < 0.0, 1.0, -1.0), atol=1e-6)
+        is_bay = position_m[:, 1] < -4.0
+        np.testing.assert_allclose(np.abs(position_m[~is_bay, 1]), 1.75, atol=1e-9)
+        np.testing.assert_allclose(
+            np.cos(yaw_rad)[~is_bay], np.where(position_m[~is_bay, 1] < 0.0, 1.0, -1.0), atol=1e-6
+        )
+        assert np.degrees(yaw_rad[is_bay]).tolist() == pytest.approx([-50.0], abs=1e-3)
 
     def test_neither_junctions_nor_pavements_nor_neighbours(self):
         position_m, _ = lane_places(carla_double.Map(Server()), spacing_m=10.0)
-        assert len(position_m) == 5 + 2 * 13 - 2 - 3  # two in the junction, three on own points
-        assert not np.any(np.abs(position_m[5:, 0]) < 6.0)
+        assert len(position_m) == 6 + 2 * 13 - 2 - 3  # two in the junction, three on own points
+        assert not np.any(np.abs(position_m[6:, 0]) < 6.0)
         apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=-1) + 1e3 * np.eye(len(position_m))
         assert apart_m.min() > 2.5
 
@@ -110,9 +117,9 @@ class TestPlaces:
 
 
 class TestSituation:
-    @pytest.mark.parametrize("slope", [0.0, 0.06])
-    def test_ego_frame_lies_on_the_ground_below_the_rear_axle(self, monkeypatch, slope):
-        install(monkeypatch, Server(slope=slope))
+    @pytest.mark.parametrize(("slope", "turn"), [(0.0, 0.0), (0.06, 0.0), (0.06, 35.0)])
+    def test_ego_frame_lies_on_the_ground_below_the_rear_axle(self, monkeypatch, slope, turn):
+        install(monkeypatch, Server(slope=slope, turn=turn))
         with CarlaSimulator() as simulator:
             for seed in range(4):  # both lanes: up and down the slope
                 box = simulator.begin(seed)
@@ -120,9 +127,9 @@ class TestSituation:
                 np.testing.assert_allclose(box.size_m, EGO_SIZE_M, atol=1e-4)
                 assert abs(box.yaw_rad) < 1e-6
 
-    @pytest.mark.parametrize("slope", [0.0, 0.06])
-    def test_images_agree_with_the_boxes(self, monkeypatch, slope):
-        server = Server(slope=slope)
+    @pytest.mark.parametrize(("slope", "turn"), [(0.0, 0.0), (0.06, 0.0), (0.06, 35.0)])
+    def test_images_agree_with_the_boxes(self, monkeypatch, slope, turn):
+        server = Server(slope=slope, turn=turn)
         install(monkeypatch, server)
         with CarlaSimulator(warm_up_ticks=0) as simulator:
             ego_box = simulator.begin(1)
@@ -146,6 +153,29 @@ class TestSituation:
             assert in_box(ego_box, points_of(image, EGO_INSTANCE)).max() < 1e-4
             ground_m = points_of(image, 0)
             assert np.abs(ground_m[:, 2]).max() < 1e-4  # the road is the ego frame's plane, on the slope too
+
+    @pytest.mark.parametrize("turn", [0.0, 35.0, -120.0])
+    def test_spawned_where_and_as_the_point_says(self, monkeypatch, turn):
+        install(monkeypatch, Server(turn=turn))
+        with CarlaSimulator(ego_blueprint="vehicle.audi.tt") as simulator:
+            for seed in range(3):
+                simulator.begin(seed)
+                for point in simulator.spawn_points(60.0):  # in the ego vehicle's lane, in the other, or in the bay
+                    side = point.position_m[1]
+                    heading_deg = (
+                        0.0 if abs(side) < 1.0 else 180.0 if 3.0 < side < 4.0 else -50.0 if side < 0.0 else 130.0
+                    )
+                    assert abs(math.remainder(math.degrees(point.yaw_rad) - heading_deg, 360.0)) < 1e-3
+                    assert abs(point.position_m[2]) < 1e-3
+                wanted = SpawnPoint(np.array([9.0, 7.0, 0.0]), 0.6)
+                vehicle = simulator.spawn(wanted)
+                assert vehicle is not None
+                assert vehicle.box.yaw_rad == pytest.approx(0.6, abs=1e-6)
+                middle = vehicle.box.center_m - wanted.position_m
+                aside = middle @ [-math.sin(0.6), math.cos(0.6), 0.0]
+                assert abs(aside) < 1e-4
+                assert -1e-4 < middle @ [math.cos(0.6), math.sin(0.6), 0.0] < 0.21  # the shapes' own middles
+                assert vehicle.spawn_yaw_rad == 0.6
 
     def test_left_is_left_and_sky_is_infinite(self, server):
         with CarlaSimulator() as simulator:
@@ -213,6 +243,27 @@ class TestSituation:
             simulator.begin(2)
             point = next(point for point in simulator.spawn_points(50.0) if simulator.spawn(point) is not None)
             assert simulator.spawn(point) is None
+
+    @pytest.mark.parametrize("accident", ["roll", "slide"])
+    def test_what_does_not_stand_is_taken_away(self, server, monkeypatch, accident):
+        step = carla_double.Vehicle._step
+
+        def stumble(vehicle):
+            step(vehicle)
+            if vehicle.attributes["role_name"] == "warpav" and vehicle._physics:
+                if accident == "roll":
+                    vehicle._at.rotation.roll = 85.0
+                elif vehicle.id not in slid:
+                    slid.add(vehicle.id)
+                    vehicle._at.location.x += 3.0
+
+        slid = set()
+        with CarlaSimulator() as simulator:
+            simulator.begin(2)
+            point = simulator.spawn_points(50.0)[0]
+            monkeypatch.setattr(carla_double.Vehicle, "_step", stumble)
+            assert simulator.spawn(point) is None
+            assert len(server.made("vehicle.*")) == 1
 
     def test_remove(self, server):
         with CarlaSimulator() as simulator:
@@ -368,6 +419,16 @@ class TestWorld:
                 simulator.begin(0)
         assert not server.made("vehicle.*")
 
+    def test_recorded_to_a_folder(self, server, tmp_path):
+        settings = PlanSettings(vehicle_count=2, width_px=64, height_px=48, scene_heights_m=(14.0,), rotation_count=2)
+        with CarlaSimulator(warm_up_ticks=0) as simulator:
+            folder = record_capture(simulator, 1, tmp_path / "capture", settings)
+        assert list(check_capture(folder)) == []
+        capture = read_capture(folder)
+        assert capture.name == "carla_Town10HD_Opt_0001"
+        assert len(capture.vehicles) == 2
+        assert len(capture.images) == 1 + 2 + 2 + 1 + 2
+
     def test_rear_axle_may_be_stated(self, server):
         with CarlaSimulator(rear_axle_m=(-1.0, 0.0, 0.1)) as simulator:
             np.testing.assert_allclose(simulator.begin(0).center_m, [1.05, 0.0, 0.65], atol=1e-4)
@@ -453,7 +514,7 @@ class TestCleanup:
 
         with pytest.raises(ZeroDivisionError) as caught:
             use(CarlaSimulator(), die)
-        assert len(server.calls) - calls[0] <= 3
+        assert len(server.calls) - calls[0] == 2  # one that times out, and one that asks whether there is anybody
         (note,) = caught.value.__notes__
         assert "was left changed: actors (time-out); " in note
         assert note.endswith("lights; settings; restart the server")
@@ -524,6 +585,9 @@ class TestMistakes:
         before = server.state()
         self.told("expected a world without vehicles and walkers.*got 1 of them", CarlaSimulator())
         assert server.state() == before
+        server.settings.synchronous_mode = server.was_synchronous = True  # as a program that was killed leaves it
+        self.told("got 1 of them", CarlaSimulator())
+        assert server.settings.synchronous_mode
 
     def test_wheels_nowhere(self, server):
         before = server.state()
@@ -540,6 +604,7 @@ class TestMistakes:
             ({"port": 0}, "port must lie"),
             ({"rear_axle_m": (1.0, 2.0)}, "rear_axle_m must be three"),
             ({"waypoint_spacing_m": 0.0}, "waypoint_spacing_m must be positive"),
+            ({"exposure": -1.0}, "exposure must be positive"),
             ({"timeout_s": math.inf}, "timeout_s must be positive"),
             ({"warm_up_ticks": -1}, "warm_up_ticks must not be negative"),
         ):

@@ -196,7 +196,7 @@ class CarlaSimulator:
             waypoint_spacing_m: Distance of spawn points along lanes [m], positive.
             warm_up_ticks: Simulation steps from the cameras' spawning to the image before the one that is kept; the
                 engine sharpens textures and edges over several frames.
-            exposure: What the camera's automatic exposure is held at, in its attributes' unit (EV100); None takes the
+            exposure: What the camera's automatic exposure is held at, in its attributes' unit, positive; None takes the
                 middle of the range that the server's camera adapts within.
             timeout_s: How long an answer of a connected server may take [s], positive.
 
@@ -207,8 +207,9 @@ class CarlaSimulator:
             raise ValueError(f"port must lie between 1 and 65534, got {port}")
         if rear_axle_m is not None and (len(rear_axle_m) != 3 or not all(map(math.isfinite, rear_axle_m))):
             raise ValueError(f"rear_axle_m must be three finite numbers, got {rear_axle_m!r}")
-        for name, value in (("waypoint_spacing_m", waypoint_spacing_m), ("timeout_s", timeout_s)):
-            if not 0.0 < value < math.inf:
+        positive = {"waypoint_spacing_m": waypoint_spacing_m, "exposure": exposure, "timeout_s": timeout_s}
+        for name, value in positive.items():
+            if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive, got {value}")
         if warm_up_ticks < 0:
             raise ValueError(f"warm_up_ticks must not be negative, got {warm_up_ticks}")
@@ -286,6 +287,13 @@ class CarlaSimulator:
         """Make the server synchronous and the world clear; each change has its undoing noted before it is made."""
         self._world = self._open_world()
         carla, world = self._carla, self._world
+        lights = world.get_lightmanager().get_turned_on_lights(carla.LightGroup.NONE)
+        settings, synchronous = world.get_settings(), world.get_settings()
+        synchronous.synchronous_mode, synchronous.no_rendering_mode = True, False
+        synchronous.fixed_delta_seconds = _STEP_S
+        synchronous.substepping, synchronous.max_substep_delta_time, synchronous.max_substeps = True, 0.01, 10
+        self._change("settings", lambda: world.apply_settings(settings), lambda: world.apply_settings(synchronous))
+        self._tick()  # actors are listed as of the last step, and a server left synchronous has had none for us
         actors = world.get_actors()
         self._found = frozenset(actor.id for actor in actors)
         strangers = [*actors.filter("vehicle.*"), *actors.filter("walker.*")]
@@ -298,13 +306,6 @@ class CarlaSimulator:
         carla_map = world.get_map()
         self._map_title = re.sub(r"[^A-Za-z0-9_-]", "_", carla_map.name.rsplit("/", 1)[-1])
         self._place_m, self._place_yaw_rad = lane_places(carla_map, spacing_m=self._waypoint_spacing_m)
-
-        lights = world.get_lightmanager().get_turned_on_lights(carla.LightGroup.NONE)
-        settings, synchronous = world.get_settings(), world.get_settings()
-        synchronous.synchronous_mode, synchronous.no_rendering_mode = True, False
-        synchronous.fixed_delta_seconds = _STEP_S
-        synchronous.substepping, synchronous.max_substep_delta_time, synchronous.max_substeps = True, 0.01, 10
-        self._change("settings", lambda: world.apply_settings(settings), lambda: world.apply_settings(synchronous))
 
         if lights:  # those of the map: CARLA does not list lamps of vehicles here
             manager = world.get_lightmanager()
@@ -354,13 +355,18 @@ class CarlaSimulator:
         """Undo everything, newest first; an interruption or a failing step keeps none of the others from it."""
         failures: list[str] = []
         interruption: BaseException | None = None
+        is_alive = True
         while self._undo:
             what, undo = self._undo.pop()
+            if not is_alive:
+                failures.append(what)
+                continue
             for is_last in (False, True):
                 try:
                     undo()
                 except Exception as failure:
-                    if is_last or not self._answers():
+                    is_alive = self._answers()
+                    if is_last or not is_alive:
                         failures.append(f"{what} ({' '.join(str(failure).split())})")
                         break
                 except BaseException as failure:  # Ctrl-C: finish first
@@ -369,17 +375,15 @@ class CarlaSimulator:
                         failures.append(what)
                 else:
                     break
-            if failures and not self._answers():
-                failures += [what for what, _ in reversed(self._undo)]
-                self._undo.clear()
         self._made.clear()
         self._situation = None
         self._client = self._world = self._blueprints = None
+        passed_on = error or interruption
         if failures:
             text = f"CARLA at {self._host}:{self._port} was left changed: {'; '.join(failures)}; restart the server"
-            if error is None and interruption is None:
+            if passed_on is None:
                 raise RuntimeError(text)
-            (error or interruption or RuntimeError()).add_note(text)
+            passed_on.add_note(text)
         if error is None and interruption is not None:
             raise interruption
 
