@@ -20,7 +20,7 @@ MAX_NODE_COUNT = 20_000_000
 _SPARSE_LEVELS = 3  # grids on which points are splat: cells of 1, 2 and 4 times the length
 _LEAST_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
 _COARSEST_CELLS = 8  # along the shortest side
-_COARSEST_STEPS = 10
+_COARSEST_STEPS = 20
 _CYCLES = 2  # of every level
 _COARSE_SCREEN = 0.7  # from level to level: a field that is 0 between two nodes is not 0 on them
 _GPU_LANES = 32
@@ -66,21 +66,21 @@ def poisson_surface(
     return _contour(grids[0].field.numpy(), lower_m, cell_m, device)
 
 
-def checked_points(point_m: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals as float64.
+def checked_points(point_m: np.ndarray, normal: np.ndarray, name: str = "normal") -> tuple[np.ndarray, np.ndarray]:
+    """Points and what belongs to each, [point, 3] both, as float64; ``name`` is what messages call the latter.
 
     Raises:
         ValueError: Fewer than 4 points, values that are not finite, or shapes that do not fit.
     """
     point_m, normal = np.asarray(point_m, np.float64), np.asarray(normal, np.float64)
-    for name, array in (("point_m", point_m), ("normal", normal)):
+    for what, array in (("point_m", point_m), (name, normal)):
         if array.ndim != 2 or array.shape[1] != 3 or len(array) < 4:
-            raise ValueError(f"{name}: expected shape [4 or more, 3], got {list(array.shape)}")
+            raise ValueError(f"{what}: expected shape [4 or more, 3], got {list(array.shape)}")
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if len(bad):
-            raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]].tolist()}; {len(bad)} of {len(array)} not finite")
+            raise ValueError(f"{what}[{bad[0]}] is {array[bad[0]].tolist()}; {len(bad)} of {len(array)} not finite")
     if point_m.shape != normal.shape:
-        raise ValueError(f"expected as many normals as points, got {len(normal)} and {len(point_m)}")
+        raise ValueError(f"{name}: expected one for each of {len(point_m)} points, got {len(normal)}")
     return point_m, normal
 
 

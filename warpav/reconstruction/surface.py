@@ -79,7 +79,7 @@ def _guessed_spacing_m(point_m: np.ndarray, count: int) -> tuple[float, float]:
         index = (from_corner_m * (1.0 / cell_m)).astype(np.int64)
         is_taken = np.zeros(1 << 22, bool)  # a hash table: that cells fall together matters little
         is_taken[(index @ _HASH_FACTORS) & (len(is_taken) - 1)] = True
-        return np.count_nonzero(is_taken)
+        return int(np.count_nonzero(is_taken))
 
     high_m = float(from_corner_m.max())
     low_m = high_m / 2**20
@@ -135,7 +135,7 @@ def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_cou
     Raises:
         ValueError: Fewer than 4 points, values that are not finite, or shapes that do not fit.
     """
-    point_m, sensor_m = checked_points(point_m, sensor_m)
+    point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
     if neighbour_count < 3:
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
     count = min(neighbour_count, len(point_m))
@@ -145,7 +145,7 @@ def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_cou
     spread_m2 = np.empty((len(point_m), 3, 3))
     for i in range(3):
         for j in range(i, 3):
-            product_m2 = np.einsum("pn,pn->p", offset_m[i], offset_m[j]) / count - mean_m[i] * mean_m[j]
+            product_m2 = np.einsum("pk,pk->p", offset_m[i], offset_m[j]) / count - mean_m[i] * mean_m[j]
             spread_m2[:, i, j] = spread_m2[:, j, i] = product_m2
     _, axes = np.linalg.eigh(spread_m2)
     normal = axes[:, :, 0]
@@ -154,7 +154,9 @@ def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_cou
 
 
 def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surface as the zero level of the distances to the planes of nearby points, by VTK; open where points end.
+    """Surface as the zero level of the distances to the planes of nearby points, by VTK.
+
+    Open where points end, with sheets of nothing at the far side of the band of known distances: trim it.
 
     Args:
         point_m: Points [m] in any frame, shape [point, 3].
@@ -171,7 +173,9 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
     from vtkmodules.vtkFiltersPoints import vtkExtractSurface, vtkSignedDistance
 
     point_m, normal = checked_points(point_m, normal)
-    cloud = _vtk_cloud(point_m, {"normal": normal})
+    middle_m = point_m.mean(axis=0)  # VTK computes this filter in single precision
+    point_m = point_m - middle_m
+    cloud = _vtk_cloud(point_m.astype(np.float32), {"normal": normal.astype(np.float32)})
     cloud.GetPointData().SetActiveNormals("normal")
     reach_m = 3.0 * cell_m
     low_m, high_m = point_m.min(axis=0) - reach_m, point_m.max(axis=0) + reach_m
@@ -189,7 +193,7 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
     mesh = surface.GetOutput()
     if mesh.GetNumberOfCells() == 0:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
-    vertex_m = np.array(vtk_to_numpy(mesh.GetPoints().GetData()), np.float32)
+    vertex_m = (vtk_to_numpy(mesh.GetPoints().GetData()) + middle_m).astype(np.float32)
     return vertex_m, np.array(vtk_to_numpy(mesh.GetPolys().GetConnectivityArray()), np.int32).reshape(-1, 3)
 
 
