@@ -5,6 +5,7 @@ import inspect
 import math
 import socket
 import sys
+import threading
 import time
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.capture import carla_double
 from tests.capture.carla_double import Server, install
 from warpav.capture.capture import EGO_INSTANCE, CaptureView, ViewKind
 from warpav.capture.carla_simulator import (
+    _VERSION_REQUEST,
     CarlaSimulator,
     _actor_from_ego,
     _clear_noon,
@@ -21,6 +23,7 @@ from warpav.capture.carla_simulator import (
     _overlap,
     _pose,
     _transform,
+    _unreachable,
     code_from_bgra,
     depth_from_bgra,
     lane_places,
@@ -554,7 +557,11 @@ class TestMistakes:
         monkeypatch.setitem(sys.modules, "carla", Server().module())
         self.told("the host's name is not known", CarlaSimulator(host="no host"))
 
-    def test_something_else_listens(self, server):
+    def test_server_that_speaks_is_reached(self):
+        with listener(b"\x94\x01\x01\xc0\x92\x00") as port:
+            assert _unreachable("127.0.0.1", port) is None
+
+    def test_answer_of_no_use(self, server):
         server.is_mute = True
         self.told(r"expected a CARLA server at 127.0.0.1:2000, got no answer \(time-out", CarlaSimulator())
 
@@ -716,16 +723,51 @@ class TestWheel:
                 checked += 1
         assert checked > 60
 
-    def test_missing_server_with_the_real_client(self, carla):
-        with socket.socket() as mute:
-            mute.bind(("127.0.0.1", 0))
-            mute.listen()
-            begun_s = time.monotonic()
-            port = mute.getsockname()[1]
-            with pytest.raises(InputError, match=rf"expected a CARLA server at 127.0.0.1:{port}") as caught:
-                CarlaSimulator(port=port).__enter__()
-            assert time.monotonic() - begun_s < 5.0
-            assert "\n" not in str(caught.value)
+    def test_something_that_is_no_server(self, carla):
+        """The real client would wait for the silent one, and end the process at the talkative one."""
+        for answer, match in (
+            (None, "no answer within 2.5 s"),
+            (b"HTTP/1.1 400 \r\n", "an answer that is not CARLA's"),
+        ):
+            with listener(answer) as port:
+                begun_s = time.monotonic()
+                with pytest.raises(InputError, match=rf"a server at 127.0.0.1:{port}, got: {match}") as caught:
+                    CarlaSimulator(port=port).__enter__()
+                assert time.monotonic() - begun_s < 5.0
+                assert "\n" not in str(caught.value)
+
+    def test_server_is_asked_as_the_client_asks(self, carla):
+        heard = []
+        with listener(None, heard) as port:
+            client = carla.Client("127.0.0.1", port)
+            client.set_timeout(0.5)
+            with pytest.raises(RuntimeError, match="time-out"):
+                client.get_server_version()
+        assert heard == [_VERSION_REQUEST]
+
+
+@contextlib.contextmanager
+def listener(answer, heard=None):
+    """A port behind which something says one thing, or nothing, to the first who asks."""
+    with socket.socket() as waiting:
+        waiting.bind(("127.0.0.1", 0))
+        waiting.listen()
+        is_over = threading.Event()
+
+        def serve():
+            with waiting.accept()[0] as connection:
+                question = connection.recv(4096)
+                if heard is not None:
+                    heard.append(question)
+                if answer is not None:
+                    connection.sendall(answer)
+                is_over.wait(10.0)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield waiting.getsockname()[1]
+        is_over.set()
+        thread.join(10.0)
 
 
 _OPENDRIVE = """<?xml version="1.0"?>

@@ -45,7 +45,9 @@ DEPTH_RANGE_M = 1000.0
 """Where the depth camera's 24 bits end [m]."""
 _SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
 
-_REACH_S, _ANSWER_S = 2.0, 2.5  # together below the 5 s within which a missing server is told
+_REACH_S, _ANSWER_S = 2.5, 2.0  # together below the 5 s within which a missing server is told
+_VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
+_ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
 _STEP_S = 0.05
 _EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehicle.tesla.model3")
 _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
@@ -752,7 +754,10 @@ def _import_carla() -> ModuleType:
 
 
 def _unreachable(host: str, port: int) -> str | None:
-    """Why nothing listens there, or None; the client itself would wait for its whole time-out."""
+    """Why no CARLA server is there, or None.
+
+    It is asked for its version in the client's own words: whatever else answers a client, ends the whole process there.
+    """
     deadline_s = time.monotonic() + _REACH_S
     fault = "no address"
     try:
@@ -764,9 +769,16 @@ def _unreachable(host: str, port: int) -> str | None:
             with socket.socket(family, kind, protocol) as probe:
                 probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
                 probe.connect(address)
-                return None
+                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
+                probe.sendall(_VERSION_REQUEST)
+                answer, length = b"", len(_ANSWER_BEGINS)
+                while len(answer) < length and (part := probe.recv(length - len(answer))):
+                    answer += part
+                if answer == _ANSWER_BEGINS:
+                    return None
+                fault = "an answer that is not CARLA's"
         except TimeoutError:
-            fault = f"no connection within {_REACH_S:g} s"
+            fault = f"no answer within {_REACH_S:g} s"
         except OSError as error:
             fault = (error.strerror or str(error)).lower()
     return fault
