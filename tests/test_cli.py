@@ -348,7 +348,7 @@ def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
 
 def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
     assert main(["scenes", "make", "--seeds", "[5]", "--out", "scenes"]) == 0
-    assert os.listdir("scenes") == ["scene_5.glb"]
+    assert sorted(os.listdir("scenes")) == ["collection.json", "scene_5.glb"]
     assert main(["scenes", "show", "scenes/scene_5.glb", "--out", "scene.png"]) == 0
     assert cv2.imread("scene.png").std() > 5.0
     argv = ["render", "scenes/scene_5.glb", "--rig", "highest", "--out", "images", "rig.cameras=2"]

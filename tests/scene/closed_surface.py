@@ -26,7 +26,7 @@ def signed_volume_m3(mesh):
     return float(np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0)
 
 
-def back_face_share(mesh, rng, ray_count=20_000):
+def back_face_share(mesh, rng, ray_count=20_000, hit_share_min=0.2):
     """Share of the rays from outside that hit the mesh and meet the back of a triangle first."""
     low, high = mesh.bounds_m().astype(np.float64)
     middle, radius = 0.5 * (low + high), np.linalg.norm(high - low)
@@ -40,5 +40,5 @@ def back_face_share(mesh, rng, ray_count=20_000):
     corner = mesh.vertex_m[mesh.triangle[hit[hit >= 0]]].astype(np.float64)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     facing = np.einsum("ij,ij->i", normal, direction[hit >= 0])
-    assert len(facing) > 0.2 * ray_count
+    assert len(facing) > hit_share_min * ray_count
     return float(np.mean(facing > 0.0))

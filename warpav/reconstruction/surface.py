@@ -121,7 +121,7 @@ def _vtk_cloud(point_m: np.ndarray, arrays: dict[str, np.ndarray]) -> vtkPolyDat
     return cloud
 
 
-def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 24) -> np.ndarray:
+def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 16) -> np.ndarray:
     """Normals of the planes through each point's neighbours, turned towards the sensor that recorded the point.
 
     Args:
@@ -428,7 +428,7 @@ def _nksr(
     """Neural kernel surface reconstruction (Huang et al., 2023) as installed by the user; the thesis's method."""
     try:
         import nksr  # pyright: ignore[reportMissingImports]
-        import torch
+        import torch  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError(
             f"surface method nksr: expected the packages nksr and torch, got {error}; install them as"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpav.geometry.mesh import Mesh
+from warpav.scene.ground import Ground
 from warpav.scene.town_layout import Block, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13
@@ -12,6 +13,9 @@ _KERB_WIDTH_M = 0.16
 _MARKING_HEIGHT_M = 0.004
 _SHADOW_HEIGHT_M = 0.008
 _SHADOW_SEGMENTS = 24
+_FOOT_SHADOW = 0.5  # strength of a person's shadow
+_PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
+_FOOT_HEIGHT_M = 0.3  # what is lower belongs to the ground, or to the foot of a wall that stands on it
 # How far each ring of a contact shadow lies outside the vehicle's outline [m], and the light that is left there.
 _SHADOW_RINGS = ((-0.50, 0.16), (-0.12, 0.20), (0.03, 0.45), (0.16, 0.74), (0.36, 1.0))
 _GROUND_CELL_M, _YARD_CELL_M = 3.0, 16.0
@@ -36,15 +40,27 @@ _ROOF_COLOURS = np.array([(0.44, 0.32, 0.28), (0.38, 0.38, 0.40), (0.48, 0.37, 0
 class SceneryBuilder:
     """Collects coloured quads; colours are sRGB 0..1."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, ground: Ground) -> None:
+        """Nothing yet.
+
+        Args:
+            rng: Draws colours, houses and their windows.
+            ground: What everything stands on; heights above are heights above it.
+        """
         self._rng = rng
+        self._ground = ground
         self._quad: list[np.ndarray] = []
         self._colour: list[np.ndarray] = []
+        self._house_x_m = np.nan  # houses are level: they stand on the ground of their middle
         self.asphalt_grey = float(rng.uniform(0.33, 0.41))
         self._pavement_grey = float(rng.uniform(0.52, 0.60))
 
     def add_quads(self, corner_m: np.ndarray, colour: np.ndarray) -> None:
         """Add quads [quad, 4, 3], counter-clockwise seen from outside; colours broadcast to the same shape."""
+        if not self._ground.is_level:
+            follows = (corner_m[..., 2] < _FOOT_HEIGHT_M) | np.isnan(self._house_x_m)
+            x = np.where(follows, corner_m[..., 0], self._house_x_m)
+            corner_m = corner_m + self._ground.height_m(x)[..., None] * np.array([0.0, 0.0, 1.0])
         self._quad.append(corner_m)
         self._colour.append(np.broadcast_to(colour, corner_m.shape))
 
@@ -59,10 +75,16 @@ class SceneryBuilder:
         """Add a level rectangle in cells of a few metres whose brightness varies by ``mottle``."""
         x_low, y_low, x_high, y_high = rectangle_m
         columns, rows = (max(1, round(extent / cell_m)) for extent in (x_high - x_low, y_high - y_low))
-        x, y = np.meshgrid(np.linspace(x_low, x_high, columns + 1), np.linspace(y_low, y_high, rows + 1), indexing="ij")
+        x, y = np.meshgrid(self._columns(x_low, x_high, columns), np.linspace(y_low, y_high, rows + 1), indexing="ij")
         point = np.stack([x, y, np.full_like(x, height_m)], axis=-1)
         shade = colour + mottle * self._rng.standard_normal(x.shape)[..., None]
         self._add_sheet(point, shade)
+
+    def _columns(self, low_m: float, high_m: float, count: int) -> np.ndarray:
+        """X of the grid lines from low to high: ``count`` cells, or cells that end where the ground bends."""
+        if self._ground.is_level:
+            return np.linspace(low_m, high_m, count + 1)
+        return np.r_[low_m, self._ground.knots_m(low_m, high_m), high_m]
 
     def add_asphalt(self, rectangle_m: Rectangle) -> None:
         """Add road surface."""
@@ -71,7 +93,7 @@ class SceneryBuilder:
     def add_marking(self, marking: Marking) -> None:
         """Add a painted rectangle."""
         x_low, y_low, x_high, y_high = marking.rectangle_m
-        along = np.linspace(x_low, x_high, max(1, round((x_high - x_low) / 16.0)) + 1)
+        along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")
         point = np.stack([x, y, np.full_like(x, _MARKING_HEIGHT_M)], axis=-1)
         self._add_sheet(point, np.full(3, marking.brightness))
@@ -80,34 +102,68 @@ class SceneryBuilder:
         self, center_m: np.ndarray, yaw_rad: float, length_m: float, width_m: float, index: int
     ) -> None:
         """Add the shadow below a vehicle: dark in the middle, fading into the asphalt; `index` keeps shadows apart."""
+        grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
+        self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0)
+
+    def add_foot_shadow(
+        self, center_m: np.ndarray, yaw_rad: float, size_m: tuple[float, float], index: int, pavement_share: float
+    ) -> None:
+        """Add the small shadow below a person.
+
+        Args:
+            center_m: Where the person is [m], shape [2 or more].
+            yaw_rad: Heading.
+            size_m: Length and width of the person [m].
+            index: Keeps shadows apart.
+            pavement_share: How far from the kerb to the houses the person is, 0..1; below 0 on the road.
+        """
+        if pavement_share < 0.0:
+            height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
+        else:
+            height, grey = KERB_HEIGHT_M, self._pavement_rgb() * (1.0 - _PAVEMENT_FADE * pavement_share)
+        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW)
+
+    def _add_shadow(
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        size_m: tuple[float, float],
+        height_m: float,
+        grey: np.ndarray,
+        strength: float,
+    ) -> None:
+        """Rings around the outline of something; weak shadows are narrow, too."""
         angle = np.linspace(0.0, 2.0 * np.pi, _SHADOW_SEGMENTS + 1)
         cosine, sine = np.cos(angle), np.sin(angle)
         # A superellipse: a rectangle with rounded corners.
         unit = np.stack([np.sign(cosine) * np.abs(cosine) ** 0.35, np.sign(sine) * np.abs(sine) ** 0.35], axis=-1)
-        half = np.array([0.5 * length_m, 0.5 * width_m])
-        local = np.stack([0.0 * unit, *(unit * (half + grow) for grow, _ in _SHADOW_RINGS)])
+        half = 0.5 * np.array(size_m)
+        rings = [unit * np.maximum(half + strength * grow, 0.02) for grow, _ in _SHADOW_RINGS]
+        local = np.stack([0.0 * unit, *rings])
         light = np.array([_SHADOW_RINGS[0][1], *(light for _, light in _SHADOW_RINGS)])
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         x = center_m[0] + c * local[..., 0] - s * local[..., 1]
         y = center_m[1] + s * local[..., 0] + c * local[..., 1]
-        point = np.stack([x, y, np.full_like(x, _SHADOW_HEIGHT_M + 0.0004 * index)], axis=-1)
-        shade = light[:, None, None] * self.asphalt_grey * np.array([1.0, 1.0, 1.015])
+        point = np.stack([x, y, np.full_like(x, height_m + self._ground.bulge_m(x.min(), x.max()))], axis=-1)
+        shade = (1.0 - strength * (1.0 - light))[:, None, None] * grey
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
+
+    def _pavement_rgb(self) -> np.ndarray:
+        return self._pavement_grey * np.array([1.02, 1.0, 0.97])
 
     def add_block(self, block: Block) -> None:
         """Add kerb, pavement and the houses of a block."""
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)
-        pavement = self._pavement_grey * np.array([1.02, 1.0, 0.97])
-        outer = _rounded_loop(block, 0.0)
-        edge = _rounded_loop(block, _KERB_WIDTH_M)
-        inner = _rounded_loop(block, block.pavement_m)
+        pavement = self._pavement_rgb()
+        knots = self._ground.knots_m(x_low, x_high)
+        outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, _KERB_WIDTH_M, block.pavement_m))
         low, high = np.zeros(len(outer)), np.full(len(outer), KERB_HEIGHT_M)
         self._add_sheet(np.stack([np.c_[outer, low], np.c_[outer, high]], axis=1), np.stack([kerb_colour * 0.72] * 2))
         self._add_sheet(np.stack([np.c_[outer, high], np.c_[edge, high]], axis=1), kerb_colour)
         wall = np.minimum(1.0, 1.0 + 0.015 * rng.standard_normal((len(outer), 1, 1)))
-        shade = np.stack([pavement, pavement * 0.86]) * wall
+        shade = np.stack([pavement, pavement * (1.0 - _PAVEMENT_FADE)]) * wall
         self._add_sheet(np.stack([np.c_[edge, high], np.c_[inner, high]], axis=1), shade)
         if block.corner_m > 0.0:
             for x, y in ((x_low, y_low), (x_high - block.corner_m, y_low), (x_low, y_high - block.corner_m),
@@ -140,6 +196,7 @@ class SceneryBuilder:
 
     def _add_house(self, left: np.ndarray, direction: np.ndarray, width: float) -> None:
         rng = self._rng
+        self._house_x_m = float(left[0] + 0.5 * width * direction[0])
         outward = np.array([direction[1], -direction[0]])
         floors = int(rng.integers(2, 5))
         height = _GROUND_FLOOR_M + floors * _FLOOR_M - 0.2
@@ -160,6 +217,7 @@ class SceneryBuilder:
             self.add_quads(gable, wall * 0.95)
         else:
             self.add_quads(top[None], roof)
+        self._house_x_m = np.nan
 
     def _add_front(
         self, left: np.ndarray, direction: np.ndarray, width: float, height: float, wall: np.ndarray
@@ -234,8 +292,11 @@ def _cells(grid: np.ndarray) -> np.ndarray:
     return np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 
 
-def _rounded_loop(block: Block, inset_m: float) -> np.ndarray:
-    """Outline of a block, counter-clockwise, closed, moved inwards by `inset_m`; always the same number of points."""
+def _rounded_loop(block: Block, inset_m: float, knots_m: np.ndarray) -> np.ndarray:
+    """Outline of a block, counter-clockwise, closed, moved inwards by `inset_m`; always the same number of points.
+
+    Sides along x have a point wherever the ground bends; near the corners several may fall together.
+    """
     x_low, y_low, x_high, y_high = block.rectangle_m
     radius = max(block.corner_m - inset_m, 0.0)
     points = []
@@ -249,6 +310,10 @@ def _rounded_loop(block: Block, inset_m: float) -> np.ndarray:
     for index, arc in enumerate(points):
         following = points[(index + 1) % 4][0]
         pieces = max(1, round((y_high - y_low if index % 2 == 0 else x_high - x_low) / 6.0))
-        loop += [arc, arc[-1] + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (following - arc[-1])]
+        share = np.linspace(0.0, 1.0, pieces + 1)[1:-1]
+        if index % 2 == 1 and len(knots_m):
+            share = np.clip((knots_m - arc[-1, 0]) / (following[0] - arc[-1, 0]), 0.0, 1.0)
+            share.sort()
+        loop += [arc, arc[-1] + share[:, None] * (following - arc[-1])]
     loop.append(points[0][:1])
     return np.concatenate(loop)

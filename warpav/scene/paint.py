@@ -44,69 +44,52 @@ class Material(enum.IntEnum):
     SHOE = 23
     BAG = 24
     HELMET = 25
+    METAL = 26
+    WOOD = 27
+    PANE = 28
+    CONE = 29
+    SAND = 30
+    STONE = 31
+    GO = 32
 
 
-# Linear albedo and mirror strength of each material, in the order of Material.
-_ALBEDO = np.array(
-    [
-        (0.50, 0.50, 0.50),
-        (0.012, 0.014, 0.016),
-        (0.026, 0.026, 0.028),
-        (0.050, 0.050, 0.052),
-        (0.45, 0.46, 0.48),
-        (0.80, 0.82, 0.85),
-        (0.50, 0.010, 0.008),
-        (0.85, 0.85, 0.83),
-        (0.80, 0.62, 0.08),
-        (0.006, 0.006, 0.006),
-        (0.58, 0.58, 0.60),
-        (0.028, 0.028, 0.028),
-        (0.012, 0.012, 0.012),
-        (0.90, 0.90, 0.88),
-        (0.30, 0.31, 0.32),
-        (0.75, 0.28, 0.02),
-        (0.80, 0.58, 0.04),
-        (0.62, 0.03, 0.02),
-        (0.16, 0.17, 0.18),
-        (0.50, 0.30, 0.20),
-        (0.03, 0.02, 0.015),
-        (0.30, 0.30, 0.30),
-        (0.05, 0.05, 0.06),
-        (0.03, 0.028, 0.026),
-        (0.10, 0.08, 0.06),
-        (0.60, 0.60, 0.60),
-    ]
-)
-_MIRROR = np.array(
-    [
-        0.13,
-        0.12,
-        0.03,
-        0.0,
-        0.10,
-        0.25,
-        0.07,
-        0.02,
-        0.02,
-        0.0,
-        0.45,
-        0.0,
-        0.0,
-        0.03,
-        0.06,
-        0.08,
-        0.03,
-        0.02,
-        0.05,
-        0.02,
-        0.02,
-        0.0,
-        0.0,
-        0.03,
-        0.02,
-        0.08,
-    ]
-)
+# Linear albedo (red, green, blue) and mirror strength of each material.
+_OPTICS = {
+    Material.PAINT: (0.5, 0.5, 0.5, 0.13),
+    Material.GLASS: (0.012, 0.014, 0.016, 0.12),
+    Material.BLACK_PLASTIC: (0.026, 0.026, 0.028, 0.03),
+    Material.TYRE: (0.05, 0.05, 0.052, 0.0),
+    Material.RIM: (0.45, 0.46, 0.48, 0.1),
+    Material.HEADLAMP: (0.8, 0.82, 0.85, 0.25),
+    Material.TAIL_LAMP: (0.5, 0.01, 0.008, 0.07),
+    Material.PLATE: (0.85, 0.85, 0.83, 0.02),
+    Material.REAR_PLATE: (0.8, 0.62, 0.08, 0.02),
+    Material.DARK: (0.006, 0.006, 0.006, 0.0),
+    Material.CHROME: (0.58, 0.58, 0.6, 0.45),
+    Material.SEAM: (0.028, 0.028, 0.028, 0.0),
+    Material.UNDERBODY: (0.012, 0.012, 0.012, 0.0),
+    Material.CARGO: (0.9, 0.9, 0.88, 0.03),
+    Material.CARGO_FRAME: (0.3, 0.31, 0.32, 0.06),
+    Material.INDICATOR: (0.75, 0.28, 0.02, 0.08),
+    Material.MARKER_YELLOW: (0.8, 0.58, 0.04, 0.03),
+    Material.REFLECTOR: (0.62, 0.03, 0.02, 0.02),
+    Material.LIFT: (0.16, 0.17, 0.18, 0.05),
+    Material.SKIN: (0.5, 0.3, 0.2, 0.02),
+    Material.HAIR: (0.03, 0.02, 0.015, 0.02),
+    Material.TOP: (0.3, 0.3, 0.3, 0.0),
+    Material.LEGWEAR: (0.05, 0.05, 0.06, 0.0),
+    Material.SHOE: (0.03, 0.028, 0.026, 0.03),
+    Material.BAG: (0.1, 0.08, 0.06, 0.02),
+    Material.HELMET: (0.6, 0.6, 0.6, 0.08),
+    Material.METAL: (0.22, 0.23, 0.24, 0.08),
+    Material.WOOD: (0.2, 0.11, 0.055, 0.0),
+    Material.PANE: (0.1, 0.125, 0.13, 0.2),
+    Material.CONE: (0.7, 0.13, 0.01, 0.02),
+    Material.SAND: (0.42, 0.31, 0.17, 0.0),
+    Material.STONE: (0.3, 0.29, 0.27, 0.0),
+    Material.GO: (0.02, 0.22, 0.1, 0.08),
+}
+_ALBEDO, _MIRROR = np.split(np.array([_OPTICS[material] for material in Material]), [3], axis=1)
 PAINT_COLOURS = np.array(
     [
         (0.70, 0.70, 0.70),
@@ -123,6 +106,16 @@ PAINT_COLOURS = np.array(
         (0.05, 0.15, 0.10),
         (0.68, 0.65, 0.58),
         (0.55, 0.25, 0.05),
+    ]
+)
+BUS_COLOURS = np.array(
+    [
+        (0.55, 0.03, 0.025),
+        (0.62, 0.42, 0.03),
+        (0.03, 0.11, 0.36),
+        (0.05, 0.24, 0.10),
+        (0.70, 0.70, 0.68),
+        (0.60, 0.19, 0.02),
     ]
 )
 PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
@@ -188,7 +181,7 @@ def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material
     mirrored = np.where(up > 0.7, 1.0, 2.0 * up * np.sqrt(np.maximum(1.0 - up * up, 0.0)))
     reflected = np.interp(mirrored, _ENVIRONMENT_ELEVATION, _ENVIRONMENT_LIGHT) * np.minimum(0.35 + sky, 1.0)
     linear = albedo[surface.material] * irradiance[:, None]
-    linear += (_MIRROR[surface.material] * reflected)[:, None] * _REFLECTED_TINT
+    linear += _MIRROR[surface.material] * reflected[:, None] * _REFLECTED_TINT
     return Mesh(surface.vertex_m.astype(np.float32), surface.triangle, linear_to_srgb(linear))
 
 

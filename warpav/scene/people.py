@@ -22,7 +22,6 @@ CYCLIST_VARIANTS = 2
 
 _THIGH_M, _SHIN_M = 0.435, 0.425
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.26
-_ROW_CAP = 0.45  # how far a limb's end bulges, as a share of its radius
 _WHEEL_RADIUS_M, _WHEEL_SEGMENTS = 0.335, 13
 _REAR_HUB, _FRONT_HUB = (-0.53, 0.0, _WHEEL_RADIUS_M), (0.53, 0.0, _WHEEL_RADIUS_M)
 _CRANK, _SADDLE, _HEAD_TUBE = (-0.09, 0.0, 0.30), (-0.25, 0.0, 0.90), (0.38, 0.0, 0.84)
@@ -30,50 +29,14 @@ _CRANK, _SADDLE, _HEAD_TUBE = (-0.09, 0.0, 0.30), (-0.25, 0.0, 0.90), (0.38, 0.0
 Point = tuple[float, float, float]
 
 
-def _add_tube(
-    builder: SurfaceBuilder,
-    centre_m: np.ndarray,
-    radius_m: np.ndarray,
-    material: np.ndarray | int,
-    *,
-    sides: int,
-    cap: float = _ROW_CAP,
-) -> None:
-    """Add a closed tube along a path.
-
-    Args:
-        builder: Where it goes.
-        centre_m: Middles of its rings [m], shape [ring, 3].
-        radius_m: Radii of the rings [m], in the plane of path and x axis and along y, shape [ring, 2].
-        material: One, or one per cell along the path, caps included, shape [ring + 1].
-        sides: Corners of a ring.
-        cap: How far the ends bulge, as a share of their radius.
-    """
-    step = np.diff(centre_m, axis=0)
-    step /= np.linalg.norm(step, axis=1, keepdims=True)
-    along = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    side = np.array([0.0, 1.0, 0.0]) if abs(along[:, 1]).max() < 0.8 else np.array([1.0, 0.0, 0.0])
-    first = np.cross(side, along)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(along, first)
-    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None, None]
-    angle[-1] = 0.0  # the seam closes exactly
-    ring = centre_m + np.cos(angle) * radius_m[:, :1] * first + np.sin(angle) * radius_m[:, 1:] * second
-    ends = [centre_m[0] - cap * radius_m[0].mean() * along[0], centre_m[-1] + cap * radius_m[-1].mean() * along[-1]]
-    poles = [np.broadcast_to(end, (sides + 1, 1, 3)) for end in ends]
-    material = np.asarray(material)
-    builder.add_grid(np.concatenate([poles[0], ring, poles[1]], axis=1), material[None] if material.ndim else material)
-
-
 def _add_limb(
     builder: SurfaceBuilder, points: tuple[Point, ...], radii: tuple[float, ...], material: np.ndarray | int
 ) -> None:
-    _add_tube(builder, np.array(points), np.array(radii)[:, None] * np.ones(2), material, sides=6)
+    builder.add_tube(np.array(points), np.array(radii)[:, None] * np.ones(2), material, sides=6)
 
 
 def _add_rod(builder: SurfaceBuilder, start: Point, end: Point, radius: float, material: int) -> None:
-    _add_tube(builder, np.array([start, end]), np.full((2, 2), radius), material, sides=4, cap=0.0)
+    builder.add_tube(np.array([start, end]), np.full((2, 2), radius), material, sides=4, cap=0.0)
 
 
 def _add_ball(builder: SurfaceBuilder, centre: Point, radii: Point, material: int, *, sides: int = 7) -> None:
@@ -81,7 +44,7 @@ def _add_ball(builder: SurfaceBuilder, centre: Point, radii: Point, material: in
     polar = np.radians([145.0, 100.0, 60.0, 28.0])
     ring = np.array(centre) + np.array([0.0, 0.0, 1.0]) * radii[2] * np.cos(polar)[:, None]
     radius = np.sin(polar)[:, None] * np.array(radii[:2])
-    _add_tube(builder, ring, radius, material, sides=sides, cap=0.35)
+    builder.add_tube(ring, radius, material, sides=sides, cap=0.35)
 
 
 def _knee(hip: Point, ankle: Point) -> Point:
@@ -103,7 +66,7 @@ def _add_leg(builder: SurfaceBuilder, hip: Point, ankle: Point, foot_pitch_rad: 
     sole = np.array(ankle) - 0.045 * down
     path = sole + np.array([-0.055, 0.03, 0.13, 0.17])[:, None] * along
     radius = np.array([[0.042, 0.036], [0.046, 0.042], [0.034, 0.045], [0.026, 0.034]])
-    _add_tube(builder, path - np.array([[0.0], [0.0], [0.010], [0.018]]) * down, radius, Material.SHOE, sides=5)
+    builder.add_tube(path - np.array([[0.0], [0.0], [0.010], [0.018]]) * down, radius, Material.SHOE, sides=5)
 
 
 def _add_arm(builder: SurfaceBuilder, shoulder: Point, elbow: Point, wrist: Point) -> None:
@@ -111,7 +74,7 @@ def _add_arm(builder: SurfaceBuilder, shoulder: Point, elbow: Point, wrist: Poin
     reach = np.array(wrist) - np.array(elbow)
     reach /= np.linalg.norm(reach)
     hand = np.array(wrist) + np.array([0.01, 0.06, 0.10])[:, None] * reach
-    _add_tube(builder, hand, np.array([[0.030, 0.026], [0.042, 0.028], [0.026, 0.020]]), Material.SKIN, sides=4)
+    builder.add_tube(hand, np.array([[0.030, 0.026], [0.042, 0.028], [0.026, 0.020]]), Material.SKIN, sides=4)
 
 
 def _add_swinging_arm(builder: SurfaceBuilder, shoulder: Point, side: float, swing_rad: float) -> None:
@@ -157,12 +120,12 @@ def _pedestrian_surface(variant: int) -> Surface:
     material = np.full(len(rows) + 1, Material.TOP)
     if not coat:
         material[:3] = Material.LEGWEAR
-    _add_tube(builder, centre, rows[:, 1:], material, sides=10, cap=0.2)
+    builder.add_tube(centre, rows[:, 1:], material, sides=10, cap=0.2)
     _add_head(builder, (0.03 if not stands else 0.01, 0.0, 1.625), helmet=False)
     if variant == 4:
         bag = np.array([(-0.20, 0.0, 0.98), (-0.215, 0.0, 1.08), (-0.205, 0.0, 1.30), (-0.17, 0.0, 1.42)])
         radius = np.array([[0.06, 0.12], [0.095, 0.15], [0.085, 0.145], [0.05, 0.10]])
-        _add_tube(builder, bag, radius, Material.BAG, sides=8, cap=0.3)
+        builder.add_tube(bag, radius, Material.BAG, sides=8, cap=0.3)
     if variant == 5:
         builder.add_box((-0.16, -0.315, 0.46), (0.20, -0.225, 0.76), Material.BAG)
     return builder.finish()
@@ -213,7 +176,7 @@ def _cyclist_surface(variant: int) -> Surface:
                        [0.055, 0.07]])  # fmt: skip
     material = np.full(len(radius) + 1, Material.TOP)
     material[:2] = Material.LEGWEAR
-    _add_tube(builder, hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
+    builder.add_tube(hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
     head = (float(shoulder[0]) + 0.07, 0.0, float(shoulder[2]) + 0.185)
     _add_head(builder, head, helmet=upright)
     return builder.finish()

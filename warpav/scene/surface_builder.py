@@ -1,8 +1,8 @@
 """Builds closed, outward-facing surfaces from a few primitives, and gives them smooth vertex normals.
 
-A surface is a union of shells: lofts, boxes, lathes and ellipsoids. Every shell is closed (each edge is used once in
-either direction) and counter-clockwise seen from outside, so a ray from outside never meets the back of a triangle.
-Shells may overlap: a lamp box sinks into the body, the glass house into the deck.
+A surface is a union of shells: lofts, boxes, lathes, tubes and ellipsoids. Every shell is closed (each edge is used
+once in either direction) and counter-clockwise seen from outside, so a ray from outside never meets the back of a
+triangle. Shells may overlap: a lamp box sinks into the body, the glass house into the deck.
 """
 
 from __future__ import annotations
@@ -127,6 +127,41 @@ class SurfaceBuilder:
             [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around], axis=-1
         )
         self.add_mirrored_grid(np.array(center_m) + direction * np.array(radius_m), material)
+
+    def add_tube(
+        self,
+        centre_m: np.ndarray,
+        radius_m: np.ndarray,
+        material: np.ndarray | int,
+        *,
+        sides: int,
+        cap: float = 0.45,
+    ) -> None:
+        """Add a closed tube along a path.
+
+        Args:
+            centre_m: Middles of its rings [m], shape [ring, 3].
+            radius_m: Radii of the rings [m], in the plane of path and x axis and along y, shape [ring, 2]; of a path
+                along y, in the plane of path and z axis and along x.
+            material: One, or one per cell along the path, caps included, shape [ring + 1].
+            sides: Corners of a ring.
+            cap: How far the ends bulge, as a share of their radius.
+        """
+        step = np.diff(centre_m, axis=0)
+        step /= np.linalg.norm(step, axis=1, keepdims=True)
+        along = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        side = np.array([0.0, 1.0, 0.0]) if np.abs(along[:, 1]).max() < 0.8 else np.array([1.0, 0.0, 0.0])
+        first = np.cross(side, along)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(along, first)
+        angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None, None]
+        angle[-1] = 0.0  # the seam closes exactly
+        ring = centre_m + np.cos(angle) * radius_m[:, :1] * first + np.sin(angle) * radius_m[:, 1:] * second
+        ends = [centre_m[0] - cap * radius_m[0].mean() * along[0], centre_m[-1] + cap * radius_m[-1].mean() * along[-1]]
+        poles = [np.broadcast_to(end, (sides + 1, 1, 3)) for end in ends]
+        cells = np.asarray(material)
+        self.add_grid(np.concatenate([poles[0], ring, poles[1]], axis=1), cells[None] if cells.ndim else cells)
 
     def finish(self) -> Surface:
         """Weld all shells and compute shading normals."""

@@ -1,8 +1,9 @@
 """The embedded traffic simulator: a seeded town street around the ego vehicle.
 
-The recipe of a scene: a plan (`town_layout`), scenery on it (`houses`), vehicles on the plan's spawn slots
-(`vehicle_shapes`), and a check by rays that the traffic can be seen from the ego vehicle's roof. Light is baked into
-vertex colours. The same seed gives the same bytes.
+The recipe of a scene: a plan (`town_layout`) on level or sloping ground (`ground`), scenery on it (`houses`), furniture
+and road works (`street_life`), vehicles on the plan's spawn slots (`vehicle_shapes`), a check by rays that the traffic
+can be seen from the ego vehicle's roof, and people (`street_life`). Light is baked into vertex colours. The same seed
+gives the same bytes.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.geometry.mesh import Mesh
+from warpav.geometry.mesh import Mesh, merge
+from warpav.scene.ground import Ground
 from warpav.scene.houses import SceneryBuilder
-from warpav.scene.paint import PAINT_COLOURS, PAINT_SHARES
-from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.scene.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
+from warpav.scene.scene import Scene, Sky, Vehicle
+from warpav.scene.street_life import Footprint, furnish, people, upright_box
 from warpav.scene.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
 from warpav.scene.vehicle_shapes import VARIANT_COUNT, ego_glass, ego_mesh, vehicle_glass, vehicle_mesh
 
@@ -24,6 +27,7 @@ EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the middle of the
 _TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
 _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face the eye
+_BARELY_SEEN_SHARE = 0.16  # people keep out of the way where less of a vehicle can be seen
 _VISIBILITY_SAMPLES = 200
 _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
@@ -41,6 +45,8 @@ _KIND_SHARES = (
 )
 _SCALE_SPREAD = 0.03
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
+_GRADE_SHARE = 0.4  # of the streets are on a grade
+_GRADE_MIN, _GRADE_MAX = 0.02, 0.06
 _TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
 
 
@@ -61,15 +67,18 @@ class TownWorld:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A vehicle in the town frame: its mesh still in the vehicle frame, where it stands, its length and width."""
+    """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands."""
 
     kind: str
     variant: int
     mesh: Mesh
     size_m: np.ndarray
-    x_m: float
-    y_m: float
-    yaw_rad: float
+    footprint: Footprint
+
+    def standing(self, ground: Ground) -> Mesh:
+        """The vehicle's mesh in the town frame."""
+        place = self.footprint
+        return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))
 
 
 def ego_vehicle() -> Mesh:
@@ -108,61 +117,92 @@ def town_world(seed: int) -> TownWorld:
 
 def _try_world(seed: int, attempt: int) -> TownWorld | None:
     rng = np.random.default_rng([_TOWN_STREAM, seed, attempt])
+    life_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 1])
     layout = town_layout(rng)
+    ground = _ground(layout, life_rng)
     ego = ego_vehicle()
-    ego_bounds = ego.bounds_m()
-    # The ego vehicle's middle stands on its slot; the ego frame's origin is its rear axle.
-    origin = np.array([layout.ego.x_m - ego_bounds[:, 0].mean(), layout.ego.y_m, 0.0])
-    ego_placed = _Placed("ego", 0, ego, ego_bounds[1] - ego_bounds[0], layout.ego.x_m, layout.ego.y_m, 0.0)
+    low, high = ego.bounds_m().astype(np.float64)
+    # The ego vehicle's middle stands on its slot, on level ground; the ego frame's origin is its rear axle.
+    origin = np.array([layout.ego.x_m - 0.5 * (low[0] + high[0]), layout.ego.y_m, 0.0])
+    ego_footprint = Footprint(layout.ego.x_m, layout.ego.y_m, 0.0, high[0] - low[0], high[1] - low[1])
 
-    scenery = SceneryBuilder(rng)
+    furnishing = furnish(layout, life_rng, ground)
+    scenery = SceneryBuilder(rng, ground)
     for rectangle in layout.asphalt_m:
         scenery.add_asphalt(rectangle)
-    for marking in layout.markings:
+    for marking in (*layout.markings, *furnishing.markings):
         scenery.add_marking(marking)
     for block in layout.blocks:
         scenery.add_block(block)
-    surroundings = scenery.finish()
+    surroundings = [scenery.finish(), *furnishing.meshes, ego.transformed(np.eye(3), origin)]
+    eye = np.array([layout.ego.x_m, layout.ego.y_m, EYE_HEIGHT_M])
 
     target = int(rng.integers(*_TARGET_COUNT))
     waiting = _ordered_slots(layout, rng)
+    taken = (ego_footprint, *furnishing.footprints)
     placed: list[_Placed] = []
+    share = np.zeros(0)
     for _ in range(_FILL_ROUNDS):
         while waiting and len(placed) < target:
             candidate = _park(waiting.pop(0), rng)
-            if not candidate or any(_nearer(candidate, other, _CLEARANCE_M) for other in (ego_placed, *placed)):
+            occupied = (*taken, *(one.footprint for one in placed))
+            if not candidate or any(candidate.footprint.nearer(other, _CLEARANCE_M) for other in occupied):
                 continue
             beside_m = _BESIDE_LONG_M if candidate.kind in _LONG_KINDS else _BESIDE_M
-            if not _nearer(candidate, ego_placed, beside_m) or rng.random() < _BESIDE_SHARE:
+            if not candidate.footprint.nearer(ego_footprint, beside_m) or rng.random() < _BESIDE_SHARE:
                 placed.append(candidate)
-        meshes = [_standing(one) for one in placed]
-        eye = np.array([layout.ego.x_m, layout.ego.y_m, EYE_HEIGHT_M])
-        blockers = [surroundings, ego.transformed(np.eye(3), origin)]
-        share = visible_shares(eye, blockers, meshes)
+        count = len(placed)
+        share = visible_shares(eye, surroundings, [one.standing(ground) for one in placed])
         placed = [one for one, seen in zip(placed, share, strict=True) if seen >= _VISIBLE_SHARE_MIN]
-        if len(placed) == len(meshes) and (len(placed) == target or not waiting):
+        share = share[share >= _VISIBLE_SHARE_MIN]
+        if len(placed) == count and (len(placed) == target or not waiting):
             break
     if not VISIBLE_COUNT_MIN <= len(placed) <= VISIBLE_COUNT_MAX:
         return None
 
-    for index, one in enumerate((ego_placed, *placed)):
-        width = one.size_m[1] - 0.25  # without mirrors
-        scenery.add_contact_shadow(np.array([one.x_m, one.y_m]), one.yaw_rad, one.size_m[0], width, index)
-    vehicles = tuple(
-        Vehicle(
-            number,
-            one.kind,
-            _standing(one).transformed(np.eye(3), -origin),
-            Box(np.array([one.x_m, one.y_m, 0.5 * one.size_m[2]]) - origin, one.size_m, one.yaw_rad),
-        )
-        for number, one in enumerate(placed, start=1)
-    )
-    environment = scenery.finish().transformed(np.eye(3), -origin)
+    meshes = [one.standing(ground) for one in placed]
+    persons = people(layout, life_rng, ground, (*taken, *(one.footprint for one in placed)), layout.slots)
+    barely_seen = [one.footprint for one, seen in zip(placed, share, strict=True) if seen < _BARELY_SEEN_SHARE]
+    persons = [person for person in persons if not any(_hides(eye, person.footprint, one) for one in barely_seen)]
+    for index, one in enumerate((ego_footprint, *(one.footprint for one in placed))):
+        width = one.width_m - 0.25  # without mirrors
+        scenery.add_contact_shadow(np.array([one.x_m, one.y_m]), one.yaw_rad, one.length_m, width, index)
+    for index, person in enumerate(persons, start=len(placed) + 1):
+        place = person.footprint
+        size = (place.length_m, place.width_m)
+        scenery.add_foot_shadow(np.array([place.x_m, place.y_m]), place.yaw_rad, size, index, person.pavement_share)
+    vehicles = []
+    for number, (one, mesh) in enumerate(zip(placed, meshes, strict=True), start=1):
+        in_ego_frame = mesh.transformed(np.eye(3), -origin)
+        vehicles.append(Vehicle(number, one.kind, in_ego_frame, upright_box(in_ego_frame, one.footprint.yaw_rad)))
+    others = tuple(person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1))
+    environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
+    name, source = f"town_{seed:04d}", f"town seed {seed}"
     return TownWorld(
-        Scene(f"town_{seed:04d}", environment, ego, vehicles, _sky(rng), f"town seed {seed}"),
+        Scene(name, environment, ego, tuple(vehicles), _sky(rng), source, others),
         ego_glass(),
         tuple(vehicle_glass(one.kind, one.variant) for one in placed),
     )
+
+
+def _ground(layout: Layout, rng: np.random.Generator) -> Ground:
+    """Level ground, or a crest, a dip or a hill; car parks are level."""
+    ahead, behind = rng.uniform(_GRADE_MIN, _GRADE_MAX, 2) * rng.choice([-1.0, 1.0], 2)
+    if rng.random() >= _GRADE_SHARE or layout.template == "car_park":
+        return Ground()
+    return Ground(layout.ego.x_m, float(ahead), float(behind))
+
+
+def _hides(eye_m: np.ndarray, one: Footprint, other: Footprint) -> bool:
+    """Whether something on the ground may hide part of something else, seen from a point."""
+    offset = [np.array([footprint.x_m - eye_m[0], footprint.y_m - eye_m[1]]) for footprint in (one, other)]
+    distance = [float(np.hypot(*each)) for each in offset]
+    bearing = np.arctan2(offset[0][0] * offset[1][1] - offset[0][1] * offset[1][0], offset[0] @ offset[1])
+    reach = sum(
+        np.arctan(0.5 * np.hypot(footprint.length_m, footprint.width_m) / max(far, 1e-6))
+        for footprint, far in zip((one, other), distance, strict=True)
+    )
+    return bool(distance[0] < distance[1] and abs(bearing) < reach)
 
 
 def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
@@ -215,6 +255,8 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     kinds, shares = zip(*_KIND_SHARES, strict=True)
     kind = kinds[int(rng.choice(len(kinds), p=shares))]
     paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    if kind == "bus":
+        paint = BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))]
     scale = 1.0 + rng.uniform(-_SCALE_SPREAD, _SCALE_SPREAD, 3)
     variant = int(rng.integers(VARIANT_COUNT))
     mesh = vehicle_mesh(kind, paint, variant=variant, scale=scale)
@@ -225,32 +267,8 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     if size[0] > slot.room_m or (slot.parked and kind in _LONG_KINDS):
         return None
     x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
-    return _Placed(kind, variant, mesh, size, float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))))
-
-
-def _standing(placed: _Placed) -> Mesh:
-    """The vehicle's mesh in the town frame."""
-    c, s = np.cos(placed.yaw_rad), np.sin(placed.yaw_rad)
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return placed.mesh.transformed(rotation, np.array([placed.x_m, placed.y_m, 0.0]))
-
-
-def _nearer(one: _Placed, other: _Placed, gap_m: float) -> bool:
-    """Whether two vehicles come nearer than a gap: no axis of either rectangle separates them by it."""
-    offset = np.array([other.x_m - one.x_m, other.y_m - one.y_m])
-    for yaw in (one.yaw_rad, other.yaw_rad):
-        for axis in (np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])):
-            reach = sum(
-                0.5 * abs(axis @ direction) * extent
-                for vehicle in (one, other)
-                for direction, extent in (
-                    (np.array([np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad)]), vehicle.size_m[0]),
-                    (np.array([-np.sin(vehicle.yaw_rad), np.cos(vehicle.yaw_rad)]), vehicle.size_m[1]),
-                )
-            )
-            if abs(axis @ offset) > reach + gap_m:
-                return False
-    return True
+    yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
+    return _Placed(kind, variant, mesh, size, Footprint(float(x), float(y), yaw, float(size[0]), float(size[1])))
 
 
 def _sky(rng: np.random.Generator) -> Sky:

@@ -15,6 +15,7 @@ REACH_M = 64.0  # streets end here, in front of a house
 SPAWN_REACH_M = 27.0  # vehicles stand no farther from the ego vehicle
 LINE_HALF_WIDTH_M = 0.06
 _BLOCK_DEPTH_M = 20.0
+_CROSSING_WIDTH_M = 2.6
 _WHITE = 0.82
 
 Rectangle = tuple[float, float, float, float]  # x low, y low, x high, y high [m]
@@ -75,6 +76,7 @@ class Layout:
         markings: Lines and crossings.
         slots: Spawn slots around the ego vehicle.
         ego: Where the middle of the ego vehicle is; it heads along +x.
+        crossings_m: Where people cross the road: long side along the road that they cross.
     """
 
     template: str
@@ -83,6 +85,7 @@ class Layout:
     markings: tuple[Marking, ...]
     slots: tuple[Slot, ...]
     ego: Slot
+    crossings_m: tuple[Rectangle, ...] = ()
 
     def mirrored(self) -> Layout:
         """The plan with left and right exchanged."""
@@ -101,6 +104,7 @@ class Layout:
             tuple(replace(marking, rectangle_m=_mirrored(marking.rectangle_m)) for marking in self.markings),
             tuple(replace(slot, y_m=-slot.y_m, yaw_rad=-slot.yaw_rad) for slot in self.slots),
             replace(self.ego, y_m=-self.ego.y_m),
+            tuple(_mirrored(rectangle) for rectangle in self.crossings_m),
         )
 
 
@@ -212,7 +216,9 @@ def _avenue(rng: np.random.Generator) -> Layout:
 
 def _crossing_stripes(x: float, half: float) -> list[Marking]:
     """A pedestrian crossing over the main street, starting at x."""
-    return [Marking((x, float(y), x + 2.6, float(y) + 0.5)) for y in np.arange(-half + 0.5, half - 0.8, 1.0)]
+    return [
+        Marking((x, float(y), x + _CROSSING_WIDTH_M, float(y) + 0.5)) for y in np.arange(-half + 0.5, half - 0.8, 1.0)
+    ]
 
 
 def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
@@ -251,8 +257,11 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
         slot_low, slot_high = sorted((side * (half + 3.4), side * SPAWN_REACH_M))
         slots += _cross_slots(rng, middle + side_lane / 2, 0.5 * np.pi, slot_low, slot_high)
         slots += _cross_slots(rng, middle - side_lane / 2, -0.5 * np.pi, slot_low, slot_high)
+    crossings: list[Rectangle] = []
     if len(arms) == 2 and rng.random() < 0.7:
-        markings += _crossing_stripes(west - 3.6, half) + _crossing_stripes(east + 1.0, half)
+        for x in (west - 3.6, east + 1.0):
+            markings += _crossing_stripes(x, half)
+            crossings.append((x, -half, x + _CROSSING_WIDTH_M, half))
     return Layout(
         "crossroads" if len(arms) == 2 else "t_junction",
         tuple(asphalt),
@@ -260,6 +269,7 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
         tuple(markings),
         tuple(slots),
         Slot(0.0, -lane / 2, 0.0, 5.0, parked=False),
+        tuple(crossings),
     )
 
 

@@ -206,6 +206,7 @@ def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]
         (_Row.BOTTOM, _Row.WAIST_LOW, 3.1, _OUTLINE_END, bumper),
         (_Row.BOTTOM, _Row.TRIM, 0.0, _OUTLINE_END, black),
         *((_Row.TRIM, _Row.DECK, at - half_seam, at + half_seam, seam) for at in seams),
+        *_glass_doors(body),
         (_Row.WAIST_LOW, _Row.WAIST_HIGH, 0.0, 1.9, seam),
         (_Row.WAIST_LOW, _Row.WAIST_HIGH, 3.1, _OUTLINE_END, seam),
         (_Row.INTAKE_LOW, _Row.INTAKE_HIGH, 0.0, 0.74, black),
@@ -220,6 +221,17 @@ def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]
         (_Row.LAMP_LOW, _Row.LAMP_MIDDLE, 3.36, 3.60, Material.INDICATOR),
         *([(_Row.WAIST_LOW, _Row.DECK, _DOOR_GAP, _OUTLINE_END, seam)] if spec.rear_doors else []),
     ]
+
+
+def _glass_doors(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]:
+    """Panes in black frames, from the step to the windows."""
+    panels = []
+    for start, end in body.spec.glass_doors:
+        low, high = (body.side_parameter(body.x_at(fraction)) for fraction in (start, end))
+        edge = 0.07 * (high - low)
+        panels.append((_Row.TRIM, _Row.DECK, low, high, Material.BLACK_PLASTIC))
+        panels.append((_Row.INTAKE_LOW, _Row.DECK, low + edge, high - edge, Material.GLASS))
+    return panels
 
 
 def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> None:
@@ -307,8 +319,9 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
     side = (along > low) & (along < high)
     material[np.ix_((level > 0.0) & (level < spec.glass_top), middle < 1.45)] = Material.GLASS
     material[np.ix_(glass, side)] = Material.GLASS
+    pillar = Material.PAINT if spec.painted_pillars else Material.BLACK_PLASTIC
     for start, end in spec.pillars:
-        material[np.ix_(glass, (along > start) & (along < end) & side)] = Material.BLACK_PLASTIC
+        material[np.ix_(glass, (along > start) & (along < end) & side)] = pillar
     if spec.rear_glass:
         pane = (middle > _DOOR_GLASS_OUTER) & (middle < _DOOR_GLASS_INNER) if spec.rear_doors else middle > 3.5
         material[np.ix_(glass, pane)] = Material.GLASS
@@ -348,6 +361,8 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
 
     if spec.rear_doors:
         _add_rear_doors(builder, body)
+    if kind == "bus":
+        _add_bus_fittings(builder, spec)
     if tall:
         x, z = body.front_m - 0.10, 0.72 * spec.height_m
         builder.add_ellipsoid_pair((x, body.half_width_m + 0.10, z), (0.07, 0.12, 0.22), Material.BLACK_PLASTIC)
@@ -365,6 +380,25 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
         point = body.ring_m(np.array([body.side_parameter(x)]), share, share)[0, 0]
         builder.add_box_pair((x - 0.09, point[1] - 0.03, point[2] - 0.014),
                              (x + 0.09, point[1] + 0.018, point[2] + 0.014), Material.SEAM)  # fmt: skip
+
+
+def _add_bus_fittings(builder: SurfaceBuilder, spec: VehicleSpec) -> None:
+    """A destination board, air conditioning on the roof, a grille and high lamps at the rear."""
+    front, half, roof = 0.5 * spec.length_m, 0.5 * spec.width_m, spec.height_m
+    builder.add_box((-0.30 * front, -0.72, roof - 0.10), (0.22 * front, 0.72, roof + 0.18), Material.CARGO)
+    board = (roof - 0.62, roof - 0.40)
+    builder.add_box((front - 0.5, -0.70, board[0]), (front - 0.135, 0.70, board[1]), Material.DARK)
+    for index in range(4):
+        y = -0.60 + 0.32 * index
+        builder.add_box((front - 0.2, y, board[0] + 0.05), (front - 0.125, y + 0.24, board[1] - 0.05),
+                        Material.INDICATOR)  # fmt: skip
+    rear = -front
+    builder.add_box((rear - 0.01, -0.70, 0.80), (rear + 0.15, 0.70, 1.06), Material.BLACK_PLASTIC)
+    for index in range(3):
+        z = 0.83 + 0.08 * index
+        builder.add_box((rear - 0.018, -0.66, z), (rear + 0.1, 0.66, z + 0.035), Material.CARGO_FRAME)
+    builder.add_box_pair((rear + 0.04, 0.58 * half, roof - 0.46), (rear + 0.25, 0.76 * half, roof - 0.38),
+                         Material.TAIL_LAMP)  # fmt: skip
 
 
 def _add_rear_doors(builder: SurfaceBuilder, body: _Body) -> None:

@@ -21,6 +21,8 @@ class VehicleSpec:
         wheel_radius_m: Radius of a tyre [m].
         axles: Fractions of the length where the axles stand.
         pillars: (start, end) along the side glass, 0 front to 1 rear, that is black instead of glass.
+        painted_pillars: Pillars in the colour of the vehicle.
+        glass_doors: (start, end) as fractions of the length of doors that are of glass down to the step.
         side_glass: (start, end) of the side glass along the house.
         seams: Fractions of the length of the door seams.
         front_lamp: (low, high) of the headlamps as fractions of the height from sill to deck.
@@ -51,6 +53,8 @@ class VehicleSpec:
     wheel_radius_m: float
     axles: tuple[float, ...]
     pillars: tuple[tuple[float, float], ...]
+    painted_pillars: bool = False
+    glass_doors: tuple[tuple[float, float], ...] = ()
     side_glass: tuple[float, float] = (0.03, 0.96)
     seams: tuple[float, ...] = ()
     front_lamp: tuple[float, float] = (0.64, 0.86)
@@ -155,9 +159,19 @@ _BUS = VehicleSpec(
     roof_width=0.95,
     wheel_radius_m=0.48,
     axles=(0.24, 0.72),
-    pillars=((0.115, 0.125), (0.27, 0.28), (0.42, 0.43), (0.57, 0.58), (0.72, 0.73), (0.87, 0.88)),
+    pillars=(
+        (0.10, 0.116),
+        (0.235, 0.247),
+        (0.365, 0.377),
+        (0.495, 0.507),
+        (0.625, 0.637),
+        (0.755, 0.767),
+        (0.88, 0.90),
+    ),
+    painted_pillars=True,
+    glass_doors=((0.052, 0.148), (0.46, 0.555)),
     side_glass=(0.01, 0.985),
-    seams=(0.06, 0.16, 0.44, 0.56),
+    seams=(0.30, 0.82),
     front_lamp=(0.30, 0.52),
     rear_lamp=(0.42, 0.80),
     rear_lamp_inner=4.20,
