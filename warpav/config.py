@@ -256,13 +256,13 @@ class ReconstructionConfig(Section):
     )
     max_height_m: Metres = Field(default=10.0, gt=0.0, le=1000.0, description="what is higher is left out")
     far_depth_m: Metres = Field(default=900.0, gt=1.0, description="depths from here on are sky")
-    vehicle_points: int = Field(default=60_000, ge=200, description="points that are kept of each vehicle")
+    vehicle_points: int = Field(default=200_000, ge=200, description="points that are kept of each vehicle")
     vehicle_triangles: int = Field(default=4500, ge=50, description="triangles of each vehicle")
     vehicle_cell_m: Metres = Field(default=0.03, ge=0.005, le=1.0, description="cells in which a vehicle is found")
-    environment_points: int = Field(default=250_000, ge=200, description="points that are kept of the environment")
-    environment_triangles: int = Field(default=46_000, ge=50, description="triangles of the environment")
+    environment_points: int = Field(default=150_000, ge=200, description="points that are kept of the environment")
+    environment_triangles: int = Field(default=36_000, ge=50, description="triangles of the environment")
     environment_cell_m: Metres = Field(
-        default=0.2, ge=0.02, le=5.0, description="cells in which the environment is found"
+        default=0.25, ge=0.02, le=5.0, description="cells in which the environment is found"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,9 @@ class SceneClouds:
     vehicles: tuple[ObjectCloud, ...]
 
 
-def fuse(capture: Capture, images: Sequence[CapturedImage], settings: CloudSettings) -> SceneClouds:
+def fuse(
+    capture: Capture, images: Sequence[CapturedImage], settings: CloudSettings, *, thread_count: int = 2
+) -> SceneClouds:
     """Point clouds of everything that the images show.
 
     The instance image says whose a pixel is, and the 3D boxes correct it (figure 7): through a window pane the instance
@@ -86,33 +89,53 @@ def fuse(capture: Capture, images: Sequence[CapturedImage], settings: CloudSetti
         capture: Boxes of the vehicles.
         images: Its images.
         settings: What is kept.
+        thread_count: Images that are worked on at once.
     """
     boxes = [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]
     ids = [EGO_INSTANCE, *(vehicle.instance_id for vehicle in capture.vehicles)]
-    around: list[PointCloud] = []
-    parts: list[list[PointCloud]] = [[] for _ in ids]
-    rays: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in ids]
-    for image in images:
-        cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
-        is_around = np.ones(len(cloud), bool)
-        for box in boxes:
-            near = np.flatnonzero(is_around)
-            is_around[near] = ~box.contains(cloud.point_m[near], margin_m=-settings.box_margin_m)
-        # pixels of a vehicle whose points lie outside its box were seen through its panes, and so were those behind
-        for k, (instance_id, box) in enumerate(zip(ids, boxes, strict=True)):
-            own = np.flatnonzero(instance == instance_id)
-            inside = box.contains(cloud.point_m[own], margin_m=settings.box_margin_m)
-            parts[k].append(cloud.chosen(own[inside]))
-            is_around[own[inside]] = False
-            passed = np.flatnonzero(image.instance.ravel() == instance_id)
-            kept = row[own[inside]] * image.instance.shape[1] + column[own[inside]]
-            rays[k].append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
-        around.append(thinned_to_grid(cloud.chosen(is_around), settings.environment_grid_m))
+    with ThreadPoolExecutor(thread_count) as pool:
+        shares = list(pool.map(lambda image: _image_share(image, ids, boxes, settings), images))
+    around = [share.around for share in shares]
+    parts = [[share.parts[k] for share in shares] for k in range(len(ids))]
+    rays = [[share.rays[k] for share in shares] for k in range(len(ids))]
     environment = thinned_to_grid(joined(around), settings.environment_grid_m)
     near, sphere = split_at_radius(environment, settings.radius_m)
     environment, sphere = near.below(settings.max_height_m), sphere.below(settings.max_height_m)
-    objects = [_outside(joined(part), box, ray) for part, box, ray in zip(parts, boxes, rays, strict=True)]
+    with ThreadPoolExecutor(thread_count) as pool:
+        objects = list(pool.map(lambda k: _outside(joined(parts[k]), boxes[k], rays[k]), range(len(ids))))
     return SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
+
+
+@dataclass(frozen=True, eq=False)
+class _ImageShare:
+    """What one image tells of the environment, and of each vehicle: points, and rays through its window panes."""
+
+    around: PointCloud
+    parts: list[PointCloud]
+    rays: list[tuple[np.ndarray, np.ndarray]]
+
+
+def _image_share(
+    image: CapturedImage, ids: Sequence[int], boxes: Sequence[Box], settings: CloudSettings
+) -> _ImageShare:
+    cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
+    parts, rays = [], []
+    is_around = np.ones(len(cloud), bool)
+    for box in boxes:
+        near = np.flatnonzero(is_around)
+        is_around[near] = ~box.contains(cloud.point_m[near], margin_m=-settings.box_margin_m)
+    # pixels of a vehicle whose points lie outside its box were seen through its panes, and so were those behind
+    whole = image.instance.ravel()
+    own_order, whole_order = np.argsort(instance, kind="stable"), np.argsort(whole, kind="stable")
+    for instance_id, box in zip(ids, boxes, strict=True):
+        own = own_order[slice(*np.searchsorted(instance, (instance_id, instance_id + 1), sorter=own_order))]
+        passed = whole_order[slice(*np.searchsorted(whole, (instance_id, instance_id + 1), sorter=whole_order))]
+        inside = own[box.contains(cloud.point_m[own], margin_m=settings.box_margin_m)]
+        parts.append(cloud.chosen(inside))
+        is_around[inside] = False
+        kept = row[inside] * image.instance.shape[1] + column[inside]
+        rays.append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
+    return _ImageShare(thinned_to_grid(cloud.chosen(is_around), settings.environment_grid_m), parts, rays)
 
 
 def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, PointCloud]:

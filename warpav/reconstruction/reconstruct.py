@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.spatial import KDTree
+from threadpoolctl import threadpool_limits
 
 from warpav.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
 from warpav.errors import InputError
@@ -29,9 +30,12 @@ from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
 
 LEAST_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
+MOST_PANE_RAYS = 40_000
+"""Of more rays through a vehicle's window panes, a part is enough to tell where its surface is true."""
 _SKY_STEP = 7  # every so many pixels tell the sky's colour
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # more threads of linear algebra would only wait for one another
 def reconstruct(
     capture: Capture,
     settings: ReconstructionSettings | None = None,
@@ -55,7 +59,7 @@ def reconstruct(
     if settings.method not in SURFACE_METHODS:
         raise ValueError(f"expected one of {', '.join(SURFACE_METHODS)}, got {settings.method!r}")
     images: list[CapturedImage] = list(capture.images)
-    clouds = fuse(capture, images, settings.cloud)
+    clouds = fuse(capture, images, settings.cloud, thread_count=settings.thread_count)
     for vehicle, one in zip(capture.vehicles, clouds.vehicles, strict=True):
         if len(one.cloud) < LEAST_POINTS:
             raise InputError(
@@ -135,8 +139,9 @@ def _pane_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -
         return np.zeros((0, 3), np.float32)
     caster = EmbreeScene()
     TriangleMesh(caster, vertex_m[triangle].astype(np.float32))
-    origin = np.ascontiguousarray(one.pane_origin_m, np.float32)
-    direction = np.ascontiguousarray(one.pane_direction, np.float32)
+    step = -(-len(one.pane_origin_m) // MOST_PANE_RAYS)
+    origin = np.ascontiguousarray(one.pane_origin_m[::step], np.float32)
+    direction = np.ascontiguousarray(one.pane_direction[::step], np.float32)
     hit = caster.run(origin, direction, output=True)
     seen = hit["primID"] >= 0
     return origin[seen] + hit["tfar"][seen, None] * direction[seen]

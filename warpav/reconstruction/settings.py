@@ -22,7 +22,7 @@ class CloudSettings:
     radius_m: float = 40.0
     max_height_m: float = 10.0
     box_margin_m: float = 0.02
-    environment_grid_m: float = 0.06
+    environment_grid_m: float = 0.08
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ReconstructionSettings:
     Attributes:
         cloud: What is kept of the images.
         method: Surface method, a name of `SURFACE_METHODS`.
-        vehicle: For every vehicle; of their points few are dropped, since a detector looks at them.
+        vehicle: For every vehicle; their points are spared, since a detector looks at them.
         ego: For the ego vehicle.
         environment: For everything else within the radius.
         sphere_deg: Size of the sphere's cells [deg].
@@ -59,9 +59,9 @@ class ReconstructionSettings:
 
     cloud: CloudSettings = field(default_factory=CloudSettings)
     method: str = "poisson"
-    vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 4500))
+    vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(200_000, 0.03, 0.06, 4500))
     ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))
-    environment: MeshSettings = field(default_factory=lambda: MeshSettings(250_000, 0.2, 0.5, 46_000))
+    environment: MeshSettings = field(default_factory=lambda: MeshSettings(150_000, 0.25, 0.5, 36_000))
     sphere_deg: float = 2.0
     seed: int = 0
     thread_count: int = 2

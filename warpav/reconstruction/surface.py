@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -13,14 +14,17 @@ from scipy.spatial import KDTree
 from warpav.errors import InputError
 from warpav.geometry.mesh import Mesh
 from warpav.reconstruction.poisson import checked_points, poisson_surface
+from warpav_kernels import plane_fit
 
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
 _LEAST_SUPPORT = 15  # points that a piece of surface needs
+_COUNT_TOLERANCE = 0.1  # how far the number of points kept may be off
+_LEAST_FALL, _MOST_FALL = 0.3, 3.0  # powers of the spacing by which that number falls
 _HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 _COLOUR_STEP = 0.8  # what white against black weighs in a collapse, in lengths of a final triangle's side
-_LIFTED_SHARE = 5  # final triangles times this are left by the first, faster collapse
+_LIFTED_SHARE = 3  # final triangles times this are left by the first, faster collapse
 _BRIGHTNESS = np.array([0.30, 0.59, 0.11])
 _COLOUR_SAMPLES = 4  # rows of places in a triangle at which the dense mesh is asked for its colour
 _SPLIT_LEVELS = 40  # of 255; corners of one vertex that differ more get vertices of their own
@@ -32,7 +36,7 @@ def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
 
     Args:
         point_m: Points [m], shape [point, 3].
-        count: How many to keep, at least 1; missed by 3 % at most, by 1 if there are few, unless many points coincide.
+        count: How many to keep, at least 1; missed by 10 % at most, by 1 if there are few, unless many points coincide.
         seed: Chooses among the possible choices.
 
     Returns:
@@ -52,14 +56,19 @@ def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
     shuffled = point_m[order] - point_m.mean(axis=0)
     spacing_m, exponent = _guessed_spacing_m(shuffled, count)
     best, low_m, high_m = np.arange(1), 0.0, np.inf
+    last = (0.0, 0)  # spacing and number of points of the previous try
     for _ in range(12):
         if not low_m < spacing_m < high_m or spacing_m <= 0.0:
             break
         chosen = _spaced(shuffled, spacing_m)
         if abs(len(chosen) - count) < abs(len(best) - count):
             best = chosen
-        if abs(len(best) - count) <= max(0.03 * count, 1.0):
+        if abs(len(best) - count) <= max(_COUNT_TOLERANCE * count, 1.0):
             break
+        if last[1] not in (0, len(chosen)):
+            fall = np.log(last[1] / len(chosen)) / np.log(spacing_m / last[0])
+            exponent = float(np.clip(fall, _LEAST_FALL, _MOST_FALL))
+        last = (spacing_m, len(chosen))
         low_m, high_m = (spacing_m, high_m) if len(chosen) > count else (low_m, spacing_m)
         spacing_m *= (len(chosen) / count) ** (1.0 / exponent)
         if not low_m < spacing_m < high_m:
@@ -89,7 +98,7 @@ def _guessed_spacing_m(point_m: np.ndarray, count: int) -> tuple[float, float]:
         cell_m = float(np.sqrt(low_m * high_m))
         low_m, high_m = (cell_m, high_m) if occupied(cell_m) > count else (low_m, cell_m)
     fall = np.log(occupied(high_m) / occupied(1.5 * high_m)) / np.log(1.5)
-    return high_m / 1.55, float(np.clip(fall, 0.3, 3.0))
+    return high_m / 1.55, float(np.clip(fall, _LEAST_FALL, _MOST_FALL))
 
 
 def _spaced(point_m: np.ndarray, spacing_m: float) -> np.ndarray:
@@ -121,16 +130,19 @@ def _vtk_cloud(point_m: np.ndarray, arrays: dict[str, np.ndarray]) -> vtkPolyDat
     return cloud
 
 
-def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 16) -> np.ndarray:
+def oriented_normals(
+    point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 16, device: str = "cpu"
+) -> np.ndarray:
     """Normals of the planes through each point's neighbours, turned towards the sensor that recorded the point.
 
     Args:
         point_m: Points [m] in any frame, shape [point, 3].
         sensor_m: Where the sensor was when it recorded each point [m], shape [point, 3].
         neighbour_count: How many nearest points make a plane, the point itself included; at least 3.
+        device: Warp device that computes.
 
     Returns:
-        Unit normals, float64 [point, 3].
+        Unit normals in single precision, float64 [point, 3].
 
     Raises:
         ValueError: Fewer than 4 points, values that are not finite, or shapes that do not fit.
@@ -138,19 +150,22 @@ def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_cou
     point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
     if neighbour_count < 3:
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
-    count = min(neighbour_count, len(point_m))
-    neighbour = KDTree(point_m).query(point_m, count, workers=-1)[1]
-    offset_m = [axis_m[neighbour] - axis_m[:, None] for axis_m in point_m.T]  # from the point itself: no cancellation
-    mean_m = [offset.mean(axis=1) for offset in offset_m]
-    spread_m2 = np.empty((len(point_m), 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            product_m2 = np.einsum("pk,pk->p", offset_m[i], offset_m[j]) / count - mean_m[i] * mean_m[j]
-            spread_m2[:, i, j] = spread_m2[:, j, i] = product_m2
-    _, axes = np.linalg.eigh(spread_m2)
-    normal = axes[:, :, 0]
-    away = np.sum((sensor_m - point_m) * normal, axis=1) < 0.0
-    return np.where(away[:, None], -normal, normal)
+    middle_m = point_m.mean(axis=0)
+    neighbour = KDTree(point_m).query(point_m, min(neighbour_count, len(point_m)), workers=-1)[1]
+    normal = wp.empty(len(point_m), dtype=wp.vec3, device=device)
+    wp.launch(
+        plane_fit.fit_normals_kernel,
+        dim=len(point_m),
+        inputs=[
+            wp.array((point_m - middle_m).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array((sensor_m - middle_m).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(np.asarray(neighbour, np.int32), dtype=int, device=device),
+        ],
+        outputs=[normal],
+        device=device,
+        record_tape=False,
+    )
+    return normal.numpy().astype(np.float64)
 
 
 def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
