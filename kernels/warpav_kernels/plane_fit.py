@@ -34,7 +34,7 @@ def fit_normals_kernel(
     for axis in range(1, 3):
         if size[axis] < size[thinnest]:
             thinnest = axis
-    found = wp.normalize(wp.vec3(axes[0, thinnest], axes[1, thinnest], axes[2, thinnest]))
+    found = wp.vec3(axes[0, thinnest], axes[1, thinnest], axes[2, thinnest])
     if wp.dot(found, sensor_m[p] - point_m[p]) < 0.0:
         found = -found
     normal[p] = found

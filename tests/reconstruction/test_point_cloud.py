@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 
 from tests.capture.town_capture import SEED, town_capture
 from warpav.capture.capture import Capture, CapturedImage, CapturedVehicle, CaptureView, ViewKind
-from warpav.reconstruction.point_cloud import fuse, is_outside, thinned_to_grid, unproject
+from warpav.reconstruction.point_cloud import first_in_cells, fuse, is_outside, unproject
 from warpav.reconstruction.settings import CloudSettings
 from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Box
@@ -163,7 +163,7 @@ def test_open_notches_are_no_pits():
 def test_a_grid_keeps_one_point_in_every_cell(rng):
     capture = town_capture()
     cloud = unproject(capture.images[0], far_depth_m=900.0)[0]
-    thin = thinned_to_grid(cloud, 0.5)
+    thin = cloud.chosen(first_in_cells(cloud.point_m, 0.5))
     cell = np.floor(thin.point_m.astype(np.float64) / 0.5).astype(int)
     assert len(np.unique(cell, axis=0)) == len(thin)
     assert len(np.unique(np.floor(cloud.point_m.astype(np.float64) / 0.5).astype(int), axis=0)) == len(thin)

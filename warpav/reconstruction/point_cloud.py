@@ -98,7 +98,8 @@ def fuse(
     around = [share.around for share in shares]
     parts = [[share.parts[k] for share in shares] for k in range(len(ids))]
     rays = [[share.rays[k] for share in shares] for k in range(len(ids))]
-    environment = thinned_to_grid(joined(around), settings.environment_grid_m)
+    environment = joined(around)
+    environment = environment.chosen(first_in_cells(environment.point_m, settings.environment_grid_m))
     near, sphere = split_at_radius(environment, settings.radius_m)
     environment, sphere = near.below(settings.max_height_m), sphere.below(settings.max_height_m)
     with ThreadPoolExecutor(thread_count) as pool:
@@ -121,9 +122,6 @@ def _image_share(
     cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
     parts, rays = [], []
     is_around = np.ones(len(cloud), bool)
-    for box in boxes:
-        near = np.flatnonzero(is_around)
-        is_around[near] = ~box.contains(cloud.point_m[near], margin_m=-settings.box_margin_m)
     # pixels of a vehicle whose points lie outside its box were seen through its panes, and so were those behind
     whole = image.instance.ravel()
     own_order, whole_order = np.argsort(instance, kind="stable"), np.argsort(whole, kind="stable")
@@ -135,7 +133,11 @@ def _image_share(
         is_around[inside] = False
         kept = row[inside] * image.instance.shape[1] + column[inside]
         rays.append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
-    return _ImageShare(thinned_to_grid(cloud.chosen(is_around), settings.environment_grid_m), parts, rays)
+    around = np.flatnonzero(is_around)
+    around = around[first_in_cells(cloud.point_m[around], settings.environment_grid_m)]
+    for box in boxes:
+        around = around[~box.contains(cloud.point_m[around], margin_m=-settings.box_margin_m)]
+    return _ImageShare(cloud.chosen(around), parts, rays)
 
 
 def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, PointCloud]:
@@ -179,15 +181,15 @@ def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     )
 
 
-def thinned_to_grid(cloud: PointCloud, cell_m: float) -> PointCloud:
-    """The first point in every cell of a grid."""
-    cell = np.floor(cloud.point_m.astype(np.float64) / cell_m).astype(np.int64)
-    if len(cell) == 0:
-        return cloud
-    cell -= cell.min(axis=0)
-    size = cell.max(axis=0) + 1
-    _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
-    return cloud.chosen(np.sort(first))
+def first_in_cells(point_m: np.ndarray, cell_m: float) -> np.ndarray:
+    """Indices of the first point in every cell of a grid, ascending."""
+    if len(point_m) == 0:
+        return np.zeros(0, np.int64)
+    x, y, z = (np.floor(place_m.astype(np.float64) / cell_m).astype(np.int64) for place_m in point_m.T)
+    y -= y.min()
+    z -= z.min()
+    _, first = np.unique((x * (int(y.max()) + 1) + y) * (int(z.max()) + 1) + z, return_index=True)
+    return np.sort(first)
 
 
 def is_outside(local_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:

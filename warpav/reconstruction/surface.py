@@ -152,7 +152,7 @@ def oriented_normals(
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
     middle_m = point_m.mean(axis=0)
     neighbour = KDTree(point_m).query(point_m, min(neighbour_count, len(point_m)), workers=-1)[1]
-    normal = wp.empty(len(point_m), dtype=wp.vec3, device=device)
+    normal = wp.empty(len(point_m), dtype=wp.vec3, device=device)  # pyright: ignore[reportArgumentType]
     wp.launch(
         plane_fit.fit_normals_kernel,
         dim=len(point_m),
