@@ -5,7 +5,8 @@ from __future__ import annotations
 import concurrent.futures
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
@@ -15,7 +16,6 @@ from warpav.errors import InputError
 ExecutorName = Literal["serial", "process"]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-_MAX_TRIES = 2  # of a task whose process was killed
 
 
 @dataclass(frozen=True)
@@ -49,32 +49,50 @@ def run_tasks(
         worker_count: Processes; None: one for each core.
 
     Yields:
-        Outcomes, in the order of the tasks with ``serial`` and as they finish with ``process``. The task of a process
-        that was killed is tried once more.
+        Outcomes, in the order of the tasks with ``serial`` and as they finish with ``process``. Tasks that were under
+        way when a process was killed are tried once more, one at a time, so that only the one that kills fails.
     """
     if executor == "serial":
         for task in tasks:
             yield _outcome(function, task)
         return
-    waiting, tries = list(tasks), 0
+    waiting = deque(tasks)
     while waiting:
-        tries += 1
-        context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
-        with concurrent.futures.ProcessPoolExecutor(worker_count or os.cpu_count(), context) as pool:
-            futures = {pool.submit(_outcome, function, task): task for task in waiting}
-            try:
-                for future in concurrent.futures.as_completed(futures):
+        suspects = yield from _run_until_killed(function, waiting, worker_count or os.cpu_count() or 1)
+        for task in suspects:
+            alone = deque([task])
+            if (yield from _run_until_killed(function, alone, 1)):
+                yield Outcome(task, error="its process was killed; is there enough memory?")
+
+
+def _run_until_killed(
+    function: Callable[[Task], Result], waiting: deque[Task], worker_count: int
+) -> Generator[Outcome[Task, Result], None, list[Task]]:
+    """Take tasks and yield their outcomes until none is left or a process is killed; returns what was under way."""
+    context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
+    running: dict[concurrent.futures.Future[Outcome[Task, Result]], Task] = {}
+    suspects: list[Task] = []
+    with concurrent.futures.ProcessPoolExecutor(min(worker_count, len(waiting)), context) as pool:
+        try:
+            while running or (waiting and not suspects):
+                while waiting and len(running) < worker_count and not suspects:
+                    try:
+                        running[pool.submit(_outcome, function, waiting[0])] = waiting[0]
+                        waiting.popleft()
+                    except BrokenProcessPool:
+                        suspects.append(waiting.popleft())
+                for future in concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED).done:
+                    task = running.pop(future)
                     try:
                         outcome = future.result()
                     except BrokenProcessPool:
-                        if tries < _MAX_TRIES:
-                            continue
-                        outcome = Outcome(futures[future], error="its process was killed; is there enough memory?")
-                    waiting.remove(futures[future])
-                    yield outcome
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+                        suspects.append(task)
+                    else:
+                        yield outcome
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return suspects
 
 
 def _outcome(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
