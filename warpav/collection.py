@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpav.capture.folder import DESCRIPTION, check_capture, read_capture, record_capture
+from warpav.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
 from warpav.capture.plan import PlanSettings
+from warpav.capture.simulator import Simulator
 from warpav.errors import InputError
 from warpav.executor import ExecutorName, Outcome, run_tasks
 from warpav.recipe import recipe
@@ -81,17 +82,18 @@ def scene_path(folder: Path, seed: int) -> Path:
 
 
 def captures_in(paths: Sequence[Path]) -> dict[int, Path]:
-    """The captures that paths mean, by seed: folders of captures, and captures themselves.
+    """The captures that paths mean, by seed: folders of captures, and captures themselves, unfinished ones too.
 
     Raises:
         InputError: A path is neither, or two captures have the same number.
     """
     found: dict[int, Path] = {}
     for path in paths:
-        if (path / DESCRIPTION).is_file():
+        names = (DESCRIPTION, UNFINISHED)
+        if any((path / name).is_file() for name in names):
             captures = [path]
         else:
-            captures = sorted(file.parent for file in path.glob(f"*/{DESCRIPTION}"))
+            captures = sorted({file.parent for name in names for file in path.glob(f"*/{name}")})
         if not captures:
             raise InputError(
                 f"{path}: expected a capture (a folder with {DESCRIPTION}) or a folder of captures, got neither; "
@@ -119,14 +121,16 @@ def make_scenes(
     """
     for folder in {task.file.parent for task in tasks}:
         _make_folder(folder)
-    ready = {task: _is_ready(task) for task in tasks}
+    recipes: dict[SceneTask, str] = {}  # of those that are not there; what a file was made with is as it was before
     for task in tasks:
-        if ready[task]:
+        made_with = task.recipe
+        if _is_ready(task, made_with):
             yield Outcome(task, False)
-    missing = [task for task in tasks if not ready[task]]
-    for outcome in run_tasks(_make_scene, missing, executor=executor, worker_count=worker_count):
+        else:
+            recipes[task] = made_with
+    for outcome in run_tasks(_make_scene, list(recipes), executor=executor, worker_count=worker_count):
         if outcome.error is None:
-            _note(outcome.task)
+            _note(outcome.task, recipes[outcome.task])
         yield outcome
 
 
@@ -136,7 +140,7 @@ def capture_scenes(
     """Record situations of the embedded town that are not recorded yet; interrupted ones go on.
 
     Yields:
-        An outcome for each.
+        An outcome for each; the result tells whether images had to be taken.
 
     Raises:
         InputError: A folder cannot be written to.
@@ -150,7 +154,7 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
     """Record situations with a CARLA server, one after the other.
 
     Yields:
-        An outcome for each.
+        An outcome for each; the result tells whether images had to be taken.
 
     Raises:
         InputError: The folder cannot be written to, the package is missing, or the server does not answer.
@@ -160,12 +164,7 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
     for folder in {task.folder.parent for task in tasks}:
         _make_folder(folder)
     with CarlaSimulator(host=host, port=port) as simulator:
-
-        def record(task: CaptureTask) -> bool:
-            record_capture(simulator, task.seed, task.folder, task.settings)
-            return True
-
-        yield from run_tasks(record, tasks)
+        yield from run_tasks(lambda task: _record(simulator, task), tasks)
 
 
 def check_captures(captures: Sequence[Path], say: Callable[[str], None]) -> int:
@@ -197,7 +196,11 @@ def _make_scene(task: SceneTask) -> bool:
         from warpav.reconstruction.reconstruct import reconstruct
 
         load_warp()
-        scene = reconstruct(read_capture(task.capture), task.settings)
+        try:
+            scene = reconstruct(read_capture(task.capture), task.settings)
+        except InputError as error:
+            is_named = str(error).startswith(str(task.capture))
+            raise InputError(str(error) if is_named else f"{task.capture}: {error}") from None
     write_scene(scene, task.file)
     return True
 
@@ -206,8 +209,16 @@ def _capture_scene(task: CaptureTask) -> bool:
     from warpav.capture.town_simulator import TownSimulator
 
     with TownSimulator() as simulator:
-        record_capture(simulator, task.seed, task.folder, task.settings)
-    return True
+        return _record(simulator, task)
+
+
+def _record(simulator: Simulator, task: CaptureTask) -> bool:
+    """Record a situation; returns whether images had to be taken."""
+    views: list[int] = []
+    record_capture(
+        simulator, task.seed, task.folder, task.settings, on_image=lambda number, count: views.append(number)
+    )
+    return bool(views)
 
 
 def _make_folder(folder: Path) -> None:
@@ -217,18 +228,18 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: expected a folder to write to, got: {error.strerror}") from None
 
 
-def _is_ready(task: SceneTask) -> bool:
+def _is_ready(task: SceneTask, made_with: str) -> bool:
     entry = _index(task.file.parent).get(task.file.name)
-    if entry is None or not task.file.is_file() or entry.get("recipe") != task.recipe:
+    if entry is None or not task.file.is_file() or entry.get("recipe") != made_with:
         return False
     return entry.get("sha256") == _sha256(task.file)
 
 
-def _note(task: SceneTask) -> None:
+def _note(task: SceneTask, made_with: str) -> None:
     """Enter a file into its folder's index."""
     file = task.file.parent / INDEX
     entries = _index(task.file.parent)
-    entries[task.file.name] = {"seed": task.seed, "recipe": task.recipe, "sha256": _sha256(task.file)}
+    entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
     draft = file.with_name(f".{INDEX}.part")
     draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +23,14 @@ def recipe(*parts: object) -> str:
 @cache
 def _code_hash() -> str:
     digest = hashlib.sha256()
-    for package in _PACKAGES:
-        for file in sorted((Path(__file__).parent / package).rglob("*.py")):
+    for folder in _code_folders():
+        for file in sorted(folder.rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _code_folders() -> list[Path]:
+    kernels = importlib.util.find_spec("warpav_kernels")
+    assert kernels is not None
+    assert kernels.submodule_search_locations is not None
+    return [*(Path(__file__).parent / package for package in _PACKAGES), Path(kernels.submodule_search_locations[0])]

@@ -50,8 +50,10 @@ SCHEMA = "warpav-capture/1"
 DESCRIPTION = "capture.json"
 DEPTH_STEP_M = 0.002
 """Metres per unit of the depth images that are written here: 131 m fit into 16 bits."""
-_PLANNED = "capture.part.json"  # what an unfinished capture is going to hold
+UNFINISHED = "capture.part.json"
+"""What an unfinished capture is going to hold."""
 _MAX_ROTATION_ERROR = 1e-3
+_PNG_BEGIN, _PNG_END = b"\x89PNG\r\n", b"IEND"
 
 
 def _checked_pose(rows: list[list[float]]) -> list[list[float]]:
@@ -199,42 +201,52 @@ def record_capture(
 ) -> Path:
     """Set up a situation, take its images, and write them; one that was interrupted goes on where it stopped.
 
-    ``capture.json`` is written last: a folder that holds it is complete, and if it was made with the same settings it
-    is left alone. Images that an unfinished run of the same plan has written are kept; others are taken again.
+    ``capture.json`` is written last: a folder that holds it was complete, and if it was made with the same settings and
+    no image file is missing or truncated, it is left alone. Images that an unfinished run of the same plan has written
+    are kept; others are taken again. One that was made with other settings is replaced.
 
     Args:
         simulator: Entered already.
         seed: Chooses the situation.
         folder: Folder to write to; made when it does not exist.
         settings: What to record.
-        on_image: Called after every image with how many there are and how many there will be.
+        on_image: Called after every image with how many there are and how many there will be; not for a capture that
+            is left alone.
 
     Returns:
         The folder.
 
     Raises:
-        InputError: The folder cannot be written to.
+        InputError: The folder cannot be written to, or holds a recording from elsewhere.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, got: {error.strerror}") from None
     made_with = recipe(type(simulator).__name__, seed, settings)
-    if (folder / DESCRIPTION).is_file() and _read_record(folder / DESCRIPTION).recipe == made_with:
-        return folder
+    if (folder / DESCRIPTION).is_file():
+        found = _read_record(folder / DESCRIPTION)
+        if not found.recipe:
+            raise InputError(
+                f"{folder / DESCRIPTION}: expected a capture that may be replaced, got one without a recipe, recorded "
+                "elsewhere; choose another folder"
+            )
+        if found.recipe == made_with and all(_has_files(folder, one) for one in found.images):
+            return folder
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
     views = capture_plan(ego_box, vehicles, settings)
     record = _record_of(simulator, made_with, ego_box, vehicles, views)
     planned = record.model_dump_json(by_alias=True, indent=1)
-    is_same = _text(folder / _PLANNED) == planned
-    if not is_same:
+    if _text(folder / DESCRIPTION) == planned:  # it was complete, but files are missing or truncated
+        os.replace(folder / DESCRIPTION, folder / UNFINISHED)
+    if _text(folder / UNFINISHED) != planned:
         for part in (folder / DESCRIPTION, folder / "images"):
             shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
         (folder / "images").mkdir()
-        _write(folder / _PLANNED, planned.encode())
+        _write(folder / UNFINISHED, planned.encode())
     for index, (view, files) in enumerate(zip(views, record.images, strict=True)):
-        if not all((folder / name).is_file() for name in (files.rgb, files.depth, files.instance)):
+        if not _has_files(folder, files):
             image = simulator.look(view)
             _write(folder / files.rgb, _png(image.rgb[..., ::-1]))
             _write(folder / files.instance, _png(image.instance))
@@ -242,7 +254,7 @@ def record_capture(
             _write(folder / files.depth, _png(np.where(step <= 65535, step, 0).astype(np.uint16)))
         if on_image is not None:
             on_image(index + 1, len(views))
-    os.replace(folder / _PLANNED, folder / DESCRIPTION)
+    os.replace(folder / UNFINISHED, folder / DESCRIPTION)
     return folder
 
 
@@ -276,7 +288,8 @@ class _Images(Sequence[CapturedImage]):
         file = self._folder / name
         if not file.is_file():
             raise InputError(f"{file}: expected an image, got no such file; take or copy it again")
-        image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+        data = file.read_bytes()
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_whole(data) else None
         if image is None:
             raise InputError(f"{file}: expected a PNG image, got a file that is truncated or no image")
         if image.ndim == 3 and image.shape[2] == 4 and len(shape) == 3:
@@ -365,8 +378,9 @@ def _record_of(
 def _read_record(file: Path) -> CaptureRecord:
     text = _text(file)
     if text is None:
-        hint = "an unfinished capture; run warpav scenes capture again" if (file.parent / _PLANNED).is_file() else None
-        raise InputError(f"{file}: expected the description of a capture, got {hint or 'no such file'}")
+        is_begun = (file.parent / UNFINISHED).is_file()
+        got = "an unfinished capture; run warpav scenes capture again" if is_begun else "no such file"
+        raise InputError(f"{file}: expected the description of a capture, got {got}")
     try:
         content = json.loads(text)
     except json.JSONDecodeError as error:
@@ -405,6 +419,17 @@ def _png(image: np.ndarray) -> bytes:
     done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 3])
     assert done
     return data.tobytes()
+
+
+def _has_files(folder: Path, one: ImageRecord) -> bool:
+    """Whether a view's files are there and end as they should."""
+    files = [folder / name for name in (one.rgb, one.depth, one.instance)]
+    return all(file.is_file() and _is_whole(file.read_bytes()) for file in files)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a file's content is more than the beginning of one, as far as that shows without decoding it."""
+    return len(data) > 0 and (not data.startswith(_PNG_BEGIN) or _PNG_END in data)
 
 
 def _write(file: Path, data: bytes) -> None:
