@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import importlib.util
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from warpav.collection import CaptureTask, SceneTask, capture_path, capture_scen
 from warpav.config import Config, placed_config
 from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.reconstruction.settings import ReconstructionSettings
+from warpav.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens
@@ -84,9 +85,10 @@ def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
 def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
     """Files of scenes that went through images; those that are not there yet are made."""
     folder = config.scenes.folder or Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "captured"
+    plan, meshes = plan_settings(config), reconstruction_settings(config)
     for seed in seeds:
-        captured = CaptureTask(seed, capture_path(folder / "captures", seed), plan_settings(config))
-        scene = SceneTask(seed, scene_path(folder, seed), captured.folder, reconstruction_settings(config))
+        captured = CaptureTask(seed, capture_path(folder / "captures", seed), plan)
+        scene = SceneTask(seed, scene_path(folder, seed), captured.folder, meshes)
         for outcome in (*capture_scenes([captured]), *make_scenes([scene])):
             if outcome.error is not None:
                 raise InputError(outcome.error)
@@ -107,8 +109,19 @@ def plan_settings(config: Config) -> PlanSettings:
 
 
 def reconstruction_settings(config: Config) -> ReconstructionSettings:
-    """How a capture becomes a scene."""
+    """How a capture becomes a scene.
+
+    Raises:
+        InputError: The surface method is not installed.
+    """
     how = config.reconstruction
+    missing = [name for name in METHOD_PACKAGES.get(how.method, ()) if importlib.util.find_spec(name) is None]
+    if missing:
+        raise OptionError(
+            "reconstruction.method",
+            f"expected an installed surface method, got {how.method!r} without the package {' and '.join(missing)}; "
+            "install as https://github.com/nv-tlabs/NKSR says, or use poisson",
+        )
     standard = ReconstructionSettings()
     vehicle = {"point_count": how.vehicle_points, "cell_m": how.vehicle_cell_m, "reach_m": 2.0 * how.vehicle_cell_m}
     return ReconstructionSettings(

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+METHOD_PACKAGES = {"nksr": ("nksr", "torch")}
+"""Packages that a surface method needs and that warpav does not bring along."""
+
 
 @dataclass(frozen=True)
 class CloudSettings:
