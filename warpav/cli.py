@@ -274,6 +274,50 @@ def scenes_show(
         _say(line)
 
 
+@scenes_app.command(name="figure")
+def scenes_figure(
+    number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 9, or 14 to 16.")],
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="PNG file to write.")],
+    seed: Annotated[int | None, Parameter(help="Record this embedded situation for it; by default 3.")] = None,
+    capture: Annotated[Path | None, Parameter(help="Instead, a capture.")] = None,
+    scenes: Annotated[Path | None, Parameter(help="For figure 8: folder of scenes, scene_SEED.glb.")] = None,
+) -> None:
+    """Draw a figure of the thesis.
+
+    4: image types. 5: stages from images to meshes. 6: sphere. 7: window filter. 8: where vehicles stand.
+    9: mount surface. 14 to 16: all colour, depth and instance images.
+    """
+    from warpav.scene_figures.by_number import draw_figure
+
+    _say(f"wrote {draw_figure(number, out, seed=seed, capture_folder=capture, scenes_folder=scenes)}")
+
+
+@scenes_app.command(name="heatmap")
+def scenes_heatmap(
+    scenes: Annotated[Path, Parameter(help="Folder of scenes, scene_SEED.glb.")],
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="PNG file to write.")],
+    train: Annotated[
+        str | None, Parameter(help="Seeds to train on, such as 0..119; by default the first 60 %.")
+    ] = None,
+    test: Annotated[
+        str | None, Parameter(help="Seeds to test on, such as [160,161]; by default the last 20 %.")
+    ] = None,
+) -> None:
+    """Draw where the vehicles of a collection stand: in all scenes, those to train on, those to test on."""
+    from warpav.config import read_seeds
+    from warpav.scene_figures.occupancy import collection_heat_maps
+
+    chosen = {
+        name: None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
+        for name, seeds in (("train", train), ("test", test))
+    }
+    _say(f"wrote {collection_heat_maps(scenes, out, **chosen)}")
+
+
 @config_app.command(name="show")
 def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Print a configuration with all its defaults."""

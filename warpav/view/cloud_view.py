@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from warpav.geometry.mesh import Mesh
 from warpav.view.opengl import load_pyvista
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 _SUPERSAMPLING = 2
 _BOX_LINE_PX = 1.6
+_LARGEST_PX = 10.0  # of a point
+_SPACING_SAMPLES = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,7 @@ def cloud_picture(
     *,
     size_px: tuple[int, int],
     point_px: float = 1.5,
+    cover: float = 0.0,
     boxes: Sequence[Box] = (),
     box_rgb: Rgb = (240, 126, 22),
     background_rgb: Rgb = PAPER_RGB,
@@ -57,7 +61,8 @@ def cloud_picture(
         parts: What to draw, in the ego frame.
         viewpoint: From where.
         size_px: Width and height of the picture [px].
-        point_px: Size of a point [px].
+        point_px: Least size of a point [px].
+        cover: Points are this many times as large as they are typically apart, so near ones are larger than far ones.
         boxes: 3D boxes, drawn as wires.
         box_rgb: Their colour.
         background_rgb: Colour where nothing is.
@@ -81,16 +86,17 @@ def cloud_picture(
                 if len(part.triangle):
                     plotter.add_mesh(mesh_to_pyvista(part), scalars="RGB", rgb=True, lighting=False)
             elif len(part):
-                points = pyvista.PolyData(np.asarray(part.point_m))
-                points.point_data["RGB"] = part.rgb
-                plotter.add_mesh(
-                    points,
-                    scalars="RGB",
-                    rgb=True,
-                    style="points",
-                    point_size=point_px * _SUPERSAMPLING,
-                    lighting=False,
-                )
+                for chosen, drawn_point_px in _by_size(part, viewpoint, size_px[1], point_px, cover):
+                    points = pyvista.PolyData(part.point_m[chosen])
+                    points.point_data["RGB"] = part.rgb[chosen]
+                    plotter.add_mesh(
+                        points,
+                        scalars="RGB",
+                        rgb=True,
+                        style="points",
+                        point_size=drawn_point_px * _SUPERSAMPLING,
+                        lighting=False,
+                    )
         for box in boxes:
             corner = box.corners_m()
             first, second = np.triu_indices(8, 1)
@@ -110,3 +116,24 @@ def cloud_picture(
         return np.asarray(drawn.resize(size_px, Image.Resampling.LANCZOS))
     finally:
         plotter.close()
+
+
+def _by_size(
+    cloud: PointCloud, viewpoint: Viewpoint, height_px: int, point_px: float, cover: float
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Indices of the points of each size, and the size [px], in steps of half a doubling."""
+    if cover <= 0.0:
+        yield np.arange(len(cloud)), point_px
+        return
+    some_m = cloud.point_m[:: -(-len(cloud) // _SPACING_SAMPLES)]
+    distance_m, _ = KDTree(cloud.point_m).query(some_m, k=2)
+    edge_m = cover * float(np.median(distance_m[:, 1])) if len(cloud) > 1 else 0.0
+    if viewpoint.height_m is not None:
+        yield np.arange(len(cloud)), float(np.clip(edge_m * height_px / viewpoint.height_m, point_px, _LARGEST_PX))
+        return
+    depth_m = np.linalg.norm(cloud.point_m - np.asarray(viewpoint.position_m, np.float32), axis=1)
+    focal_px = 0.5 * height_px / math.tan(0.5 * viewpoint.height_rad)
+    wanted_px = np.clip(focal_px * edge_m / np.maximum(depth_m, 1e-3), point_px, _LARGEST_PX)
+    step = np.round(2.0 * np.log2(wanted_px / point_px)).astype(int)
+    for one in np.unique(step):
+        yield np.flatnonzero(step == one), point_px * 2.0 ** (0.5 * one)
