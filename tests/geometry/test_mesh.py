@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.scene.closed_surface import signed_volume_m3
 from warpav.errors import InputError
 from warpav.geometry import mesh as mesh_module
 from warpav.geometry.frames import rotation_from_yaw_pitch_roll
@@ -85,3 +86,20 @@ def test_meshes_with_more_triangles_than_indices_do_not_merge(monkeypatch):
     monkeypatch.setattr(mesh_module, "MAX_COUNT", 13)
     with pytest.raises(ValueError, match="2 meshes have 14 triangles together, more than 13"):
         merge([many, many])
+
+
+def test_a_mirrored_mesh_faces_outwards_and_mirrored_twice_is_itself():
+    # a tetrahedron, counter-clockwise seen from outside
+    corner_m = [[5, 1, -4], [6, 1, -4], [5, 3, -4], [5, 1, -1]]
+    rgb = [[1, 2, 3], [4, 5, 6], [7, 8, 9], [0, 1, 2]]
+    body = Mesh.create(corner_m, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], rgb)
+    mirrored = body.mirrored()
+    assert signed_volume_m3(body) == pytest.approx(1.0)
+    assert signed_volume_m3(mirrored) == pytest.approx(1.0)
+    np.testing.assert_allclose(mirrored.bounds_m(), [[5, -3, -4], [6, -1, -1]])
+    np.testing.assert_array_equal(mirrored.vertex_rgb, body.vertex_rgb)
+    assert (mirrored.vertex_m.dtype, mirrored.triangle.dtype) == (np.float32, np.int32)
+    np.testing.assert_array_equal(body.vertex_m, np.float32(corner_m))  # mirroring leaves the original alone
+    twice = mirrored.mirrored()
+    np.testing.assert_array_equal(twice.vertex_m, body.vertex_m)
+    np.testing.assert_array_equal(twice.triangle, body.triangle)

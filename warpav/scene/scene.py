@@ -126,14 +126,10 @@ class Scene:
 
     def mirrored(self) -> Scene:
         """The scene with left and right exchanged, where traffic keeps to the other side; the ego vehicle stays."""
-
-        def exchanged(users: tuple[Vehicle, ...]) -> tuple[Vehicle, ...]:
-            return tuple(replace(user, mesh=user.mesh.mirrored(), box=user.box.mirrored()) for user in users)
-
         return replace(
             self,
             name=f"{self.name}_mirrored",
             environment=self.environment.mirrored(),
-            vehicles=exchanged(self.vehicles),
-            others=exchanged(self.others),
+            vehicles=tuple(vehicle.mirrored() for vehicle in self.vehicles),
+            others=tuple(other.mirrored() for other in self.others),
         )

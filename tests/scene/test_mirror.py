@@ -1,0 +1,96 @@
+"""Scenes with left and right exchanged: the same traffic on the other side, seen in a mirror."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tests.scene.closed_surface import signed_volume_m3
+from warpav.render.images import render_images
+from warpav.rig.camera import CameraModel
+from warpav.rig.rig import RigCamera
+from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.scene import Box
+from warpav.scene.town import town_scene
+
+LEFT_RIGHT = np.array([1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return town_scene(2)
+
+
+def all_users(scene):
+    return (*scene.vehicles, *scene.others)
+
+
+def same_mesh(one, other):
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("vertex_m", "triangle", "vertex_rgb")
+    )
+
+
+def test_a_mirrored_box_has_the_mirrored_corners(rng):
+    box = Box(np.array([7.0, -3.0, 0.8]), np.array([4.0, 2.0, 1.5]), 0.4)
+    mirrored = box.mirrored()
+    expected = {tuple(corner) for corner in (box.corners_m() * LEFT_RIGHT).round(9).tolist()}
+    assert {tuple(corner) for corner in mirrored.corners_m().round(9).tolist()} == expected
+    point_m = rng.uniform([3, -6, -1], [11, 0, 3], (500, 3))
+    inside = box.contains(point_m)
+    assert 0 < inside.sum() < 500
+    np.testing.assert_array_equal(mirrored.contains(point_m * LEFT_RIGHT), inside)
+    twice = mirrored.mirrored()
+    np.testing.assert_array_equal(twice.center_m, box.center_m)
+    np.testing.assert_array_equal(twice.size_m, box.size_m)
+    assert twice.yaw_rad == box.yaw_rad
+
+
+def test_a_scene_mirrored_twice_is_itself(scene):
+    twice = scene.mirrored().mirrored()
+    assert same_mesh(twice.environment, scene.environment)
+    assert same_mesh(twice.ego, scene.ego)
+    assert len(all_users(twice)) == len(all_users(scene))
+    for one, other in zip(all_users(twice), all_users(scene), strict=True):
+        assert same_mesh(one.mesh, other.mesh)
+        np.testing.assert_array_equal(one.box.center_m, other.box.center_m)
+        assert one.box.yaw_rad == other.box.yaw_rad
+
+
+def test_a_mirrored_scene_keeps_who_is_there_and_the_ego_vehicle(scene):
+    mirrored = scene.mirrored()
+    assert mirrored.name == f"{scene.name}_mirrored"
+    assert mirrored.ego is scene.ego
+    assert mirrored.sky == scene.sky
+    assert [(user.instance_id, user.category) for user in mirrored.vehicles] == [
+        (user.instance_id, user.category) for user in scene.vehicles
+    ]
+    assert len(mirrored.others) == len(scene.others) > 0
+    for user, original in zip(all_users(mirrored), all_users(scene), strict=True):
+        np.testing.assert_allclose(user.box.center_m, original.box.center_m * LEFT_RIGHT)
+        # its mesh is where its box is, and turned outwards as before
+        assert user.box.contains(user.mesh.vertex_m.astype(float), margin_m=1e-3).all()
+        assert signed_volume_m3(user.mesh) == pytest.approx(signed_volume_m3(original.mesh), rel=1e-4)
+        assert signed_volume_m3(user.mesh) > 0.0
+
+
+def test_a_mirrored_scene_is_written_and_read(scene, tmp_path):
+    mirrored = dataclasses.replace(scene, environment=scene.ego, vehicles=scene.vehicles[:1], others=()).mirrored()
+    write_scene(mirrored, tmp_path / "mirrored.glb")
+    found = read_scene(tmp_path / "mirrored.glb")
+    assert same_mesh(found.vehicles[0].mesh, mirrored.vehicles[0].mesh)
+    assert found.vehicles[0].box.yaw_rad == pytest.approx(mirrored.vehicles[0].box.yaw_rad)
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, math.pi, 0.9])
+def test_cameras_see_the_mirror_image(scene, yaw_rad):
+    # above the roof, so that the ego vehicle, which stays as it is, is not in the picture
+    model, position_m = CameraModel(96, 64, math.radians(80.0)), np.array([1.5, 0.0, 3.0])
+    (image,) = render_images(scene, [RigCamera("one", position_m, yaw_rad, 0.0, 0.0, model)])
+    (mirrored,) = render_images(scene.mirrored(), [RigCamera("one", position_m, -yaw_rad, 0.0, 0.0, model)])
+    assert image.rgb.std() > 10.0
+    same = np.abs(mirrored.rgb[:, ::-1].astype(int) - image.rgb).max(axis=2) <= 1
+    assert same.mean() > 0.999  # worst seen 1
+    same = mirrored.object_index[:, ::-1] == image.object_index
+    assert same.mean() > 0.999  # worst seen 1
