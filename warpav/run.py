@@ -102,7 +102,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     ego = shown = None
     for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds), count=len(seeds))):
         ego = scene.ego if ego is None else ego
-        if np.abs(scene.ego.bounds_m() - ego.bounds_m()).max() > EGO_TOLERANCE_M:
+        if not _is_same_vehicle(scene.ego, ego):
             raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
         shown = scene if k == train_count else shown
         packed.append(DeviceScene.pack(scene, device=device))
@@ -144,6 +144,16 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         supersampling=config.camera.supersampling,
     )
     return Problem(config, objective, segregation, assigned[:train_count], assigned[train_count:], ego, shown)
+
+
+def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
+    """Whether two meshes may show the same vehicle; how low they reach is left out.
+
+    How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
+    """
+    difference_m = np.abs(one.bounds_m() - other.bounds_m())
+    difference_m[0, 2] = 0.0
+    return bool(difference_m.max() <= EGO_TOLERANCE_M)
 
 
 def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:
