@@ -24,7 +24,7 @@ from warpav.scene_figures.panels import (
     caption,
     count_text,
     empty_panel,
-    panel_size_px,
+    panel_sizes_px,
     show_picture,
     title,
     towards,
@@ -93,15 +93,16 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
             "overhead, happen in the simulator.\n"
             f"In (4) the sky lies at {_SKY_DEPTH_M:g} m. From (6) on panes are filtered as in figure 7, and of the "
             f"environment one point in every {100.0 * how.environment_grid_m:g} cm is kept.\n"
-            "Plain pale blue: no image shows anything there.",
+            "Plain blue: no image shows anything there.",
         )
-        for axis, (parts, cover) in zip(axes, panels.values(), strict=True):
+        sizes_px = panel_sizes_px(figure, axes)
+        for axis, size_px, (parts, cover) in zip(axes, sizes_px, panels.values(), strict=True):
             show_picture(
                 axis,
                 cloud_picture(
                     parts,
                     viewpoint,
-                    size_px=panel_size_px(figure, axis),
+                    size_px=size_px,
                     point_px=1.6,
                     cover=cover,
                     background_rgb=BACKGROUND_RGB,
@@ -251,7 +252,7 @@ def window_filter(
     sight = box.center_m - capture.ego_box.center_m  # from beside it, what lies behind panes is not hidden by them
     oblique = towards(math.atan2(sight[1], sight[0]) + math.radians(142.0), math.radians(27.0))
     high = towards(capture.ego_box.yaw_rad + math.radians(200.0), math.radians(48.0))
-    every_m = np.concatenate([one.corners_m() for one in (capture.ego_box, *boxes)])
+    every_m = np.concatenate([*(one.corners_m() for one in (capture.ego_box, *boxes)), *strays_m])
     shown_m = np.concatenate([box.corners_m(), strays_m[chosen]])
     low_m, high_m = every_m.min(axis=0) - 2.0, [*(every_m.max(axis=0)[:2] + 2.0), _STREET_HEIGHT_M]
 
@@ -270,7 +271,7 @@ def window_filter(
     with figure_style():
         figure = new_figure(WIDTH_INCH, 9.8)
         grid = figure.add_gridspec(3, 6, height_ratios=[1.0, 0.8, 1.0])
-        whole, single = (boxes, every_m, high), ([box], shown_m, oblique)
+        whole, single, around = (boxes, every_m, high, 1.5), ([box], shown_m, oblique, 1.5), (boxes, every_m, high, 2.5)
         one_shown, one_boxed, one_outside = ([part[chosen]] for part in (clouds.shown, clouds.boxed, clouds.outside))
         panels = []
         for place, text, counted, remark, parts, view in (
@@ -279,13 +280,13 @@ def window_filter(
             (grid[1, :2], name, one_shown, "", one_shown, single),
             (grid[1, 2:4], "Inside its box", one_boxed, "", one_boxed, single),
             (grid[1, 4:], "Its outside", one_outside, "", one_outside, single),
-            (grid[2, :3], "Environment alone", [clouds.lost], " in boxes", [pale_before, lost], whole),
-            (grid[2, 3:], "With what panes show", [clouds.gained], " more", [pale_after, gained], whole),
+            (grid[2, :3], "Environment alone", [clouds.lost], " in boxes", [pale_before, lost], around),
+            (grid[2, 3:], "With what panes show", [clouds.gained], " more", [pale_after, gained], around),
         ):
             axis = figure.add_subplot(place)
             title(axis, text, count_text(sum(map(len, counted))) + remark)
             empty_panel(axis)
-            panels.append((axis, parts, *view))
+            panels.append((parts, *view))
         caption(
             figure,
             f"{capture.name}. Orange: 3D boxes. Middle: {name.lower()} ({capture.vehicles[chosen].category}); what its "
@@ -293,10 +294,18 @@ def window_filter(
             f"Below: the environment up to {_STREET_HEIGHT_M:g} m; magenta: its points inside boxes, which go; blue: "
             "points seen through panes, which come to it.",
         )
-        for axis, parts, wires, point_m, direction in panels:
-            size_px = panel_size_px(figure, axis)
-            viewpoint = view_of(point_m, direction, size_px)
-            show_picture(axis, cloud_picture(parts, viewpoint, size_px=size_px, cover=1.3, boxes=wires))
+        for axis, size_px, (parts, wires, point_m, direction, point_px) in zip(
+            figure.axes, panel_sizes_px(figure, figure.axes), panels, strict=True
+        ):
+            picture = cloud_picture(
+                parts,
+                view_of(point_m, direction, size_px),
+                size_px=size_px,
+                point_px=point_px,
+                cover=1.3,
+                boxes=wires,
+            )
+            show_picture(axis, picture)
         return save_figure(figure, path)
 
 
@@ -324,7 +333,7 @@ def _with_sky(image: CapturedImage, far_depth_m: float) -> PointCloud:
 
 def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:
     """From behind and above the ego vehicle, or from another side where something stands in the way."""
-    elevation_rad, distance_m = math.radians(27.0), 21.0
+    elevation_rad, distance_m = math.radians(24.0), 21.0
     target_m = ego_box.center_m + np.array([0.0, 0.0, 0.5])
     point_m = around.point_m.astype(np.float64) - target_m
     best = (math.inf, 0.0)
@@ -341,5 +350,5 @@ def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:
             break
     ahead = np.array([math.cos(best[1]), math.sin(best[1]), 0.0])
     return Viewpoint(
-        target_m + distance_m * towards(best[1], elevation_rad), target_m - 7.0 * ahead, height_rad=math.radians(46.0)
+        target_m + distance_m * towards(best[1], elevation_rad), target_m - 9.0 * ahead, height_rad=math.radians(50.0)
     )

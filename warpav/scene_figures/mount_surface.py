@@ -21,7 +21,7 @@ from warpav.scene_figures.panels import (
     caption,
     count_text,
     empty_panel,
-    panel_size_px,
+    panel_sizes_px,
     show_picture,
     title,
     towards,
@@ -82,7 +82,7 @@ def mount_surface_stages(
             f"{capture.name}. Measured: what looks upwards, seen from above, in cells of {100.0 * cell_m:g} cm. "
             "Filled: other cells have the height of the nearest.\nSmoothed: until they no longer change.",
         )
-        size_px = panel_size_px(figure, axes[0, 0])
+        (size_px,) = panel_sizes_px(figure, axes[:1, 0])
         viewpoint = view_of(cloud.cloud.point_m, towards(math.radians(38.0), math.radians(40.0)), size_px)
         parts = [cloud.cloud, _coloured(surface, limits_m)]
         show_picture(

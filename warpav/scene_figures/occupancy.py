@@ -103,7 +103,7 @@ def heat_maps(
             vehicle_count = sum(len(boxes) for boxes in collections[name])
             title(
                 axis,
-                name.capitalize(),
+                name.title(),
                 f"{count_text(len(collections[name]), 'scenes')}, {count_text(vehicle_count, 'vehicles')}",
             )
             axis.set_xlabel("y, left [m]")

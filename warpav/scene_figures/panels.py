@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from warpav.errors import InputError
 from warpav.view.cloud_view import Viewpoint
 from warpav.view.palette import GRID_RGB, MUTED_RGB, Rgb, hex_colour
 
-BACKGROUND_RGB: Rgb = (220, 228, 238)
+BACKGROUND_RGB: Rgb = (178, 198, 224)
 """Where a picture shows nothing: neither the white of a vehicle nor the grey of a road."""
 
 
@@ -42,11 +43,11 @@ def empty_panel(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         spine.set(visible=True, color=hex_colour(GRID_RGB), linewidth=1.0)
 
 
-def panel_size_px(figure: Any, axis: Any) -> tuple[int, int]:  # noqa: ANN401 (matplotlib)
-    """Width and height of a panel as the layout leaves it [px]; titles and captions come before."""
+def panel_sizes_px(figure: Any, axes: Iterable[Any]) -> list[tuple[int, int]]:  # noqa: ANN401 (matplotlib)
+    """Width and height of panels as the layout leaves them [px]; titles and captions come before."""
     figure.draw_without_rendering()
-    extent = axis.get_window_extent()
-    return round(extent.width), round(extent.height)
+    extents = [axis.get_window_extent() for axis in axes]
+    return [(round(extent.width), round(extent.height)) for extent in extents]
 
 
 def title(axis: Any, text: str, remark: str = "") -> None:  # noqa: ANN401 (matplotlib)
