@@ -169,7 +169,17 @@ def test_a_vehicle_that_no_image_shows_is_told(folder):
     for file in (folder / "images").glob("*_instance.png"):
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         cv2.imwrite(str(file), np.where(image == 2, 0, image))
-    assert "got none of instance_id 2" in next(check_capture(folder))
+    (trouble,) = check_capture(folder)
+    assert trouble.endswith(
+        "vehicles: instance_id 2: expected it in some instance image, got none; remove it from the list"
+    )
+
+
+def test_a_box_elsewhere_than_its_pixels_is_told(folder):
+    _edit(vehicles__0__box_center_m=[0.0, 0.0, 500.0], ego__box_center_m=[0.0, 0.0, -500.0])(folder)
+    ego, vehicle = check_capture(folder)
+    assert "capture.json: ego: expected its pixels to lie in its 3D box, got none of " in ego
+    assert "capture.json: vehicles: instance_id 1: expected its pixels to lie in its 3D box, got none of " in vehicle
 
 
 def test_a_folder_without_a_capture_is_refused(tmp_path):

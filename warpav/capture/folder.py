@@ -2,7 +2,8 @@
 
 ``capture.json`` (schema ``warpav-capture/1``) holds, in the ego frame (ISO 8855, metres, degrees):
 
-* ``name``, ``source``, and ``recipe``, a hash of what it was made with, so that it is not made twice;
+* ``name``, ``source``, and ``recipe``, a hash of what it was made with, so that it is not made twice; recordings from
+  elsewhere have none, and are never replaced;
 * ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
 * ``vehicles``: for each ``instance_id`` (1 to 65534), ``class``, the three box fields, ``spawn_m``, ``spawn_yaw_deg``
   and ``instance_rgb``, the simulator's own colour of the instance;
@@ -173,7 +174,8 @@ def check_capture(folder: Path) -> Iterator[str]:
     except InputError as error:
         yield from str(error).splitlines()
         return
-    pixels = {vehicle.instance_id: 0 for vehicle in capture.vehicles}
+    box_of = {EGO_INSTANCE: capture.ego_box, **{one.instance_id: one.box for one in capture.vehicles}}
+    pixels, inside = dict.fromkeys(box_of, 0), dict.fromkeys(box_of, 0)
     for index in range(len(capture.images)):
         try:
             image = capture.images[index]
@@ -181,14 +183,31 @@ def check_capture(folder: Path) -> Iterator[str]:
             yield str(error)
             continue
         for instance_id, count in zip(*np.unique(image.instance, return_counts=True), strict=True):
-            if int(instance_id) in pixels:
+            box = box_of.get(int(instance_id))
+            if box is not None:
                 pixels[int(instance_id)] += int(count)
+                inside[int(instance_id)] += _count_inside(image, int(instance_id), box)
     for instance_id, count in pixels.items():
+        if inside[instance_id] > 0:
+            continue
+        place = "ego" if instance_id == EGO_INSTANCE else f"vehicles: instance_id {instance_id}"
+        hint = "" if instance_id == EGO_INSTANCE else "; remove it from the list"
         if count == 0:
+            yield f"{folder / DESCRIPTION}: {place}: expected it in some instance image, got none{hint}"
+        else:
             yield (
-                f"{folder / DESCRIPTION}: vehicles: expected every vehicle in some instance image, "
-                f"got none of instance_id {instance_id}; remove it from the list"
+                f"{folder / DESCRIPTION}: {place}: expected its pixels to lie in its 3D box, got none of {count}; are "
+                "boxes and poses in the ego frame, and depths along the optical axis, in metres?"
             )
+
+
+def _count_inside(image: CapturedImage, instance_id: int, box: Box) -> int:
+    """How many pixels of an instance show something in a box."""
+    row, column = np.nonzero((image.instance == instance_id) & np.isfinite(image.depth_m))
+    ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)
+    pose = image.view.ego_from_camera
+    point_m = (ray * image.depth_m[row, column, None]) @ pose[:3, :3].T + pose[:3, 3]
+    return int(np.count_nonzero(box.contains(point_m)))
 
 
 def record_capture(
