@@ -141,12 +141,18 @@ WRONG = [
     (_edit(images__0__ego_from_camera=MIRROR), r"images\.0\.ego_from_camera: expected a rotation .*left-handed"),
     (_edit(images__0__ego_from_camera=STRETCHED), r"images\.0\.ego_from_camera: expected a rotation .* off by 3"),
     (_edit(images__0__intrinsics=[[9, 1, 5], [0, 9, 5], [0, 0, 1]]), r"images\.0\.intrinsics: expected focal lengths"),
+    (
+        _edit(images__0__intrinsics=[[9, 0, 1e300], [0, 9, 5], [0, 0, 1]]),
+        r"images\.0\.intrinsics: expected those of a camera, got: centre_px",
+    ),
     (_edit(vehicles__0__box_size_m=[4.0, -1.0, 1.0]), r"vehicles\.0\.box_size_m\.1: .*greater than 0, got -1"),
     (_edit(vehicles__1__instance_id=1), "vehicles: instance_id: expected each once, got 1 2 times"),
     (_edit(images__1__name="ego_top"), "images: name: expected each once, got ego_top 2 times"),
     (_edit(vehicles__0__colour="red"), r"vehicles\.0\.colour: Extra inputs are not permitted"),
     (_edit(schema="warpav-capture/9"), "schema: Input should be 'warpav-capture/1', got warpav-capture/9"),
     (lambda folder: (folder / DESCRIPTION).write_text("{"), r"capture\.json:1: expected JSON"),
+    (lambda folder: (folder / DESCRIPTION).write_text("[3]"), r"capture\.json:1: expected an object with .* got \[3\]"),
+    (lambda folder: (folder / "images" / "ego_top_rgb.png").write_bytes(b""), "ego_top_rgb.png: expected a PNG image"),
 ]
 
 

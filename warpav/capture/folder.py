@@ -291,6 +291,11 @@ class _Images(Sequence[CapturedImage]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         one = self._record.images[index]
+        try:
+            view = _view_of(one)
+        except ValueError as error:
+            place = f"{self._folder / DESCRIPTION}: images.{index}.intrinsics"
+            raise InputError(f"{place}: expected those of a camera, got: {error}") from None
         size = (one.height_px, one.width_px)
         rgb = self._read(one.rgb, np.uint8, (*size, 3))[..., ::-1]
         instance = self._read(one.instance, np.uint16, size)
@@ -301,7 +306,7 @@ class _Images(Sequence[CapturedImage]):
                     f"{self._folder / one.instance}: expected 0, 65535 and the instance ids of {DESCRIPTION}, got "
                     f"{instance_id}, which has no box there"
                 )
-        return CapturedImage(_view_of(one), np.ascontiguousarray(rgb), depth_m, instance)
+        return CapturedImage(view, np.ascontiguousarray(rgb), depth_m, instance)
 
     def _read(self, name: str, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
         file = self._folder / name
@@ -404,6 +409,9 @@ def _read_record(file: Path) -> CaptureRecord:
         content = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{file}:{error.lineno}: expected JSON, got: {error.msg}") from None
+    if not isinstance(content, dict):
+        got = " ".join(text.split())[:60]
+        raise InputError(f"{file}:1: expected an object with schema, name, ego, vehicles and images, got {got}")
     try:
         record = CaptureRecord.model_validate(content)
     except ValidationError as error:
