@@ -101,7 +101,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
     monkeypatch.setattr("warpav.scene.town.town_scene", failing)
     assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == ["2 of 3 done; refused:", "RuntimeError: the street is closed"]
+    assert lines[-2:] == ["2 of 3 done; refused:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
     assert sorted(os.listdir("scenes")) == ["collection.json", "scene_0.glb", "scene_2.glb"]
 
 

@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from warpav.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_c
 from warpav.capture.plan import PlanSettings
 from warpav.capture.simulator import Simulator
 from warpav.errors import InputError
-from warpav.executor import ExecutorName, Outcome, run_tasks
+from warpav.executor import ExecutorName, Outcome, Task, run_tasks
 from warpav.recipe import recipe
 from warpav.reconstruction.settings import ReconstructionSettings
 from warpav.warp_setup import load_warp
@@ -131,7 +131,7 @@ def make_scenes(
     for outcome in run_tasks(_make_scene, list(recipes), executor=executor, worker_count=worker_count):
         if outcome.error is None:
             _note(outcome.task, recipes[outcome.task])
-        yield outcome
+        yield _named(outcome, outcome.task.capture or outcome.task.file)
 
 
 def capture_scenes(
@@ -147,7 +147,8 @@ def capture_scenes(
     """
     for folder in {task.folder.parent for task in tasks}:
         _make_folder(folder)
-    yield from run_tasks(_capture_scene, tasks, executor=executor, worker_count=worker_count)
+    for outcome in run_tasks(_capture_scene, tasks, executor=executor, worker_count=worker_count):
+        yield _named(outcome, outcome.task.folder)
 
 
 def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) -> Iterator[Outcome[CaptureTask, bool]]:
@@ -164,7 +165,8 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
     for folder in {task.folder.parent for task in tasks}:
         _make_folder(folder)
     with CarlaSimulator(host=host, port=port) as simulator:
-        yield from run_tasks(lambda task: _record(simulator, task), tasks)
+        for outcome in run_tasks(lambda task: _record(simulator, task), tasks):
+            yield _named(outcome, outcome.task.folder)
 
 
 def check_captures(captures: Sequence[Path], say: Callable[[str], None]) -> int:
@@ -185,6 +187,13 @@ def split_seeds(seeds: Sequence[int]) -> dict[str, list[int]]:
     return {"train": ordered[:train], "validation": ordered[train:validation], "test": ordered[validation:]}
 
 
+def _named(outcome: Outcome[Task, bool], place: Path) -> Outcome[Task, bool]:
+    """The outcome with an error that tells where."""
+    if outcome.error is None or outcome.error.startswith(str(place)):
+        return outcome
+    return replace(outcome, error=f"{place}: {outcome.error}")
+
+
 def _make_scene(task: SceneTask) -> bool:
     from warpav.scene.glb import write_scene
 
@@ -196,11 +205,7 @@ def _make_scene(task: SceneTask) -> bool:
         from warpav.reconstruction.reconstruct import reconstruct
 
         load_warp()
-        try:
-            scene = reconstruct(read_capture(task.capture), task.settings)
-        except InputError as error:
-            is_named = str(error).startswith(str(task.capture))
-            raise InputError(str(error) if is_named else f"{task.capture}: {error}") from None
+        scene = reconstruct(read_capture(task.capture), task.settings)
     write_scene(scene, task.file)
     return True
 
