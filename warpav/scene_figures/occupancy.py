@@ -15,7 +15,7 @@ from warpav.errors import InputError
 from warpav.figures import WIDTH_INCH, figure_style, new_figure, save_figure
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Box
-from warpav.scene_figures.panels import checked_png, count_text, title
+from warpav.scene_figures.panels import caption, checked_png, count_text, title
 from warpav.view.palette import INK_RGB, hex_colour
 
 
@@ -86,7 +86,7 @@ def heat_maps(
         radius_m = 5.0 * math.ceil(max(corners, default=20.0) / 5.0)
     share = {name: vehicle_occupancy(part, radius_m=radius_m, cell_m=cell_m) for name, part in collections.items()}
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 1.2 + (WIDTH_INCH - 0.7) / len(share))
+        figure = new_figure(WIDTH_INCH, 1.45 + (WIDTH_INCH - 0.9) / len(share))
         axes = figure.subplots(1, len(share), sharey=True, squeeze=False)[0]
         for axis, (name, one) in zip(axes, share.items(), strict=True):
             image = axis.imshow(
@@ -112,6 +112,8 @@ def heat_maps(
             bar.set_label("scenes with a vehicle there [%]")
             bar.outline.set_visible(False)
         axes[0].set_ylabel("x, forward [m]")
+        caption(figure, "Black: the ego vehicle. White: no vehicle in any scene. Every map has a scale of its own.")
+        figure.get_layout_engine().set(w_pad=0.1)
         return save_figure(figure, path)
 
 
