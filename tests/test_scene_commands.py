@@ -103,6 +103,23 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2:] == ["2 of 3 done; refused:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
     assert sorted(os.listdir("scenes")) == ["collection.json", "scene_0.glb", "scene_2.glb"]
+    # the split is of those that are there
+    assert main(["scenes", "make", "--count", "7", "--out", "scenes"]) == 2
+    assert capsys.readouterr().out.splitlines()[-1].endswith("scenes.train_seeds=[0,2,3,4] scenes.test_seeds=6..6")
+
+
+@pytest.mark.parametrize("count", [5, 6, 9])
+def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, count):
+    monkeypatch.setattr("warpav.scene.town.town_scene", small_scene)
+    assert main(["scenes", "make", "--count", str(count), "--out", "scenes"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    if count < 6:
+        assert line == "scenes/scene_4.glb"
+        return
+    overrides = line.partition("warpav optimise ")[2].split()
+    scenes = load_config("quick", overrides).scenes
+    assert set(scenes.train_seeds).isdisjoint(scenes.test_seeds)
+    assert set(scenes.train_seeds) | set(scenes.test_seeds) < set(range(count))  # the others validate
 
 
 # ------------------------------------------------------------------------------------------------ capture, check

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from warpav.render.images import CameraImage
     from warpav.scene.scene import Scene
 
-_SPLIT_FROM = 5  # scenes that make training, validation and test scenes
+_SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
 
@@ -104,8 +104,7 @@ def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, wor
         ),
         len(tasks),
     )
-    if len(seeds) >= _SPLIT_FROM:
-        _say_split(seeds, out)
+    _say_split(tasks, out)
     return status
 
 
@@ -159,7 +158,9 @@ def reconstruct_scenes(
         SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
     ]
     outcomes = make_scenes(tasks, executor=executor, worker_count=worker_count)
-    return _show_outcomes("reconstructing", ((str(outcome.task.file), outcome) for outcome in outcomes), len(tasks))
+    status = _show_outcomes("reconstructing", ((str(outcome.task.file), outcome) for outcome in outcomes), len(tasks))
+    _say_split(tasks, out)
+    return status
 
 
 def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
@@ -180,7 +181,11 @@ def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]
     return 2 if refused else 0
 
 
-def _say_split(seeds: Sequence[int], out: Path) -> None:
+def _say_split(tasks: Sequence[SceneTask], out: Path) -> None:
+    """Tell how to train on some of the scenes that are there now and test on others, if they are enough for that."""
+    seeds = [task.seed for task in tasks if task.file.is_file()]
+    if len(seeds) < _SPLIT_FROM:
+        return
     split = {name: _seed_text(part) for name, part in split_seeds(seeds).items()}
     with RunDisplay() as display:
         display.say(
