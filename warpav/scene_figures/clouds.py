@@ -93,7 +93,7 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
             "overhead, happen in the simulator.\n"
             f"In (4) the sky lies at {_SKY_DEPTH_M:g} m. From (6) on panes are filtered as in figure 7, and of the "
             f"environment one point in every {100.0 * how.environment_grid_m:g} cm is kept.\n"
-            "Plain blue: no image shows anything there.",
+            "Plain lilac: no image shows anything there.",
         )
         sizes_px = panel_sizes_px(figure, axes)
         for axis, size_px, (parts, cover) in zip(axes, sizes_px, panels.values(), strict=True):
@@ -350,5 +350,5 @@ def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:
             break
     ahead = np.array([math.cos(best[1]), math.sin(best[1]), 0.0])
     return Viewpoint(
-        target_m + distance_m * towards(best[1], elevation_rad), target_m - 9.0 * ahead, height_rad=math.radians(50.0)
+        target_m + distance_m * towards(best[1], elevation_rad), target_m - 14.0 * ahead, height_rad=math.radians(56.0)
     )

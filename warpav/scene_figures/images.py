@@ -21,6 +21,7 @@ KIND_RGB: Mapping[ViewKind, Rgb] = {
     ViewKind.VEHICLE_TOP: (52, 168, 83),
     ViewKind.SCENE_TOP: (36, 107, 224),
     ViewKind.ROTATION: (122, 86, 214),
+    ViewKind.EGO_SIDE: (216, 60, 94),
     ViewKind.OTHER: MUTED_RGB,
 }
 """Frames of the images of a capture: orange, yellow, green, blue and purple as in the thesis's appendix."""
@@ -30,6 +31,7 @@ _KIND_TEXT = {
     ViewKind.VEHICLE_TOP: "over another vehicle",
     ViewKind.SCENE_TOP: "over the place",
     ViewKind.ROTATION: "all around",
+    ViewKind.EGO_SIDE: "beside the ego vehicle",
     ViewKind.OTHER: "other",
 }
 _SKY_RGB = (214, 226, 240)

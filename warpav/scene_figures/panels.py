@@ -13,8 +13,8 @@ from warpav.errors import InputError
 from warpav.view.cloud_view import Viewpoint
 from warpav.view.palette import GRID_RGB, MUTED_RGB, Rgb, hex_colour
 
-BACKGROUND_RGB: Rgb = (178, 198, 224)
-"""Where a picture shows nothing: neither the white of a vehicle nor the grey of a road."""
+BACKGROUND_RGB: Rgb = (214, 205, 230)
+"""Where a picture shows nothing: not the colour of a vehicle, a road or the sky."""
 
 
 def checked_png(path: Path | str) -> Path:
