@@ -38,7 +38,7 @@ def test_every_vehicle_fits_into_its_two_images(polar):
         for k, (radius, angle, yaw) in enumerate(polar)
     ]
     views = {view.name: view for view in capture_plan(EGO_BOX, vehicles, PLAN)}
-    assert len(views) == 1 + 2 * len(vehicles) + 3 + 4  # the names are unique
+    assert len(views) == 1 + 2 * len(vehicles) + 3 + 4 + 4  # the names are unique
     for vehicle in vehicles:
         kinds = {
             f"towards_vehicle_{vehicle.instance_id:03d}": ViewKind.TOWARDS_VEHICLE,
@@ -59,11 +59,26 @@ def test_poses_are_rotations_and_images_stand_upright():
         rotation = view.ego_from_camera[:3, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(rotation) == pytest.approx(1.0)
-        if view.kind in (ViewKind.TOWARDS_VEHICLE, ViewKind.ROTATION):
+        if view.kind in (ViewKind.TOWARDS_VEHICLE, ViewKind.ROTATION, ViewKind.EGO_SIDE):
             assert rotation[2, 0] == pytest.approx(0.0, abs=1e-12)  # the image's rows are level
             assert rotation[2, 1] < 0.0  # and its top is up
         else:
             np.testing.assert_allclose(rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-12)
+
+
+def test_the_ego_vehicle_fits_into_the_images_of_its_sides():
+    lorry = car(1, 5.2, 2.4, 0.0, (8.0, 2.5, 3.2))  # where the first of them would be taken from
+    views = [view for view in capture_plan(EGO_BOX, [lorry], PLAN) if view.kind is ViewKind.EGO_SIDE]
+    assert len(views) == PLAN.ego_side_count
+    for view, side in zip(views, ([1, 1], [-1, 1], [-1, -1], [1, -1]), strict=True):
+        position_m = view.ego_from_camera[:3, 3]
+        outside_m = np.abs(position_m - EGO_BOX.center_m)[:2] - 0.5 * EGO_BOX.size_m[:2]
+        np.testing.assert_allclose(outside_m, PLAN.ego_side_m / math.sqrt(2.0))
+        np.testing.assert_array_equal(np.sign(position_m - EGO_BOX.center_m)[:2], side)
+        assert position_m[2] == pytest.approx(3.5 if side == [1, 1] else 1.5)
+        place_px = image_px(view, EGO_BOX.corners_m())
+        assert (place_px > 0.0).all()
+        assert (place_px < [640.0, 480.0]).all()
 
 
 def test_rotations_see_all_around():

@@ -85,7 +85,7 @@ def test_the_box_decides_whose_a_point_is():
     assert (len(inside.vehicles[0].cloud), len(inside.environment)) == (64, 0)
     # seen through the vehicle's panes: the environment's points, and rays through the panes
     assert (len(beyond.vehicles[0].cloud), len(beyond.environment)) == (0, 64)
-    assert len(beyond.vehicles[0].pane_origin_m) == 64
+    assert len(beyond.vehicles[0].ray_origin_m) == 64
     # points of the environment inside a box belong to nobody
     stray = fused(4.0, 0, [4.0, 0, 0])
     assert (len(stray.vehicles[0].cloud), len(stray.environment)) == (0, 0)
@@ -133,7 +133,7 @@ def test_no_point_was_seen_through_a_pane(clouds):
         shell = vehicle.box.local_m(surface)
         assert is_outside(local, vehicle.box.size_m).mean() > 0.97
         assert np.abs(local).max() <= np.abs(shell).max() + 0.03
-        assert len(one.pane_origin_m) > 20
+        assert len(one.ray_origin_m) > 20
 
 
 def test_pits_of_a_panes_size_are_bridged():

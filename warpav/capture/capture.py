@@ -24,6 +24,8 @@ class ViewKind(enum.StrEnum):
 
     EGO_TOP = "ego_top"
     """Top-down over the ego vehicle."""
+    EGO_SIDE = "ego_side"
+    """From outside towards a corner of the ego vehicle; beyond the thesis, for the sides that it leaves open."""
     TOWARDS_VEHICLE = "towards_vehicle"
     """From the ego vehicle towards another one."""
     VEHICLE_TOP = "vehicle_top"

@@ -18,6 +18,7 @@ _TOP_FOV_RAD = math.radians(90.0)
 _NARROWEST_RAD, _WIDEST_RAD = math.radians(12.0), math.radians(100.0)
 _MARGIN = 1.25  # how much wider than the vehicle an image of one is
 _VISIBILITY_SIZE_PX = (320, 240)
+_SIDE_CLEAR_M = 0.3  # above a vehicle that an image of the ego vehicle's sides would be taken from within
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class PlanSettings:
         above_vehicle_m: Height above a vehicle's box of the image from straight above [m].
         scene_heights_m: Heights above the ground of the images of the whole place [m].
         rotation_count: Images from the ego vehicle all around.
+        ego_side_count: Images of the ego vehicle from beside it, evenly around it from ahead on its left.
+        ego_side_m: How far beside its box they are taken [m].
     """
 
     vehicle_count: int = 12
@@ -43,10 +46,14 @@ class PlanSettings:
     above_vehicle_m: float = 4.0
     scene_heights_m: tuple[float, ...] = (14.0, 28.0, 45.0)
     rotation_count: int = 4
+    ego_side_count: int = 4
+    ego_side_m: float = 1.8
 
 
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
     """The views of a situation: 1 + 2 for each vehicle + heights + rotations, in the order of the thesis's figure 14.
+
+    Then come the sides of the ego vehicle, which the thesis's images do not show: cameras on it look along them.
 
     Args:
         ego_box: 3D box of the ego vehicle.
@@ -56,7 +63,8 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
     eye_m = eye_position_m(ego_box, settings)
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
     views += [
-        _towards(settings, f"towards_vehicle_{vehicle.instance_id:03d}", eye_m, vehicle.box) for vehicle in vehicles
+        _towards(settings, f"towards_vehicle_{vehicle.instance_id:03d}", ViewKind.TOWARDS_VEHICLE, eye_m, vehicle.box)
+        for vehicle in vehicles
     ]
     views += [
         _top(settings, f"vehicle_top_{vehicle.instance_id:03d}", ViewKind.VEHICLE_TOP, vehicle.box)
@@ -73,6 +81,22 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
         fov_rad = min(step_rad + math.radians(10.0), _WIDEST_RAD)
         forward = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
         views.append(_view(settings, f"rotation_{index}", ViewKind.ROTATION, eye_m, _facing(forward), fov_rad))
+    return views + _ego_sides(settings, ego_box, [vehicle.box for vehicle in vehicles])
+
+
+def _ego_sides(settings: PlanSettings, ego_box: Box, others: Sequence[Box]) -> list[CaptureView]:
+    """From the height of the ego vehicle's roof, or from above a vehicle that stands there."""
+    views = []
+    for index in range(settings.ego_side_count):
+        angle_rad = (index + 0.5) * 2.0 * math.pi / settings.ego_side_count
+        towards = np.array([math.cos(angle_rad), math.sin(angle_rad), 0.0])
+        edge_m = 0.5 * np.asarray(ego_box.size_m) * (towards / np.abs(towards).max() + [0.0, 0.0, 1.0])
+        position_m = ego_box.center_m + ego_box.ego_from_box @ (edge_m + settings.ego_side_m * towards)
+        for box in others:
+            at_its_height_m = np.array([[*position_m[:2], box.center_m[2]]])
+            if box.contains(at_its_height_m, margin_m=_SIDE_CLEAR_M).all():
+                position_m[2] = max(position_m[2], box.center_m[2] + 0.5 * box.size_m[2] + _SIDE_CLEAR_M)
+        views.append(_towards(settings, f"ego_side_{index}", ViewKind.EGO_SIDE, position_m, ego_box))
     return views
 
 
@@ -128,15 +152,15 @@ def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> Capture
     return _view(settings, name, kind, position_m, _down(box.yaw_rad + 0.5 * math.pi), fov_rad)
 
 
-def _towards(settings: PlanSettings, name: str, eye_m: np.ndarray, box: Box) -> CaptureView:
-    """From the ego vehicle towards the middle of a box, as narrow as it fits."""
+def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarray, box: Box) -> CaptureView:
+    """From a place towards the middle of a box, as narrow as it fits."""
     camera_from_ego = _facing(box.center_m - eye_m).T
     seen = (box.corners_m() - eye_m) @ camera_from_ego.T
     seen[:, 2] = np.maximum(seen[:, 2], 0.3)  # corners beside or behind the camera: the widest view
     tangent = np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
     half = max(tangent[0], tangent[1] * settings.width_px / settings.height_px)
     fov_rad = float(np.clip(2.0 * math.atan(_MARGIN * half), _NARROWEST_RAD, _WIDEST_RAD))
-    return _view(settings, name, ViewKind.TOWARDS_VEHICLE, eye_m, camera_from_ego.T, fov_rad)
+    return _view(settings, name, kind, eye_m, camera_from_ego.T, fov_rad)
 
 
 def _view(

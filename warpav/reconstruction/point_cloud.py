@@ -46,17 +46,17 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class ObjectCloud:
-    """The points of one vehicle, and the rays that went through its window panes.
+    """The points of one object, and the rays on which it has surface that left no points, such as window panes.
 
     Attributes:
         cloud: Points of its outside.
-        pane_origin_m: Origins of rays on which its instance was seen but none of its outside [m], [ray, 3].
-        pane_direction: Their directions, [ray, 3].
+        ray_origin_m: Origins of rays on which its instance was seen but none of its outside [m], [ray, 3].
+        ray_direction: Their directions, [ray, 3].
     """
 
     cloud: PointCloud
-    pane_origin_m: np.ndarray
-    pane_direction: np.ndarray
+    ray_origin_m: np.ndarray
+    ray_direction: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,12 +26,13 @@ from warpav.reconstruction.surface import (
     thin_out,
     trimmed,
 )
-from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
+from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 LEAST_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
-MOST_PANE_RAYS = 40_000
-"""Of more rays through a vehicle's window panes, a part is enough to tell where its surface is true."""
+MOST_RAYS = 40_000
+"""Of more rays to where an object has surface without points, a part is enough."""
+_BELOW_SPACING_M = 0.25  # of the places below a vehicle at which there is ground
 _SKY_STEP = 7  # every so many pixels tell the sky's colour
 
 
@@ -68,9 +69,9 @@ def reconstruct(
             )
     if len(clouds.environment.point_m) < LEAST_POINTS or len(clouds.ego.cloud) < LEAST_POINTS:
         raise InputError(f"{capture.name}: expected images of the environment and of the ego vehicle, got none of one")
-    none = np.zeros((0, 3))
+    below = _rays_below([capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)])
     jobs: list[tuple[str, ObjectCloud, int, MeshSettings]] = [
-        ("environment", ObjectCloud(clouds.environment, none, none), ENVIRONMENT_INSTANCE, settings.environment),
+        ("environment", ObjectCloud(clouds.environment, *below), ENVIRONMENT_INSTANCE, settings.environment),
         ("ego", clouds.ego, EGO_INSTANCE, settings.ego),
     ]
     for vehicle, one in zip(capture.vehicles, clouds.vehicles, strict=True):
@@ -111,7 +112,7 @@ def object_mesh(
     """The surface of one object: no triangles where none goes through its points.
 
     Args:
-        one: Its points, and rays through its window panes.
+        one: Its points, and rays to where its surface is without points: window panes, ground below vehicles.
         images: All images of the capture, for its colours.
         instance_id: Its value in the instance images.
         how: How fine it becomes.
@@ -122,7 +123,7 @@ def object_mesh(
     vertex_m, triangle = SURFACE_METHODS[settings.method](
         chosen.point_m.astype(np.float64), normal, chosen.sensor_m.astype(np.float64), how.cell_m
     )
-    support_m = np.concatenate([chosen.point_m, _pane_points(vertex_m, triangle, one)])
+    support_m = np.concatenate([chosen.point_m, _unseen_points(vertex_m, triangle, one)])
     vertex_m, triangle = trimmed(vertex_m, triangle, support_m, reach_m=how.reach_m)
     if len(triangle) == 0:
         return Mesh(vertex_m, triangle, np.zeros((len(vertex_m), 3), np.uint8))
@@ -130,18 +131,31 @@ def object_mesh(
     return decimated(cleaned(Mesh(vertex_m, triangle, rgb)), how.triangle_count)
 
 
-def _pane_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -> np.ndarray:
-    """Where the rays that went through window panes meet the surface first [m]: it is true there, without points."""
+def _rays_below(boxes: Sequence[Box]) -> tuple[np.ndarray, np.ndarray]:
+    """Origins [m] and directions of rays from the middles of vehicles down to the ground that they hide."""
+    origin = []
+    for box in boxes:
+        count = np.ceil(np.asarray(box.size_m[:2]) / _BELOW_SPACING_M).astype(int) + 1
+        share = [np.linspace(-0.5, 0.5, n) for n in count]
+        x, y = (axis.ravel() for axis in np.meshgrid(*share))
+        local_m = np.stack([x, y, np.zeros(len(x))], axis=1) * box.size_m
+        origin.append(box.center_m + local_m @ box.ego_from_box.T)
+    origin_m = np.concatenate(origin)
+    return origin_m, np.broadcast_to(np.array([0.0, 0.0, -1.0]), origin_m.shape)
+
+
+def _unseen_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -> np.ndarray:
+    """Where the rays to surface without points meet it first [m]."""
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
-    if len(one.pane_origin_m) == 0 or len(triangle) == 0:
+    if len(one.ray_origin_m) == 0 or len(triangle) == 0:
         return np.zeros((0, 3), np.float32)
     caster = EmbreeScene()
     TriangleMesh(caster, vertex_m[triangle].astype(np.float32))
-    step = -(-len(one.pane_origin_m) // MOST_PANE_RAYS)
-    origin = np.ascontiguousarray(one.pane_origin_m[::step], np.float32)
-    direction = np.ascontiguousarray(one.pane_direction[::step], np.float32)
+    step = -(-len(one.ray_origin_m) // MOST_RAYS)
+    origin = np.ascontiguousarray(one.ray_origin_m[::step], np.float32)
+    direction = np.ascontiguousarray(one.ray_direction[::step], np.float32)
     hit = caster.run(origin, direction, output=True)
     seen = hit["primID"] >= 0
     return origin[seen] + hit["tfar"][seen, None] * direction[seen]
