@@ -38,7 +38,7 @@ _SKY_RGB = (214, 226, 240)
 _ENVIRONMENT_RGB = (214, 218, 224)
 _DEPTH_COLOURS = "viridis_r"
 _DEPTH_TICKS_M = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-_SHEET_COLUMNS = 6
+_SHEET_COLUMNS, _LEGEND_COLUMNS = 6, 5
 _NOTABLE_SHARE = 0.002  # of an image's pixels: less of a vehicle is not worth showing
 
 
@@ -111,7 +111,10 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
     limits_m = _depth_limits_m(images)
     columns = min(_SHEET_COLUMNS, len(images))
     rows = math.ceil(len(images) / columns)
-    gap_inch, frame_inch, below_inch = 0.1, 0.035, 0.95 if what == "depth" else 0.4
+    counts = {kind: sum(image.view.kind == kind for image in images) for kind in order}
+    named = sum(count > 0 for count in counts.values())
+    legend_rows = math.ceil(named / _LEGEND_COLUMNS)
+    gap_inch, frame_inch, below_inch = 0.1, 0.035, 0.19 + 0.21 * legend_rows + (0.55 if what == "depth" else 0.0)
     across_inch = (WIDTH_INCH - gap_inch) / columns  # from one image to the next
     aspect = max(image.depth_m.shape[0] / image.depth_m.shape[1] for image in images)
     down_inch = (across_inch - gap_inch) * aspect + gap_inch
@@ -144,14 +147,14 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
             show_picture(axis, pixels)
             axis.spines[:].set_visible(False)
         if what == "depth":
-            _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, 0.8, 0.6 * WIDTH_INCH, 0.13), limits_m)
-        counts = {kind: sum(image.view.kind == kind for image in images) for kind in order}
+            _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, below_inch - 0.15, 0.6 * WIDTH_INCH, 0.13), limits_m)
         handles = [
             Patch(color=hex_colour(KIND_RGB[kind]), label=f"{_KIND_TEXT[kind]} ({count})")
             for kind, count in counts.items()
             if count
         ]
-        figure.legend(handles=handles, loc="lower center", ncols=len(handles), handlelength=1.2, columnspacing=1.6)
+        columns = math.ceil(named / legend_rows)
+        figure.legend(handles=handles, loc="lower center", ncols=columns, handlelength=1.2, columnspacing=1.6)
         return save_figure(figure, path)
 
 
