@@ -423,7 +423,9 @@ class TestWorld:
         assert not server.made("vehicle.*")
 
     def test_recorded_to_a_folder(self, server, tmp_path):
-        settings = PlanSettings(vehicle_count=2, width_px=64, height_px=48, scene_heights_m=(14.0,), rotation_count=2)
+        settings = PlanSettings(
+            vehicle_count=2, width_px=64, height_px=48, scene_heights_m=(14.0,), rotation_count=2, ego_side_count=0
+        )
         with CarlaSimulator(warm_up_ticks=0) as simulator:
             folder = record_capture(simulator, 1, tmp_path / "capture", settings)
         assert list(check_capture(folder)) == []

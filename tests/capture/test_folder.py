@@ -13,7 +13,9 @@ from warpav.capture.folder import DESCRIPTION, check_capture, read_capture, reco
 from warpav.capture.plan import PlanSettings
 from warpav.errors import InputError
 
-SETTINGS = PlanSettings(vehicle_count=2, width_px=48, height_px=32, scene_heights_m=(12.0,), rotation_count=2)
+SETTINGS = PlanSettings(
+    vehicle_count=2, width_px=48, height_px=32, scene_heights_m=(12.0,), rotation_count=2, ego_side_count=0
+)
 IMAGE_COUNT = 1 + 2 + 2 + 1 + 2
 
 

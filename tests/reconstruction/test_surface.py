@@ -109,7 +109,7 @@ def test_normals_of_a_sphere_turn_towards_the_sensors(rng, sensor_radius_m, sign
     direction = directions(6000, rng)
     sensor_m = sensor_radius_m * (direction + 0.8 * directions(6000, rng))
     normal = oriented_normals(2.0 * direction, sensor_m)
-    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=5e-6)
     assert (sign * np.sum(normal * direction, axis=1)).min() > np.cos(np.radians(8.0))  # worst seen 3.2 degrees
 
 

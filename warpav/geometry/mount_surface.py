@@ -13,7 +13,7 @@ from warpav.geometry.mesh import Mesh
 SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
 
-MIN_PATCH_FRACTION = 0.05
+MIN_PATCH_FRACTION = 0.1
 """A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
 
 MAX_EXTENT_M = 40.0

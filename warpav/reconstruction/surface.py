@@ -349,6 +349,7 @@ def _collapsed_coloured(
 ) -> tuple[np.ndarray, np.ndarray]:
     """About ``count`` triangles, by quadrics over place and colour: white against black counts as ``step_m``."""
     from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkObject
     from vtkmodules.vtkCommonDataModel import vtkCellArray
     from vtkmodules.vtkFiltersCore import vtkQuadricDecimation
 
@@ -365,6 +366,7 @@ def _collapsed_coloured(
     collapse.AttributeErrorMetricOn()
     collapse.ScalarsAttributeOn()
     collapse.SetScalarsWeight(step_m * float(np.ptp(rgb)) / 255.0)  # VTK scales the range of the colours to 1
+    vtkObject.GlobalWarningDisplayOff()  # it would tell of every flat place, where any point is as good
     collapse.Update()
     kept = collapse.GetOutput()
     place_m = np.array(vtk_to_numpy(kept.GetPoints().GetData()), np.float32)
