@@ -155,7 +155,7 @@ def test_other_settings_replace_a_capture_but_never_one_from_elsewhere(captures)
     other = dataclasses.replace(PLAN, rotation_count=2)
     (outcome,) = capture_scenes([capture_task(captures, settings=other)])
     assert (outcome.result, outcome.error) == (True, None)
-    assert len(read_capture(capture_path(captures, SEED)).images) == 6
+    assert len(read_capture(capture_path(captures, SEED)).images) == 10
     edit(recipe="")(capture_path(captures, SEED))
     before = content(captures)
     (outcome,) = capture_scenes([capture_task(captures)])

@@ -127,7 +127,7 @@ def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, cou
 
 def test_captures_hold_what_was_asked_for(collection):
     capture = read_capture(collection / "captures" / "scene_3")
-    assert len(capture.images) == 1 + 1 + 1 + 1 + 3
+    assert len(capture.images) == 1 + 1 + 1 + 1 + 3 + 4
     assert len(capture.vehicles) == 1
     assert {image.rgb.shape for image in capture.images} == {(72, 96, 3)}
 

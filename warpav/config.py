@@ -237,6 +237,7 @@ class CaptureConfig(Section):
         default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego vehicle"
     )
     rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
+    ego_sides: int = Field(default=4, ge=0, le=64, description="images of the ego vehicle from beside it")
     scene_heights_m: Annotated[
         tuple[float, ...],
         BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),

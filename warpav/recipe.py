@@ -12,21 +12,26 @@ _DIGITS = 16
 
 
 def recipe(*parts: object) -> str:
-    """Hash of the parts' text or bytes and of the code that makes scenes, 16 hexadecimal digits."""
-    digest = hashlib.sha256(_code_hash().encode())
+    """Hash of the parts and of the code that makes scenes, as `digest`."""
+    return digest(_code_hash(), *parts)
+
+
+def digest(*parts: object) -> str:
+    """Hash of the parts' text or bytes, 16 hexadecimal digits."""
+    found = hashlib.sha256()
     for part in parts:
         content = part if isinstance(part, bytes) else repr(part).encode()
-        digest.update(len(content).to_bytes(8, "little") + content)
-    return digest.hexdigest()[:_DIGITS]
+        found.update(len(content).to_bytes(8, "little") + content)
+    return found.hexdigest()[:_DIGITS]
 
 
 @cache
 def _code_hash() -> str:
-    digest = hashlib.sha256()
+    found = hashlib.sha256()
     for folder in _code_folders():
         for file in sorted(folder.rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+            found.update(file.read_bytes())
+    return found.hexdigest()
 
 
 def _code_folders() -> list[Path]:

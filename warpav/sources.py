@@ -105,6 +105,7 @@ def plan_settings(config: Config) -> PlanSettings:
         height_px=capture.height_px,
         scene_heights_m=capture.scene_heights_m,
         rotation_count=capture.rotations,
+        ego_side_count=capture.ego_sides,
     )
 
 

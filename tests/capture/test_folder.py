@@ -11,6 +11,7 @@ from tests.capture.test_plan import EGO_BOX, ScriptedSimulator
 from warpav.capture.capture import CapturedImage
 from warpav.capture.folder import DESCRIPTION, check_capture, read_capture, record_capture
 from warpav.capture.plan import PlanSettings
+from warpav.capture.town_simulator import TownSimulator
 from warpav.errors import InputError
 
 SETTINGS = PlanSettings(
@@ -84,6 +85,18 @@ def test_an_interrupted_capture_goes_on_where_it_stopped(tmp_path, recorded):
     assert len(simulator.taken) == IMAGE_COUNT - 3
     for file in sorted(recorded.rglob("*.*")):
         assert (tmp_path / "scene_7" / file.relative_to(recorded)).read_bytes() == file.read_bytes()
+
+
+def test_captures_of_a_server_outlive_a_change_of_code(tmp_path, monkeypatch):
+    simulator = PaintingSimulator()
+    record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
+    monkeypatch.setattr("warpav.recipe._code_hash", lambda: "other code")
+    town = TownSimulator()
+    taken = len(simulator.taken)
+    record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
+    assert len(simulator.taken) == taken
+    monkeypatch.undo()
+    assert TownSimulator().world != town.world
 
 
 def test_a_complete_capture_is_left_alone_and_another_plan_is_recorded_anew(folder):

@@ -105,7 +105,7 @@ def test_long_vehicles_are_seen_from_higher_up():
 class ScriptedSimulator:
     """Spawns at every point but those that are refused; shows only those that are not hidden."""
 
-    name, source = "scripted", "test"
+    name, source, world = "scripted", "test", "paper"
 
     def __init__(self, hidden=(), refused=()):
         self.hidden, self.refused = set(hidden), set(refused)

@@ -216,6 +216,7 @@ class CarlaSimulator:
         if warm_up_ticks < 0:
             raise ValueError(f"warm_up_ticks must not be negative, got {warm_up_ticks}")
         self.name, self.source = "", ""
+        self.world = f"carla {map_name} {ego_blueprint} {rear_axle_m} {waypoint_spacing_m} {warm_up_ticks} {exposure}"
         self._host, self._port = host, port
         self._map_name, self._ego_blueprint = map_name, ego_blueprint
         self._rear_axle_m = None if rear_axle_m is None else np.array(rear_axle_m, np.float64)

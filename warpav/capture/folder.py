@@ -43,7 +43,7 @@ from warpav.capture.capture import (
 from warpav.capture.plan import PlanSettings, capture_plan, spawn_visible_traffic
 from warpav.capture.simulator import Simulator
 from warpav.errors import InputError
-from warpav.recipe import recipe
+from warpav.recipe import digest
 from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Box
 
@@ -242,7 +242,7 @@ def record_capture(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, got: {error.strerror}") from None
-    made_with = recipe(type(simulator).__name__, seed, settings)
+    made_with = digest(simulator.world, seed, settings)
     if (folder / DESCRIPTION).is_file():
         found = _read_record(folder / DESCRIPTION)
         if not found.recipe:

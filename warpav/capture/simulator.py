@@ -34,10 +34,12 @@ class Simulator(Protocol):
     Attributes:
         name: Short name of that situation, such as ``town_0007``; letters, digits, ``_`` and ``-``.
         source: Where it comes from, such as ``town seed 7``.
+        world: What its worlds are made with, as far as this side knows: captures of another one are made anew.
     """
 
     name: str
     source: str
+    world: str
 
     def begin(self, seed: int) -> Box:
         """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation.

@@ -17,6 +17,7 @@ from warpav.capture.capture import (
 )
 from warpav.capture.simulator import SpawnPoint
 from warpav.geometry.mesh import merge
+from warpav.recipe import recipe
 from warpav.scene.scene import Box, Sky
 from warpav.scene.town import TownWorld, town_world
 
@@ -41,7 +42,7 @@ class TownSimulator:
 
     def __init__(self) -> None:
         """No situation yet."""
-        self.name, self.source = "", ""
+        self.name, self.source, self.world = "", "", recipe("town")
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None
