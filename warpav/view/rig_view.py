@@ -35,6 +35,9 @@ VIEW_AZIMUTH_RAD = math.radians(38.0)
 GROUND_CUT_M = 0.6
 """What of the environment lies lower is ground; what rises above it counts as building."""
 
+GRADE_MAX = 0.08
+"""Streets may rise by so much for each metre away from the vehicle and still be ground."""
+
 
 def mesh_to_pyvista(mesh: Mesh) -> PolyData:
     """The mesh as ``pyvista.PolyData``; colours are the point data ``RGB`` (uint8, shape [vertex, 3])."""
@@ -86,8 +89,10 @@ def rig_plotter(
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     look_at_ego(plotter, ego, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD)
     add_ego(plotter, ego)
-    add_ground(plotter, ego, shadow=scene is None, rings=scene is None)
-    if scene is not None:
+    if scene is None:
+        add_ground(plotter, ego)
+    else:
+        add_ground(plotter, ego, height_m=_lowest_m(scene), shadow=False, rings=False)
         add_scene(plotter, scene)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
@@ -176,12 +181,21 @@ def add_ego(plotter: Plotter, ego: Mesh, *, name: str = "ego") -> None:
     plotter.add_mesh(mesh_to_pyvista(ego), scalars="RGB", rgb=True, name=name, **_BAKED)
 
 
-def add_ground(plotter: Plotter, ego: Mesh, *, shadow: bool = True, rings: bool = True, name: str = "ground") -> None:
+def add_ground(
+    plotter: Plotter,
+    ego: Mesh,
+    *,
+    height_m: float = 0.0,
+    shadow: bool = True,
+    rings: bool = True,
+    name: str = "ground",
+) -> None:
     """Add a plain ground that fades into the background.
 
     Args:
         plotter: Where to draw.
         ego: The vehicle in its middle.
+        height_m: Its height [m]; drawn a little lower.
         shadow: Whether the vehicle throws a soft shadow.
         rings: Whether to mark distances of 5, 10 and 15 m from the vehicle.
         name: First part of the actors' names.
@@ -189,7 +203,7 @@ def add_ground(plotter: Plotter, ego: Mesh, *, shadow: bool = True, rings: bool 
     low, high = ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
-    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, 100), turn, height_m=-0.03)
+    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, 100), turn, height_m=height_m - 0.03)
     colour = np.tile(np.asarray(GROUND_RGB, dtype=np.float64), (disc.n_points, 1))
     if shadow:
         outside = np.maximum(np.abs(disc.points[:, :2] - middle) - (high[:2] - low[:2]) / 2 + 0.35, 0.0)
@@ -197,7 +211,7 @@ def add_ground(plotter: Plotter, ego: Mesh, *, shadow: bool = True, rings: bool 
     disc.point_data["RGB"] = _hazed(colour, disc.points, middle)
     plotter.add_mesh(disc, scalars="RGB", rgb=True, name=name, **_BAKED)
     for radius in (5.0, 10.0, 15.0) if rings else ():
-        ring = _polar_grid(middle, np.array([radius - 0.012, radius + 0.012]), turn, height_m=-0.01)
+        ring = _polar_grid(middle, np.array([radius - 0.012, radius + 0.012]), turn, height_m=height_m - 0.01)
         plotter.add_mesh(ring, color=(205, 210, 218), lighting=False, name=f"{name}/ring_{radius:.0f}m")
 
 
@@ -441,8 +455,11 @@ def _polar_grid(centre_m: np.ndarray, radius_m: np.ndarray, bearing_rad: np.ndar
 def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     """The low part of the environment near the ego vehicle, cut small enough to carry a fade; None if there is none."""
     corner = environment.vertex_m[environment.triangle]
-    upward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > -1e-6
-    low = environment.triangle[upward & (corner[:, :, 2].max(axis=1) < GROUND_CUT_M)]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    top_m = corner[:, :, 2].max(axis=1)
+    grade_m = GRADE_MAX * np.linalg.norm(corner[:, :, :2].mean(axis=1) - middle_m, axis=1)
+    is_flat = normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1)
+    low = environment.triangle[(normal[:, 2] > -1e-6) & (top_m < GROUND_CUT_M + np.where(is_flat, grade_m, 0.0))]
     if len(low) == 0:
         return None
     from warpav.geometry.mesh import Mesh
@@ -457,6 +474,13 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
             if surface.n_cells == 0:
                 return None
     return surface.triangulate().subdivide_adaptive(max_edge_len=1.5, max_n_passes=8)
+
+
+def _lowest_m(scene: Scene) -> float:
+    """Height of the lowest ground within the haze [m], at most 0: a street may run downhill."""
+    low, high = scene.ego.bounds_m().astype(np.float64)
+    near = np.linalg.norm(scene.environment.vertex_m[:, :2] - (low[:2] + high[:2]) / 2, axis=1) < HAZE_END_M
+    return float(scene.environment.vertex_m[near, 2].min(initial=0.0))
 
 
 def _distance_m(mesh: Mesh, middle_m: np.ndarray) -> float:
