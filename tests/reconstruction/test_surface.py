@@ -198,6 +198,13 @@ def test_trimming_keeps_a_mirror_and_drops_a_speck(rng):
     assert vertex_m[:, 2].max() < 0.4
 
 
+def test_trimming_drops_loose_pieces_of_little_surface(rng):
+    whole, support_m, _ = body_with_extras(rng)
+    for piece_m2, stays in ((0.02, True), (0.03, False)):  # the mirror has .0256 m2
+        vertex_m = trimmed(whole.vertex_m, whole.triangle, support_m, reach_m=0.06, piece_m2=piece_m2)[0]
+        assert (vertex_m[:, 0] > 1.4).any() == stays
+
+
 def test_trimming_cuts_where_points_end(rng):
     sheet = grid_mesh(100, 2.0, grey)
     support_m = np.column_stack([rng.uniform(-1.0, 0.0, 5000), rng.uniform(-1.0, 1.0, 5000), np.zeros(5000)])

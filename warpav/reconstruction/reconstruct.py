@@ -124,7 +124,7 @@ def object_mesh(
         chosen.point_m.astype(np.float64), normal, chosen.sensor_m.astype(np.float64), how.cell_m
     )
     support_m = np.concatenate([chosen.point_m, _unseen_points(vertex_m, triangle, one)])
-    vertex_m, triangle = trimmed(vertex_m, triangle, support_m, reach_m=how.reach_m)
+    vertex_m, triangle = trimmed(vertex_m, triangle, support_m, reach_m=how.reach_m, piece_m2=how.piece_m2)
     if len(triangle) == 0:
         return Mesh(vertex_m, triangle, np.zeros((len(vertex_m), 3), np.uint8))
     rgb = seen_rgb(vertex_m, vertex_normals(vertex_m, triangle), images, instance_id, tolerance_m=how.cell_m)

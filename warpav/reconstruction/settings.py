@@ -37,12 +37,14 @@ class MeshSettings:
         cell_m: Length of the cells in which the surface is found [m].
         reach_m: Surface farther than this from every point goes [m].
         triangle_count: Triangles that are kept, by quadric edge collapse.
+        piece_m2: Loose pieces with less surface go [m2]: of thin things only blobs in the air would be left.
     """
 
     point_count: int
     cell_m: float
     reach_m: float
     triangle_count: int
+    piece_m2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class ReconstructionSettings:
     method: str = "poisson"
     vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(200_000, 0.03, 0.06, 4500))
     ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))
-    environment: MeshSettings = field(default_factory=lambda: MeshSettings(150_000, 0.25, 0.5, 36_000))
+    environment: MeshSettings = field(default_factory=lambda: MeshSettings(150_000, 0.25, 0.5, 36_000, 3.0))
     sphere_deg: float = 2.0
     seed: int = 0
     thread_count: int = 2

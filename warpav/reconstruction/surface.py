@@ -213,7 +213,7 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
 
 
 def trimmed(
-    vertex_m: np.ndarray, triangle: np.ndarray, support_m: np.ndarray, *, reach_m: float
+    vertex_m: np.ndarray, triangle: np.ndarray, support_m: np.ndarray, *, reach_m: float, piece_m2: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """The surface without what no point supports.
 
@@ -226,6 +226,7 @@ def trimmed(
         triangle: Vertex indices, shape [triangle, 3].
         support_m: The points that the surface goes through [m], shape [point, 3], in the same frame.
         reach_m: How far from the nearest point surface may lie [m].
+        piece_m2: Connected pieces with less surface than this go too [m2].
 
     Returns:
         Vertices that are left, float32 [vertex, 3], and triangles, int32 [triangle, 3]; both may be empty.
@@ -243,7 +244,7 @@ def trimmed(
     support = np.bincount(piece[np.asarray(vertex)[np.isfinite(distance_m)]], minlength=count)
     area_m2 = 0.5 * np.bincount(piece[triangle[:, 0]], _double_area_m2(vertex_m, triangle), minlength=count)
     density = support.sum() / area_m2.sum()
-    kept = (support >= _LEAST_SUPPORT) & (support >= _LEAST_DENSITY * density * area_m2)
+    kept = (support >= _LEAST_SUPPORT) & (support >= _LEAST_DENSITY * density * area_m2) & (area_m2 >= piece_m2)
     return _referenced(vertex_m, triangle[kept[piece[triangle[:, 0]]]])
 
 
