@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.capture.capture import CapturedVehicle, CaptureView, ViewKind
+from warpav.capture.capture import Capture, CapturedVehicle, CaptureView, ViewKind
 from warpav.capture.simulator import Simulator, SpawnPoint
 from warpav.geometry.frames import FLU_FROM_RDF
 from warpav.rig.camera import CameraModel
@@ -103,6 +103,20 @@ def _ego_sides(settings: PlanSettings, ego_box: Box, others: Sequence[Box]) -> l
 def eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
     """Where the images from the ego vehicle are taken [m], shape [3]."""
     return ego_box.center_m + np.array([0.0, 0.0, 0.5 * ego_box.size_m[2] + settings.eye_above_roof_m])
+
+
+def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
+    """Set up a situation and keep its images in memory; `record_capture` in `folder` keeps them on disk.
+
+    Args:
+        simulator: Entered already.
+        seed: Chooses the situation, an integer from 0.
+        settings: What to record.
+    """
+    ego_box = simulator.begin(seed)
+    vehicles = spawn_visible_traffic(simulator, ego_box, settings)
+    images = [simulator.look(view) for view in capture_plan(ego_box, vehicles, settings)]
+    return Capture(simulator.name, simulator.source, ego_box, vehicles, images)
 
 
 def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSettings) -> tuple[CapturedVehicle, ...]:

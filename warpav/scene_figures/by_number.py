@@ -6,7 +6,7 @@ from pathlib import Path
 
 from warpav.capture.capture import Capture
 from warpav.capture.folder import read_capture
-from warpav.capture.plan import PlanSettings, capture_plan, spawn_visible_traffic
+from warpav.capture.plan import PlanSettings, record
 from warpav.capture.town_simulator import TownSimulator
 from warpav.errors import InputError
 from warpav.scene_figures.clouds import sphere, stages, window_filter
@@ -71,7 +71,7 @@ def draw_figure(
             return contact_sheet(capture, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
 
 
-def recorded_town(seed: int, settings: PlanSettings | None = None) -> Capture:
+def recorded_town(seed: int) -> Capture:
     """A situation of the embedded town, recorded into memory.
 
     Raises:
@@ -79,9 +79,5 @@ def recorded_town(seed: int, settings: PlanSettings | None = None) -> Capture:
     """
     if seed < 0:
         raise InputError(f"--seed: expected an integer from 0, got {seed}")
-    settings = settings or PlanSettings()
     with TownSimulator() as simulator:
-        ego_box = simulator.begin(seed)
-        vehicles = spawn_visible_traffic(simulator, ego_box, settings)
-        images = [simulator.look(view) for view in capture_plan(ego_box, vehicles, settings)]
-        return Capture(simulator.name, simulator.source, ego_box, vehicles, images)
+        return record(simulator, seed, PlanSettings())
