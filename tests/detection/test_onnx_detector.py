@@ -257,7 +257,6 @@ def test_street_photograph_has_the_known_boxes(asset_folder):
     assert set(vehicles.label) == {"car"}
 
 
-@pytest.mark.skipif(not BUILTIN_MODEL_PATH.is_file(), reason="the shipped network is not trained yet")
 def test_shipped_network_takes_any_batch_and_size():
     assert BUILTIN_MODEL_PATH.stat().st_size <= 8e6
     detector = OnnxDetector("builtin")
