@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
+
+# The groups that labels are sorted into; a detection only ever matches an object of its own group.
+ROAD_USERS = ("vehicle", "pedestrian", "cyclist")
 
 
 @dataclass(frozen=True)
@@ -18,12 +21,19 @@ class Detections:
         confidence: Confidence in 0..1, float32, shape [detection].
         class_index: Index into `names`, int32, shape [detection].
         names: Every label that the detector can give.
+        road_user_index: Index into `ROAD_USERS`, int32, shape [detection]; all vehicles when left out.
     """
 
     box_px: np.ndarray
     confidence: np.ndarray
     class_index: np.ndarray
     names: tuple[str, ...]
+    road_user_index: np.ndarray = cast("np.ndarray", None)  # noqa: RUF009 (a constant)
+
+    def __post_init__(self) -> None:
+        """Fill in what was left out."""
+        if cast("np.ndarray | None", self.road_user_index) is None:
+            object.__setattr__(self, "road_user_index", np.zeros(len(self.confidence), np.int32))
 
     def __len__(self) -> int:
         return len(self.confidence)
@@ -35,7 +45,7 @@ class Detections:
 
 
 class Detector(Protocol):
-    """Finds vehicles in images."""
+    """Finds road users in images."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -43,7 +53,7 @@ class Detector(Protocol):
         ...
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
-        """Find the vehicles in every image.
+        """Find the road users in every image.
 
         Args:
             images_rgb: Images of one size, uint8, shape [image, row, column, 3].
@@ -63,7 +73,7 @@ class TensorDetector(Detector, Protocol):
         ...
 
     def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
-        """Find the vehicles in images that are laid out for the network.
+        """Find the road users in images that are laid out for the network.
 
         Args:
             network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], on any
