@@ -36,6 +36,7 @@ from pydantic_core import PydanticCustomError
 
 from warpav.errors import InputError, OptionError
 from warpav.rig.lens import Lens, LensShape, checked_distortion
+from warpav.scene.scene import ROAD_USERS
 from warpav.yaml_file import Location, parse_yaml, read_yaml
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -135,6 +136,21 @@ Seeds = Annotated[
 ]
 
 
+_TARGETS_TEXT = f"a list out of {', '.join(ROAD_USERS)}"
+
+
+def _read_targets(value: object) -> tuple[str, ...]:
+    targets = list(value) if isinstance(value, (list, tuple)) else [value]
+    for target in targets:
+        if target not in ROAD_USERS:
+            near = difflib.get_close_matches(str(target), ROAD_USERS, 1, 0.6)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            _mistake(f"expected {_TARGETS_TEXT}, got {_shown(target)}{hint}")
+    if not targets:
+        _mistake(f"expected {_TARGETS_TEXT}, got none; a rig has to be made for somebody")
+    return tuple(each for each in ROAD_USERS if each in targets)
+
+
 def _read_path(value: object) -> object:
     if isinstance(value, str):
         if not value.strip():
@@ -205,6 +221,16 @@ class SceneConfig(Section):
     mirror: bool = Field(
         default=False,
         description="train on every scene's mirror image as well, against traffic that keeps to one side",
+    )
+    targets: Annotated[
+        tuple[str, ...],
+        BeforeValidator(_read_targets),
+        PlainSerializer(list),
+        Expectation(_TARGETS_TEXT),
+        WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
+    ] = Field(
+        default=("vehicle",),
+        description="the road users that rigs are optimised and judged for; all others only stand in the way",
     )
 
     @model_validator(mode="after")

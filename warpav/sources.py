@@ -58,9 +58,17 @@ def device_name(device: str) -> str:
 def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     """The scenes of ``seeds``, one after the other: built, captured and reconstructed, or read.
 
+    Their vehicles are the road users that ``scenes.targets`` names. Scenes that went through images hold people and
+    cyclists as part of the environment, so there only vehicles can be targets.
+
     Raises:
         InputError: A file is missing or cannot be used.
     """
+    for scene in _scenes_of(config, seeds):
+        yield scene.targeting(config.scenes.targets)
+
+
+def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     from warpav.scene.glb import read_scene
     from warpav.scene.town import town_scene
 

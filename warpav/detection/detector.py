@@ -8,8 +8,9 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-# The groups that labels are sorted into; a detection only ever matches an object of its own group.
-ROAD_USERS = ("vehicle", "pedestrian", "cyclist")
+from warpav.scene.scene import ROAD_USERS
+
+__all__ = ["ROAD_USERS", "Detections", "Detector", "TensorDetector"]
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,14 @@ class Observation:
         detections: What the detector says, one per camera.
         truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is seen, float32
             [camera, vehicle, 4].
+        too_small_box_px: The same where something is seen, but too little for a truth box; elsewhere NaN.
         match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
     """
 
     image: wp.array
     detections: list[Detections]
     truth_box_px: np.ndarray
+    too_small_box_px: np.ndarray
     match: np.ndarray
 
     @property
@@ -90,6 +92,8 @@ def observe(
 ) -> Observation:
     """Run the detector on what the cameras see in the renderer's last render, and match its boxes to the truth.
 
+    A detection only ever matches a vehicle of its own kind of road user.
+
     Args:
         renderer: Has rendered ``scene``.
         scene: The scene.
@@ -109,6 +113,7 @@ def observe(
     masks = renderer.visible_masks(scene, ahead_view)
     samples = renderer.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
+    too_small_box_px = truth_box_px.copy()
     match = np.full((len(masks), scene.vehicle_count), -1, np.int64)
     for camera, (masks_of_camera, found) in enumerate(zip(masks, detections, strict=True)):
         inside = np.zeros((scene.vehicle_count, len(found)), bool)
@@ -116,12 +121,16 @@ def observe(
             if not mask.any():
                 continue
             box = largest_component_box(mask, min_area_px=min_area_px * samples * samples)
-            if box is not None:
-                truth_box_px[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
+            boxes = truth_box_px
+            if box is None:
+                box, boxes = largest_component_box(mask, min_area_px=1), too_small_box_px
+                assert box is not None
+            boxes[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
             # part of the vehicle is seen inside the detection
             for k, box_px in enumerate(found.box_px * samples):
                 x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
                 inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
+        inside &= scene.road_user_index[:, None] == found.road_user_index
         match[camera] = match_detections(
             truth_box_px[camera],
             found.box_px,
@@ -130,4 +139,4 @@ def observe(
             iou_min=iou_min,
             seen_inside=inside,
         )
-    return Observation(image, detections, truth_box_px, match)
+    return Observation(image, detections, truth_box_px, too_small_box_px, match)

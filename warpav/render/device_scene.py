@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpav.geometry.mesh import merge
-from warpav.scene.scene import Scene, Sky
+from warpav.scene.scene import ROAD_USERS, Scene, Sky
 from warpav_kernels.rasterise import Triangles
 
 CLUSTER_SIZE = 64
@@ -77,10 +77,26 @@ def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -
 
 
 @dataclass(frozen=True)
+class UprightBoxes:
+    """Boxes with a vertical axis, one for every layer of a scene, on its device.
+
+    Attributes:
+        centre_ego_m: Middles [m], vec3 [layer].
+        half_size_m: Half of length, width and height [m], vec3 [layer].
+        along: Unit vectors along the length in ego x and y, vec2 [layer].
+    """
+
+    centre_ego_m: wp.array
+    half_size_m: wp.array
+    along: wp.array
+
+
+@dataclass(frozen=True)
 class DeviceScene:
     """A scene on a device, ready for `Renderer`.
 
-    Layers are the vehicles in order, then the ego vehicle. Road users that are no vehicles are part of the environment.
+    Layers are the scene's vehicles in order, then the ego vehicle. Road users among its others are part of the
+    environment.
 
     Attributes:
         name: The scene's name.
@@ -92,8 +108,12 @@ class DeviceScene:
         vehicle_count: Number of vehicles, at least 0.
         cluster_count: Number of clusters.
         triangle_count: Number of triangles.
-        source_triangle: Place of every sorted triangle in environment, road users that are no vehicles, ego, vehicles,
-            one behind the other, [triangle].
+        source_triangle: Place of every sorted triangle in environment, others, ego, vehicles, one behind the other,
+            [triangle].
+        category: What every vehicle is, [vehicle].
+        road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
+        from_ego_m: Middle of every vehicle's box as seen from the middle of the ego vehicle: forward and left [m],
+            float64 [vehicle, 2].
     """
 
     name: str
@@ -106,6 +126,9 @@ class DeviceScene:
     cluster_count: int
     triangle_count: int
     source_triangle: np.ndarray
+    category: tuple[str, ...]
+    road_user_index: np.ndarray
+    from_ego_m: np.ndarray
 
     @property
     def ego_layer(self) -> int:
@@ -124,6 +147,28 @@ class DeviceScene:
             self.triangles.vertex_ego_m,
             wp.array(self.triangles.triangle.numpy().ravel(), dtype=wp.int32, device=self.layer_object.device),
             groups=self.triangles.triangle_object,
+        )
+
+    @cached_property
+    def upright_box(self) -> UprightBoxes:
+        """The least upright box around every layer's object; found when it is first asked for."""
+        import cv2
+
+        vertex_ego_m = self.triangles.vertex_ego_m.numpy()
+        triangle, object_index = self.triangles.triangle.numpy(), self.triangles.triangle_object.numpy()
+        centre, half_size, along = [], [], []
+        for index in self.layer_object.numpy():
+            point_m = vertex_ego_m[np.unique(triangle[object_index == index])]
+            middle_xy, (length, width), turn_deg = cv2.minAreaRect(np.ascontiguousarray(point_m[:, :2]))
+            low_m, high_m = point_m[:, 2].min(), point_m[:, 2].max()
+            centre.append([*middle_xy, 0.5 * (low_m + high_m)])
+            half_size.append([0.5 * length, 0.5 * width, 0.5 * (high_m - low_m)])
+            along.append([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
+        device = self.layer_object.device
+        return UprightBoxes(
+            wp.array(np.reshape(centre, (-1, 3)), dtype=wp.vec3, device=device),
+            wp.array(np.reshape(half_size, (-1, 3)), dtype=wp.vec3, device=device),
+            wp.array(np.reshape(along, (-1, 2)), dtype=wp.vec2, device=device),
         )
 
     @classmethod
@@ -188,4 +233,8 @@ class DeviceScene:
             cluster_count=len(first),
             triangle_count=len(triangle),
             source_triangle=order,
+            category=tuple(vehicle.category for vehicle in scene.vehicles),
+            road_user_index=np.array([ROAD_USERS.index(user.road_user) for user in scene.vehicles], np.int32),
+            from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
+            - scene.ego.bounds_m()[:, :2].mean(axis=0),
         )

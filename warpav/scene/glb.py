@@ -56,6 +56,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     file.graph.update(frame_from="world", frame_to=_ROOT, matrix=_GLTF_FROM_EGO)
     _add_node(file, _ENVIRONMENT, scene.environment, {"role": "environment"})
     _add_node(file, _EGO, scene.ego, {"role": "ego"})
+    scene = scene.targeting(("vehicle",))
     for role, prefix, users in (
         ("vehicle", _VEHICLE_PREFIX, scene.vehicles),
         ("other", _OTHER_PREFIX, scene.others),
@@ -82,7 +83,8 @@ def read_scene(path: str | Path) -> Scene:
         path: A GLB file with the nodes and extras that this module documents.
 
     Returns:
-        The scene in the ego frame, vehicles and other road users in order of instance id.
+        The scene in the ego frame; its class alone says whether a node is a vehicle (`Vehicle.road_user`), and the
+        others are among its `others`. Both are in order of instance id.
 
     Raises:
         InputError: The file is missing, is no GLB, lacks a node or an extra, or holds a mesh without triangles or with
@@ -106,34 +108,28 @@ def read_scene(path: str | Path) -> Scene:
         if name not in nodes:
             known = ", ".join(sorted(nodes)) or "none"
             raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
-    vehicles, others = (
-        sorted(
-            (
-                _read_vehicle(file, name, extras, f"{path}: node '{name}'")
-                for name, extras in nodes.items()
-                if name.startswith(prefix)
-            ),
-            key=lambda user: user.instance_id,
-        )
-        for prefix in (_VEHICLE_PREFIX, _OTHER_PREFIX)
+    users = tuple(
+        _read_vehicle(file, name, extras, f"{path}: node '{name}'")
+        for name, extras in nodes.items()
+        if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX))
     )
-    ids = [user.instance_id for user in (*vehicles, *others)]
+    ids = [user.instance_id for user in users]
     for instance_id in ids:
         if ids.count(instance_id) > 1:
             raise InputError(f"{path}: instance_id must be unique, got {instance_id} {ids.count(instance_id)} times")
     metadata: dict[str, Any] = file.metadata or {}
-    return Scene(
+    scene = Scene(
         str(metadata.get("name", path.stem)),
         _read_mesh(file, _ENVIRONMENT, f"{path}: node '{_ENVIRONMENT}'"),
         _read_mesh(file, _EGO, f"{path}: node '{_EGO}'"),
-        tuple(vehicles),
+        users,
         Sky(
             _colour(metadata, "sky_horizon_rgb", BLACK_SKY.horizon_rgb, path),
             _colour(metadata, "sky_zenith_rgb", BLACK_SKY.zenith_rgb, path),
         ),
         str(metadata.get("source", "")),
-        tuple(others),
     )
+    return scene.targeting(("vehicle",))
 
 
 def _add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:

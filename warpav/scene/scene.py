@@ -1,12 +1,23 @@
-"""What a traffic scene is: the environment, the ego vehicle, and separate other vehicles, all in the ego frame."""
+"""What a traffic scene is: the environment, the ego vehicle, and separate road users, all in the ego frame."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from warpav.geometry.mesh import Mesh, merge
+
+ROAD_USERS = ("vehicle", "pedestrian", "cyclist")
+"""The kinds of road users that a rig can be asked to see. A detection only ever matches an object of its own kind."""
+
+_ROAD_USER_OF_CATEGORY = {
+    "pedestrian": "pedestrian",
+    "person": "pedestrian",
+    "cyclist": "cyclist",
+    "bicyclist": "cyclist",
+}
 
 
 @dataclass(frozen=True)
@@ -59,12 +70,12 @@ class Box:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle other than the ego vehicle, or a road user that is none.
+    """A road user other than the ego vehicle; mostly a vehicle, hence the name.
 
     Attributes:
         instance_id: Number of the instance within its scene, from 1.
         category: What it is: ``hatchback``, ``saloon``, ``estate``, ``suv``, ``van``, ``lorry`` or ``bus``; of those
-            that are no vehicles ``pedestrian`` or ``cyclist``.
+            that are no vehicles ``pedestrian`` or ``cyclist``. Scenes from elsewhere may hold any word.
         mesh: Its surface in the ego frame.
         box: Its bounding box in the ego frame.
     """
@@ -73,6 +84,11 @@ class Vehicle:
     category: str
     mesh: Mesh
     box: Box
+
+    @property
+    def road_user(self) -> str:
+        """Its kind out of `ROAD_USERS`: whatever is neither a person nor a cyclist counts as a vehicle."""
+        return _ROAD_USER_OF_CATEGORY.get(self.category.lower(), "vehicle")
 
     def mirrored(self) -> Vehicle:
         """The same with left and right exchanged."""
@@ -105,11 +121,12 @@ class Scene:
         name: Short name, such as ``town_0007``.
         environment: Road, kerbs, pavements, buildings.
         ego: The vehicle that carries the cameras.
-        vehicles: The others, in order of instance id.
+        vehicles: The road users that rigs are to see, in order of instance id: the vehicles, unless `targeting` chose
+            otherwise.
         sky: The background.
         source: Where it came from, such as ``town seed 7``.
-        others: Road users that are no vehicles. They are drawn and hide vehicles as the environment does, but no loss
-            and no metric asks for them. Their instance ids continue those of the vehicles.
+        others: The other road users, in order of instance id. They are drawn and hide the vehicles as the environment
+            does, but no loss and no metric asks for them.
     """
 
     name: str
@@ -120,8 +137,31 @@ class Scene:
     source: str = ""
     others: tuple[Vehicle, ...] = ()
 
+    @property
+    def road_users(self) -> tuple[Vehicle, ...]:
+        """Everybody but the ego vehicle, in order of instance id."""
+        return tuple(sorted((*self.vehicles, *self.others), key=lambda user: user.instance_id))
+
+    def targeting(self, road_users: Collection[str]) -> Scene:
+        """The scene whose `vehicles` are the road users of these kinds, and whose `others` are all the rest.
+
+        Args:
+            road_users: Some of `ROAD_USERS`.
+
+        Raises:
+            ValueError: One of them is none of `ROAD_USERS`.
+        """
+        unknown = sorted(set(road_users) - set(ROAD_USERS))
+        if unknown:
+            raise ValueError(f"road users must be out of {', '.join(ROAD_USERS)}, got {unknown[0]!r}")
+        return replace(
+            self,
+            vehicles=tuple(user for user in self.road_users if user.road_user in road_users),
+            others=tuple(user for user in self.road_users if user.road_user not in road_users),
+        )
+
     def surroundings(self) -> Mesh:
-        """The environment, followed by the road users that are no vehicles, as one mesh."""
+        """The environment, followed by the road users in `others`, as one mesh."""
         return merge([self.environment, *(other.mesh for other in self.others)]) if self.others else self.environment
 
     def mirrored(self) -> Scene:
