@@ -13,7 +13,6 @@ import numpy as np
 
 from warpav.config import Config
 from warpav.console import show_verdict
-from warpav.detection.onnx_detector import OnnxDetector
 from warpav.errors import InputError
 from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
 from warpav.gallery import draw_run
@@ -30,7 +29,16 @@ from warpav.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig, read_rig
 from warpav.scene.scene import Scene
-from warpav.sources import arm_name, camera_mount, check_rig_source, checked_device, device_name, find_rig, load_scenes
+from warpav.sources import (
+    arm_name,
+    camera_mount,
+    check_rig_source,
+    checked_device,
+    device_name,
+    find_rig,
+    load_detector,
+    load_scenes,
+)
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
@@ -87,14 +95,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         InputError: The device, the detector or a scene cannot be used.
     """
     device = checked_device(config.device)
-    detector = OnnxDetector(
-        config.detector.model,
-        confidence_min=config.detector.confidence_min,
-        nms_iou_max=config.detector.nms_iou_max,
-        vehicle_names=config.detector.vehicle_names,
-        input_px=config.detector.input_px,
-        provider=config.detector.provider,
-    )
+    detector = load_detector(config)
     train_count = len(config.scenes.train_seeds)
     seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)
     packed: list[DeviceScene] = []

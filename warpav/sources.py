@@ -28,6 +28,7 @@ from warpav.rig.rig import Rig, read_rig
 from warpav.warp_setup import load_warp
 
 if TYPE_CHECKING:
+    from warpav.detection.onnx_detector import OnnxDetector
     from warpav.geometry.mesh import Mesh
     from warpav.objective.mount import CameraMount
     from warpav.scene.scene import Scene
@@ -190,6 +191,24 @@ def camera_model(config: Config) -> CameraModel:
         camera.near_m,
         Lens(camera.lens),
         distortion=camera.distortion,
+    )
+
+
+def load_detector(config: Config) -> OnnxDetector:
+    """The detector of the configuration.
+
+    Raises:
+        InputError: Its file cannot be used.
+    """
+    from warpav.detection.onnx_detector import OnnxDetector
+
+    return OnnxDetector(
+        config.detector.model,
+        confidence_min=config.detector.confidence_min,
+        nms_iou_max=config.detector.nms_iou_max,
+        vehicle_names=config.detector.vehicle_names,
+        input_px=config.detector.input_px,
+        provider=config.detector.provider,
     )
 
 
