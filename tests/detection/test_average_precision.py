@@ -9,14 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpav.detection.average_precision import (
+    COCO_AREA_PX2,
+    COCO_IOU,
+    ImageBoxes,
     ImageScore,
     average_precision,
     mean_image_average_precision,
     score_image,
+    score_images,
 )
 
 # COCO's numbers pass through its own float64; worst difference seen 3e-16.
 TOLERANCE = 1e-6
+EVERY_SIZE = tuple(COCO_AREA_PX2.values())
 
 
 def _boxes(rng, count):
@@ -25,33 +30,45 @@ def _boxes(rng, count):
 
 
 def _images(rng, count=12):
-    """Objects, some of them crowds, and detections: shaken objects and false alarms, with confidences that tie."""
+    """Objects, some crowds or ignored, and detections: shaken objects and false alarms, with confidences that tie."""
     for _ in range(count):
         truth = _boxes(rng, rng.integers(0, 7))
         found = [truth[rng.random(len(truth)) < 0.8] for _ in range(2)]
         shaken = np.concatenate(found) + rng.normal(0, 2.5, (sum(map(len, found)), 4))
         shaken[:, 2:] = np.maximum(shaken[:, 2:], shaken[:, :2] + 1.0)
         detection = np.concatenate([shaken, _boxes(rng, rng.integers(0, 5))])
-        yield truth, rng.random(len(truth)) < 0.2, detection, np.round(rng.random(len(detection)), 2)
+        flags = rng.random((2, len(truth))) < 0.15
+        yield truth, *flags, detection, np.round(rng.random(len(detection)), 2)
 
 
-def _coco(images, area_px2=None):
-    """AP50 of one class by pycocotools; flagged objects are crowds, or out of the area's range."""
+def _coco(images, *, iou_min=COCO_IOU, area_px2=EVERY_SIZE):
+    """AP of one class by pycocotools, NaN without objects, [size range, threshold].
+
+    Images are truth, whether it is a crowd, whether it is ignored, detections and their confidence.
+    """
     coco_module = pytest.importorskip("pycocotools.coco")
     from pycocotools.cocoeval import COCOeval
 
     def corner_and_size(box):
-        return [box[0], box[1], box[2] - box[0], box[3] - box[1]]
+        return [float(box[0]), float(box[1]), float(box[2] - box[0]), float(box[3] - box[1])]
+
+    class WithIgnored(COCOeval):
+        # pycocotools itself drops the flag "ignore" and takes crowds for the only ignored objects
+        def _prepare(self):
+            super()._prepare()
+            for objects in self._gts.values():
+                for each in objects:
+                    each["ignore"] = int(each["iscrowd"] or each["hidden"])
 
     coco = coco_module.COCO()
     annotations, results = [], []
-    for image, (truth, crowd, detection, confidence) in enumerate(images):
-        for box, is_crowd in zip(truth, crowd, strict=True):
+    for image, (truth, crowd, hidden, detection, confidence) in enumerate(images):
+        for box, is_crowd, is_hidden in zip(truth, crowd, hidden, strict=True):
             x, y, width, height = corner_and_size(box)
             annotations.append(
                 {
                     "id": len(annotations) + 1, "image_id": image, "category_id": 1, "bbox": [x, y, width, height],
-                    "area": width * height, "iscrowd": int(is_crowd and area_px2 is None), "ignore": 0,
+                    "area": width * height, "iscrowd": int(is_crowd), "hidden": int(is_hidden),
                 }
             )  # fmt: skip
         for box, score in zip(detection, confidence, strict=True):
@@ -63,43 +80,135 @@ def _coco(images, area_px2=None):
     }
     with contextlib.redirect_stdout(io.StringIO()):
         coco.createIndex()
-        evaluation = COCOeval(coco, coco.loadRes(results), "bbox")
-        evaluation.params.iouThrs = np.array([0.5])
-        if area_px2 is not None:
-            evaluation.params.areaRng, evaluation.params.areaRngLbl = [list(area_px2)], ["range"]
+        evaluation = WithIgnored(coco, coco.loadRes(results), "bbox")
+        evaluation.params.iouThrs = np.array(iou_min)
+        evaluation.params.areaRng = [list(limits) for limits in area_px2]
+        evaluation.params.areaRngLbl = [str(limits) for limits in area_px2]
         evaluation.evaluate()
         evaluation.accumulate()
-    precision = evaluation.eval["precision"][0, :, 0, 0, -1]
-    return float(precision.mean())
+    precision = evaluation.eval["precision"][:, :, 0, :, -1].mean(axis=1).T
+    return np.where(precision < 0.0, np.nan, precision)
+
+
+def _ours(images, **options):
+    return score_images(
+        [
+            ImageBoxes(truth, detection, confidence, truth_ignored=hidden, truth_is_crowd=crowd)
+            for truth, crowd, hidden, detection, confidence in images
+        ],
+        **options,
+    ).average_precision()
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_pooled_precision_with_crowds_matches_pycocotools(seed):
-    images = list(_images(np.random.default_rng(seed)))
+def test_every_size_and_threshold_matches_pycocotools(seed):
+    images = list(_images(np.random.default_rng(seed), count=40))
+    np.testing.assert_allclose(_ours(images), _coco(images), atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_more_images_than_are_matched_at_once(seed):
+    images = list(_images(np.random.default_rng([7, seed]), count=600))
+    np.testing.assert_allclose(_ours(images), _coco(images), atol=TOLERANCE)
+
+
+# Sides of which some make boxes of exactly 32^2 and 96^2 px, so that both ends of the size ranges are met.
+_SIDES = [8, 16, 32, 33, 64, 96, 128, 144]
+
+
+@st.composite
+def _awkward_images(draw):
+    """Images of few boxes on a coarse grid: equal boxes, equal IoUs, equal confidences, empty images, exact areas."""
+    coordinate = st.integers(0, 5).map(lambda k: 16 * k)
+    box = st.tuples(coordinate, coordinate, st.sampled_from(_SIDES), st.sampled_from(_SIDES)).map(
+        lambda b: [b[0], b[1], b[0] + b[2], b[1] + b[3]]
+    )
+    images = []
+    for _ in range(draw(st.integers(1, 5))):
+        truth, found = draw(st.lists(box, max_size=5)), draw(st.lists(box, max_size=6))
+        found += draw(st.lists(st.sampled_from(truth), max_size=4)) if truth else []
+        flags = [np.array(draw(st.lists(st.booleans(), min_size=len(truth), max_size=len(truth))), bool) for _ in "ab"]
+        confidence = draw(st.lists(st.sampled_from([0.25, 0.5, 0.75]), min_size=len(found), max_size=len(found)))
+        images.append(
+            (
+                np.array(truth, float).reshape(-1, 4), *flags, np.array(found, float).reshape(-1, 4),
+                np.array(confidence),
+            )
+        )  # fmt: skip
+    return images
+
+
+@settings(deadline=None, max_examples=200)
+@given(_awkward_images())
+def test_ties_crowds_and_exact_sizes_match_pycocotools(images):
+    if any(len(image[3]) for image in images):  # pycocotools takes no empty list of detections
+        np.testing.assert_allclose(_ours(images), _coco(images), atol=TOLERANCE)
+    else:
+        assert np.nan_to_num(_ours(images)).max() == 0.0
+
+
+def test_one_image_at_a_time_gives_the_same():
+    images = list(_images(np.random.default_rng(3), count=30))
     scores = [
-        score_image(truth[~crowd], detection, confidence, ignore_region_px=truth[crowd])
-        for truth, crowd, detection, confidence in images
+        score_image(truth, detection, confidence, truth_ignored=hidden, truth_is_crowd=crowd)
+        for truth, crowd, hidden, detection, confidence in images
     ]
-    assert average_precision(scores) == pytest.approx(_coco(images), abs=TOLERANCE)
+    assert average_precision(scores) == pytest.approx(_coco(images)[0, 0], abs=TOLERANCE)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_precision_of_a_size_range_matches_pycocotools(seed):
-    images = list(_images(np.random.default_rng(100 + seed)))
+def test_a_size_range_of_ones_own():
+    # as by height: objects out of the range are ignored, and so are detections out of it that find nothing
+    images = list(_images(np.random.default_rng(100)))
     low_px2, high_px2 = 400.0, 1800.0
     scores = []
-    for truth, _, detection, confidence in images:
+    for truth, crowd, hidden, detection, confidence in images:
         truth_px2, found_px2 = (np.prod(box[:, 2:] - box[:, :2], axis=1) for box in (truth, detection))
         scores.append(
             score_image(
                 truth,
                 detection,
                 confidence,
-                truth_ignored=(truth_px2 < low_px2) | (truth_px2 > high_px2),
+                truth_ignored=hidden | (truth_px2 < low_px2) | (truth_px2 > high_px2),
+                truth_is_crowd=crowd,
                 detection_ignored_unless_matched=(found_px2 < low_px2) | (found_px2 > high_px2),
             )
         )
-    assert average_precision(scores) == pytest.approx(_coco(images, (low_px2, high_px2)), abs=TOLERANCE)
+    expected = _coco(images, iou_min=[0.5], area_px2=[(low_px2, high_px2)])[0, 0]
+    assert average_precision(scores) == pytest.approx(expected, abs=TOLERANCE)
+
+
+def test_boxes_at_the_bounds_belong_to_both_ranges():
+    def square(side):
+        return np.array([[0, 0, side, side]], float)
+
+    for side, ranges in ((31.9, "small"), (32.0, "small medium"), (96.0, "medium large"), (96.1, "large")):
+        scores = score_images([ImageBoxes(square(side), square(side), np.ones(1))])
+        named = [name for name, count in zip(COCO_AREA_PX2, scores.object_count[:, 0], strict=True) if count]
+        assert named == ["all", *ranges.split()]
+
+
+def test_the_scores_tell_the_images_apart():
+    one, other = np.array([[0, 0, 40, 40.0]]), np.array([[0, 0, 20, 20.0]])
+    images = [
+        ImageBoxes(one, np.concatenate([one, one]), np.array([0.4, 0.9])),
+        ImageBoxes(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0)),
+        ImageBoxes(other, one, np.array([0.7])),
+    ]
+    scores = score_images(images, iou_min=[0.5, 0.2])
+    assert scores.image.tolist() == [0, 0, 2]
+    assert scores.object_count.tolist() == [[1, 0, 1], [0, 0, 1], [1, 0, 0], [0, 0, 0]]
+    first, nothing, last = scores.image_scores()
+    assert (first.confidence.tolist(), first.true_positive.tolist()) == ([0.9, 0.4], [True, False])
+    assert (nothing.object_count, len(nothing.confidence)) == (0, 0)
+    assert last.true_positive.tolist() == [False]
+    assert scores.image_scores(threshold=1)[2].true_positive.tolist() == [True]
+
+
+def test_no_image_at_all():
+    scores = score_images([])
+    assert scores.image_scores() == []
+    assert np.isnan(scores.average_precision()).all()
+    assert scores.average_precision().shape == (4, 10)
 
 
 def _twin(scores):
@@ -136,8 +245,8 @@ def test_precision_matches_its_twin(seed):
 @given(st.integers(0, 2**32 - 1))
 def test_precision_depends_on_the_order_of_confidence_alone(seed):
     images = list(_images(np.random.default_rng(seed), 4))
-    first = [score_image(truth, detection, confidence) for truth, _, detection, confidence in images]
-    second = [score_image(truth, detection, confidence**3 / 7) for truth, _, detection, confidence in images]
+    first = [score_image(truth, detection, confidence) for truth, *_, detection, confidence in images]
+    second = [score_image(truth, detection, confidence**3 / 7) for truth, *_, detection, confidence in images]
     value = average_precision(first)
     assert np.isnan(value) or 0.0 <= value <= 1.0
     np.testing.assert_allclose(average_precision(second), value)
