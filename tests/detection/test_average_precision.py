@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,12 +48,12 @@ def _coco(images, *, iou_min=COCO_IOU, area_px2=EVERY_SIZE):
     Images are truth, whether it is a crowd, whether it is ignored, detections and their confidence.
     """
     coco_module = pytest.importorskip("pycocotools.coco")
-    from pycocotools.cocoeval import COCOeval
+    evaluation_module: Any = pytest.importorskip("pycocotools.cocoeval")
 
     def corner_and_size(box):
         return [float(box[0]), float(box[1]), float(box[2] - box[0]), float(box[3] - box[1])]
 
-    class WithIgnored(COCOeval):
+    class WithIgnored(evaluation_module.COCOeval):
         # pycocotools itself drops the flag "ignore" and takes crowds for the only ignored objects
         def _prepare(self):
             super()._prepare()

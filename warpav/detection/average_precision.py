@@ -232,7 +232,7 @@ class _Image:
         order = np.argsort(-confidence, kind="stable")[:detection_max]
         box_px = np.asarray(image.detection_box_px, np.float64).reshape(-1, 4)[order]
         truth_px = np.asarray(image.truth_box_px, np.float64).reshape(-1, 4)
-        exists = np.isfinite(truth_px).all(axis=1)
+        exists = np.asarray(np.isfinite(truth_px).all(axis=1))
         ignored, is_crowd = (
             np.zeros(exists.sum(), bool) if flags is None else np.asarray(flags, bool)[exists]
             for flags in (image.truth_ignored, image.truth_is_crowd)
@@ -295,10 +295,10 @@ def _match(
         # [size range, threshold, image whose turn it is, object]
         reach = np.where(free[:, :, turn] & (iou >= threshold[:, None, None]), iou, 0.0)
         best_counted = np.where(counted[:, None, turn], reach, 0.0)
-        is_hit = (best_counted > 0.0).any(axis=3)
+        is_hit = np.asarray(best_counted.max(axis=3) > 0.0)
         best = np.where(is_hit[..., None], best_counted, reach)
         taken = width - 1 - best[..., ::-1].argmax(axis=3)  # of equals the last, as COCO's own loop has it
-        is_taken = (best > 0.0).any(axis=3)
+        is_taken = best.max(axis=3) > 0.0
         detection = np.array([first[k] + candidates[k][rank] for k in turn])
         hit[:, :, detection] = is_hit
         # one that takes an ignored object is ignored whatever its size, one that hits counts whatever its size
