@@ -30,7 +30,8 @@ app = App(
 scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 rig_app = App(name="rig", help="Known camera rigs.")
-for _group in (scenes_app, config_app, rig_app):
+detector_app = App(name="detector", help="The object detector: how probably it finds what it is shown.")
+for _group in (scenes_app, config_app, rig_app, detector_app):
     app.command(_group)
 
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
@@ -375,6 +376,42 @@ def rig_presets() -> None:
 
     for name in preset_names():
         _say(f"{name}: {len(preset_rig(name).cameras)} cameras")
+
+
+@detector_app.command(name="fit")
+def detector_fit(
+    config: Config = DEFAULT_CONFIG,
+    /,
+    *overrides: Overrides,
+    scenes: Annotated[str | None, Parameter(help="Seeds of scenes to fit, such as 500000..500049.")] = None,
+    held_out: Annotated[str | None, Parameter(help="Seeds of other scenes, to judge the fit by.")] = None,
+    out: Annotated[Path | None, Parameter(help="Folder; by default beside the model, else the user's cache.")] = None,
+    again: Annotated[bool, Parameter(help="Fit even if there is a stored fit.", negative="")] = False,
+) -> None:
+    """Fit how probably the detector finds an object, from what a view shows of it; a stored fit is used again."""
+    from warpav.config import placed_config, read_seeds
+    from warpav.console import RunDisplay
+    from warpav.detector_fit import fit_detector
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    chosen = [
+        None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
+        for name, seeds in (("scenes", scenes), ("held-out", held_out))
+    ]
+    words = ["warpav", "detector", "fit", config, *overrides]
+    words += [word for pair in (("--scenes", scenes), ("--held-out", held_out)) if pair[1] for word in pair if word]
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
+        file = fit_detector(
+            settings,
+            words=words,
+            fit_seeds=chosen[0],
+            held_out_seeds=chosen[1],
+            out=out,
+            again=again,
+            display=display,
+        )
+    _say(f"p(detected): {file}")
 
 
 def _seeds(seeds: str | None, count: int | None) -> tuple[int, ...]:

@@ -31,6 +31,7 @@ from warpav.view.palette import (
 )
 
 if TYPE_CHECKING:
+    from warpav.detection.probability import DetectionProbability
     from warpav.geometry.mesh import Mesh
     from warpav.geometry.mount_surface import MountSurface
     from warpav.rig.rig import Rig
@@ -341,6 +342,83 @@ def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **lin
 
     x0, y0, x1, y1 = box_px
     axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=hex_colour(colour), **line))
+
+
+def reliability_diagram(
+    bins: Sequence[Mapping[str, float]],
+    path: Path | str,
+    *,
+    auc: float,
+    brier: float,
+    calibration_error: float,
+) -> Path:
+    """Draw what share of objects was detected over the probability that was predicted, and how many there were.
+
+    Args:
+        bins: Objects of about one probability: ``count``, ``predicted``, ``detected``, and the ends ``low`` and
+            ``high`` of its 95 % interval.
+        path: PNG file to write.
+        auc: For the title.
+        brier: For the title.
+        calibration_error: For the title.
+    """
+    count, predicted, detected, low, high = (
+        np.array([each[name] for each in bins]) for name in ("count", "predicted", "detected", "low", "high")
+    )
+    with figure_style():
+        figure = new_figure(0.6 * WIDTH_INCH, 0.72 * WIDTH_INCH)
+        axis, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])
+        axis.plot([0, 1], [0, 1], color=hex_colour(MUTED_RGB), linewidth=1.0, label="as predicted")
+        axis.errorbar(
+            predicted,
+            detected,
+            yerr=[detected - low, high - detected],
+            fmt="o",
+            markersize=4.5,
+            linewidth=1.2,
+            color=hex_colour(camera_rgb(0)),
+            label="share detected, 95 % interval",
+        )
+        axis.set_ylabel("share detected")
+        axis.set_ylim(-0.02, 1.02)
+        axis.set_title(f"AUC {auc:.3f}, Brier {brier:.3f}, calibration error {calibration_error:.3f}")
+        axis.legend(loc="upper left")
+        lower.vlines(predicted, 0, count, color=hex_colour(camera_rgb(0)), linewidth=3.0)
+        lower.set_ylim(0, 1.15 * count.max())
+        lower.set_ylabel("objects")
+        lower.set_xlabel("predicted probability, mean of each bin")
+        lower.set_xlim(-0.02, 1.02)
+        return save_figure(figure, path)
+
+
+def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Path | str) -> Path:
+    """Draw what every feature adds to the logit of the probability of detection, over where objects have it.
+
+    Args:
+        model: The curves.
+        feature: Features of the objects that they were fitted on, shape [object, feature].
+        path: PNG file to write.
+    """
+    from warpav.detection.probability import FEATURES
+
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 0.62 * WIDTH_INCH)
+        axes = figure.subplots(2, 3, sharey=True)
+        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=True)):
+            low, high = np.quantile(feature[:, f], [0.002, 0.998])
+            value = np.linspace(low, max(high, low + 1e-3), 200)
+            share = axis.twinx()
+            share.hist(feature[:, f], bins=30, range=(value[0], value[-1]), color=hex_colour(GRID_RGB), alpha=0.9)
+            share.set_axis_off()
+            share.set_ylim(0, share.get_ylim()[1] * 2.5)
+            axis.set_zorder(share.get_zorder() + 1)
+            axis.patch.set_visible(False)
+            axis.plot(value, model.curve(f, value), color=hex_colour(camera_rgb(0)))
+            axis.set_title(each.name.replace("_", " "))
+            axis.set_xlabel(each.unit)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("added to the logit")
+        return save_figure(figure, path)
 
 
 def figure_style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)

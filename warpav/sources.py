@@ -29,6 +29,7 @@ from warpav.warp_setup import load_warp
 
 if TYPE_CHECKING:
     from warpav.detection.onnx_detector import OnnxDetector
+    from warpav.detection.probability import DetectorUse
     from warpav.geometry.mesh import Mesh
     from warpav.objective.mount import CameraMount
     from warpav.scene.scene import Scene
@@ -206,9 +207,30 @@ def load_detector(config: Config) -> OnnxDetector:
         config.detector.model,
         confidence_min=config.detector.confidence_min,
         nms_iou_max=config.detector.nms_iou_max,
-        vehicle_names=config.detector.vehicle_names,
+        family=config.detector.format,
+        labels=config.detector.labels,
+        classes=dict(config.detector.classes),
+        targets=config.scenes.targets,
         input_px=config.detector.input_px,
         provider=config.detector.provider,
+    )
+
+
+def detector_use(config: Config) -> DetectorUse:
+    """The detector, and everything in the configuration on which its chances in a view depend."""
+    from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+    from warpav.detection.probability import DetectorUse
+
+    model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model)
+    return DetectorUse(
+        model,
+        {
+            "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
+            "camera": config.camera.model_dump(mode="json"),
+            "scenes": config.scenes.model_dump(mode="json", exclude={"train_seeds", "test_seeds", "mirror"}),
+            "rig.height_offset_m": config.rig.height_offset_m,
+            "visibility.occlusion": config.visibility.occlusion,
+        },
     )
 
 

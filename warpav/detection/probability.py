@@ -38,26 +38,26 @@ class Feature:
 
     Attributes:
         name: Short name.
-        definition: What it is, with its unit.
+        unit: Its unit, or the function of it that is taken.
+        definition: What it is.
     """
 
     name: str
+    unit: str
     definition: str
 
 
 FEATURES = (
-    Feature("visible_size", "ln(1 + area that nothing hides, in the image [px^2])"),
-    Feature("visible_share", "area that nothing hides over the area of the object alone, both in the image, 0..1"),
-    Feature("in_frame_share", "solid angle of the object alone in the image over that of its least upright box, 0..1"),
-    Feature("aspect", "ln((width + 1 px) / (height + 1 px)) of the extent of the object alone in the image"),
-    Feature("border_distance", "ln(4 + soft least distance of that extent from the image's border [px])"),
-    Feature("contrast", "distance of its mean colour from that of what else its surroundings show, RGB in 0..1"),
+    Feature("visible_size", "ln(1 + px²)", "area that nothing hides, in the image"),
+    Feature("visible_share", "0..1", "area that nothing hides over that of the object alone, both in the image"),
+    Feature(
+        "in_frame_share", "0..1", "solid angle of the object alone in the image over that of its least upright box"
+    ),
+    Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
+    Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
+    Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
 )
-VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE = (
-    int(kernels.VISIBLE_SIZE),
-    int(kernels.VISIBLE_SHARE),
-    int(kernels.IN_FRAME_SHARE),
-)
+VISIBLE_SIZE, VISIBLE_SHARE = int(kernels.VISIBLE_SIZE), int(kernels.VISIBLE_SHARE)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class DetectorUse:
             "schema": SCHEMA,
             "model": self.model_sha256,
             "settings": self.settings,
-            "features": [[each.name, each.definition] for each in FEATURES],
+            "features": [[each.name, each.unit, each.definition] for each in FEATURES],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -174,8 +174,8 @@ def cache_folder() -> Path:
 class DetectionProbability:
     """The logit of the probability: a constant plus one smooth curve for each of `FEATURES`.
 
-    A curve is a uniform cubic B-spline; its coefficients go on along straight lines, so it is C2 everywhere and straight
-    outside the range of its knots.
+    A curve is a uniform cubic B-spline; its coefficients go on along straight lines, so it is C2 everywhere, and
+    straight beyond its knots.
 
     Attributes:
         start: First knot of every curve, float64 [feature].
@@ -223,7 +223,7 @@ class DetectionProbability:
     ) -> Seen:
         """Probabilities as a function of the views, recorded on the active tape.
 
-        Gradients flow through areas, extents, solid angles and the boxes' distance to the views; colours are held fixed.
+        Gradients flow through areas, extents, solid angles and boxes; colours are held fixed.
 
         Args:
             appearance: What a render showed from these very views.
@@ -389,6 +389,7 @@ class DetectionProbability:
             "curves": [
                 {
                     "feature": each.name,
+                    "unit": each.unit,
                     "definition": each.definition,
                     "first_knot": float(self.start[f]),
                     "knot_distance": float(self.step[f]),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,8 +13,6 @@ from warpav.detection.detector import Detector
 from warpav.detection.observe import observe
 from warpav.detection.probability import (
     FEATURE_COUNT,
-    FEATURES,
-    IN_FRAME_SHARE,
     VISIBLE_SHARE,
     VISIBLE_SIZE,
     Appearance,
@@ -30,13 +27,17 @@ from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
 
 KNOT_COUNT = 9
-PENALTIES = (0.1, 1.0, 10.0, 100.0, 1000.0)
+PENALTIES = (0.3, 3.0, 30.0, 300.0)
 FOLD_COUNT = 5
 RIDGE = 0.01
 BIN_COUNT = 15
 MIN_OBJECTS = 200
 MIN_OF_EACH = 10
-_STEPS_MAX = 50
+_ITERATIONS_MAX = 1000
+
+# More pixels of the same thing, and less of it hidden, never make it harder to find. Nothing like that is known of the
+# rest: of two objects that show as many pixels, the one that is cut by the border is the nearer.
+MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE)
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Sightings:
     """Objects in views, of which at least one pixel was visible, and whether the detector found them.
 
     Attributes:
-        feature: In the order of `FEATURES`, float64 [object, feature].
+        feature: In the order of `warpav.detection.probability.FEATURES`, float64 [object, feature].
         is_detected: Whether a detection matched, bool [object].
         seed: The scene's seed, int64 [object].
     """
@@ -211,3 +212,116 @@ def _wilson_interval(share: float, count: int) -> tuple[float, float]:
     middle = (share + z * z / (2 * count)) / (1 + z * z / count)
     reach = z / (1 + z * z / count) * math.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
     return max(0.0, middle - reach), min(1.0, middle + reach)
+
+
+def fit_probability(
+    sightings: Sightings,
+    *,
+    rng: np.random.Generator,
+    knot_count: int = KNOT_COUNT,
+    penalties: Sequence[float] = PENALTIES,
+) -> tuple[DetectionProbability, float]:
+    """Fit the curves by logistic regression, penalised by their second differences.
+
+    The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
+
+    Args:
+        sightings: What to fit.
+        rng: Deals the scenes out to folds.
+        knot_count: Knots of every curve, at least 4.
+        penalties: To choose from, positive.
+
+    Returns:
+        The model and the penalty.
+
+    Raises:
+        ValueError: There are too few objects, or all, or none of them were detected.
+    """
+    found, count = int(sightings.is_detected.sum()), len(sightings)
+    if count < MIN_OBJECTS or min(found, count - found) < MIN_OF_EACH:
+        raise ValueError(
+            f"expected at least {MIN_OBJECTS} visible objects, {MIN_OF_EACH} of them detected and {MIN_OF_EACH} "
+            f"missed, got {count}, {found} detected and {count - found} missed"
+        )
+    ranges = [natural_range(sightings.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
+    basis = np.concatenate(
+        [spline_basis(sightings.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], axis=1
+    )
+    regression = _Regression.of(basis, sightings.is_detected, knot_count)
+    seeds = rng.permutation(np.unique(sightings.seed))
+    fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), sightings.seed)] % FOLD_COUNT
+    best = penalties[0]
+    if len(seeds) >= FOLD_COUNT and len(penalties) > 1:
+        folds = [fold_of == k for k in range(FOLD_COUNT)]
+        loss = [sum(regression.left_out_loss(left_out, penalty) for left_out in folds) for penalty in penalties]
+        best = penalties[int(np.argmin(loss))]
+    weight = regression.fit(np.ones(count, bool), best)
+    start, step = np.array(ranges).T
+    coefficient = weight[1:].reshape(FEATURE_COUNT, knot_count)
+    # every curve gives 0 in the mean; the constant is the logit of an average object
+    middle = np.einsum("fk,fk->f", coefficient, basis.mean(axis=0).reshape(FEATURE_COUNT, knot_count))
+    return DetectionProbability(start, step, coefficient - middle[:, None], float(weight[0] + middle.sum())), best
+
+
+@dataclass(frozen=True)
+class _Regression:
+    """A logistic regression whose coefficients of some curves may not fall.
+
+    The weights are the constant, then the coefficients of every curve. They are sought as sums of steps (``rising``),
+    of which those of a curve that may not fall are not negative; then neither falls the curve.
+    """
+
+    design: np.ndarray
+    outcome: np.ndarray
+    rising: np.ndarray
+    lower: np.ndarray
+    bend: np.ndarray
+
+    @classmethod
+    def of(cls, basis: np.ndarray, is_detected: np.ndarray, knot_count: int) -> _Regression:
+        design = np.c_[np.ones(len(basis)), basis]
+        size = design.shape[1]
+        rising, lower, bend = np.eye(size), np.full(size, -np.inf), np.zeros((size, size))
+        second = np.diff(np.eye(knot_count), n=2, axis=0)
+        for f in range(FEATURE_COUNT):
+            own = slice(1 + f * knot_count, 1 + (f + 1) * knot_count)
+            bend[own, own] = second.T @ second
+            if f in MONOTONE:
+                rising[own, own] = np.tril(np.ones((knot_count, knot_count)))
+                lower[own.start + 1 : own.stop] = 0.0
+        return cls(design, is_detected.astype(np.float64), rising, lower, bend)
+
+    def fit(self, used: np.ndarray, penalty: float) -> np.ndarray:
+        """The weights for some of the objects."""
+        from scipy.optimize import minimize
+        from scipy.special import expit
+
+        design, outcome = self.design[used], self.outcome[used]
+        ridge = np.full(len(self.bend), RIDGE)
+        ridge[0] = 0.0
+        costs = penalty * self.bend + np.diag(ridge)
+
+        def loss(step: np.ndarray) -> tuple[float, np.ndarray]:
+            weight = self.rising @ step
+            logit = design @ weight
+            value = np.logaddexp(0.0, logit).sum() - logit @ outcome + 0.5 * weight @ costs @ weight
+            slope = design.T @ (expit(logit) - outcome) + costs @ weight
+            return float(value), self.rising.T @ slope
+
+        share = outcome.mean().clip(1e-3, 1.0 - 1e-3)
+        begin = np.zeros(len(self.bend))
+        begin[0] = math.log(share / (1.0 - share))
+        found = minimize(
+            loss,
+            begin,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(low, None) for low in self.lower],
+            options={"maxiter": _ITERATIONS_MAX, "maxfun": 2 * _ITERATIONS_MAX, "ftol": 1e-11, "maxcor": 30},
+        )
+        return self.rising @ found.x
+
+    def left_out_loss(self, left_out: np.ndarray, penalty: float) -> float:
+        """Negative log-likelihood of some objects under what is fitted to the others."""
+        logit = self.design[left_out] @ self.fit(~left_out, penalty)
+        return float(np.logaddexp(0.0, logit).sum() - logit @ self.outcome[left_out])
