@@ -363,6 +363,35 @@ class MountConfig(Section):
     )
 
 
+_LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
+_CLASSES_TEXT = "a list of labels of the detector, such as [car, bus]"
+
+
+def _read_labels(value: object) -> object:
+    if isinstance(value, str):
+        _existing_file(value, _LABELS_TEXT, [value], [])
+        return value
+    return tuple(value) if isinstance(value, list) else value
+
+
+Labels = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+    PlainSerializer(list),
+    Expectation(_CLASSES_TEXT),
+]
+
+
+class ClassesConfig(Section):
+    """Which labels of the detector count as which kind of road user; null takes the usual names."""
+
+    vehicle: Labels | None = Field(default=None, description="labels of motor vehicles, such as [car, bus]")
+    pedestrian: Labels | None = Field(default=None, description="labels of people on foot, such as [person]")
+    cyclist: Labels | None = Field(
+        default=None, description="labels of people on bicycles; a bicycle alone is none unless it is named here"
+    )
+
+
 class DetectorConfig(Section):
     """The object detector, and when its boxes count."""
 
@@ -374,15 +403,27 @@ class DetectorConfig(Section):
         default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
     )
     nms_iou_max: float = Field(default=0.65, gt=0.0, le=1.0, description="boxes that overlap more are merged")
-    vehicle_names: (
-        Annotated[
-            tuple[str, ...],
-            BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-            PlainSerializer(list),
-            Expectation("a list of class names, such as [car, bus, truck]"),
-        ]
-        | None
-    ) = Field(default=None, description="classes that count as vehicles; null takes the usual names")
+    format: Literal[
+        "auto",
+        "ultralytics",
+        "ultralytics-end2end",
+        "ultralytics-rtdetr",
+        "yolox",
+        "yolox-decoded",
+        "torchvision",
+        "rtdetr",
+        "rtdetr-single",
+    ] = Field(default="auto", description="layout of the file's inputs and outputs; auto finds it out")
+    labels: Annotated[
+        tuple[str, ...] | str | None,
+        BeforeValidator(_read_labels),
+        PlainSerializer(lambda value: list(value) if isinstance(value, tuple) else value),
+        Expectation(_LABELS_TEXT),
+    ] = Field(
+        default=None,
+        description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
+    )
+    classes: ClassesConfig = Field(default=ClassesConfig(), description="which labels count as which road user")
     input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 

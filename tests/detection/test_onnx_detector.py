@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpav.detection.matching import iou_matrix
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, Letterbox, OnnxDetector, suppress
+from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector, suppress
 from warpav.errors import InputError
 
 
@@ -41,9 +41,11 @@ def test_boxes_confidences_and_labels_of_known_cells(cell_network):
 
 def test_vehicles_are_chosen_by_name(cell_network):
     path = cell_network()
-    (found,) = OnnxDetector(path, vehicle_names=["Person"]).detect(_with_cells())
+    (found,) = OnnxDetector(path, classes={"vehicle": ["Person"]}).detect(_with_cells())
     assert found.label == ("person",)
-    (found,) = OnnxDetector(path, vehicle_names=["car", "person", "bus"], confidence_min=0.5).detect(_with_cells())
+    (found,) = OnnxDetector(path, classes={"vehicle": ["car", "person", "bus"]}, confidence_min=0.5).detect(
+        _with_cells()
+    )
     assert sorted(found.label) == ["car", "person"]
 
 
@@ -85,36 +87,13 @@ def test_a_fixed_size_is_letterboxed_and_mapped_back(cell_network):
 
 def test_a_dynamic_size_follows_the_image_or_the_setting(cell_network):
     path = cell_network(("car",))
-    assert OnnxDetector(path)._input_size_px(256, 256) == (256, 256)
-    assert OnnxDetector(path)._input_size_px(250, 500) == (256, 512)
-    assert OnnxDetector(path, input_px=640)._input_size_px(128, 256) == (320, 640)
+    assert OnnxDetector(path).input_size_px(256, 256) == (256, 256)
+    assert OnnxDetector(path).input_size_px(250, 500) == (256, 512)
+    assert OnnxDetector(path, input_px=640).input_size_px(128, 256) == (320, 640)
     image = np.full((1, 128, 256, 3), 255, np.uint8)
     (found,) = OnnxDetector(path, input_px=64, nms_iou_max=0.1).detect(image)
     # 32 x 64 cells of the input are 128 x 128 px of the image.
     np.testing.assert_allclose(sorted(found.box_px.tolist()), [[0, 0, 128, 128], [128, 0, 256, 128]], atol=1e-3)
-
-
-@given(st.integers(1, 900), st.integers(1, 900), st.sampled_from([(64, 64), (256, 256), (320, 640)]), st.randoms())
-def test_letterbox_round_trip(height_px, width_px, input_size_px, random):
-    letterbox = Letterbox.fit(height_px, width_px, *input_size_px)
-    x0, x1 = sorted(random.uniform(0, width_px) for _ in range(2))
-    y0, y1 = sorted(random.uniform(0, height_px) for _ in range(2))
-    box_px = np.array([[x0, y0, x1, y1]])
-    scale = np.array([letterbox.scaled_width_px / width_px, letterbox.scaled_height_px / height_px] * 2)
-    box_input_px = box_px * scale + np.array([letterbox.left_px, letterbox.top_px] * 2)
-    assert (box_input_px >= 0).all()
-    assert (box_input_px[0, 2:] <= np.array(input_size_px[::-1]) + 1e-6).all()
-    back_px = letterbox.unpack(box_input_px.astype(np.float32), height_px, width_px)
-    np.testing.assert_allclose(back_px, box_px, atol=2e-3 / scale.min())
-
-
-def test_letterbox_pads_grey_and_scales_colours_to_one():
-    image = np.full((1, 128, 256, 3), 255, np.uint8)
-    packed = Letterbox.fit(128, 256, 64, 64).pack(image)
-    assert packed.shape == (1, 3, 64, 64)
-    np.testing.assert_allclose(packed[0, :, :16], 114 / 255, atol=1e-6)
-    np.testing.assert_allclose(packed[0, :, 16:48], 1.0, atol=1e-6)
-    np.testing.assert_allclose(packed[0, :, 48:], 114 / 255, atol=1e-6)
 
 
 def _random_boxes(rng, count):
@@ -187,7 +166,7 @@ def test_an_unknown_layout_is_described(tmp_path):
 
 def test_labels_that_do_not_fit_the_output_are_refused(cell_network):
     path = cell_network(("car", "bus"), metadata={"names": "{0: 'car'}"})
-    with pytest.raises(InputError, match=r"expected output \[batch, 4 \+ 1 labels, candidates\], got \[batch, 6, n\]"):
+    with pytest.raises(InputError, match=r"unknown layout.*output0 \[\?, 6, \?\] float32, 1 label; expected one of"):
         OnnxDetector(path)
 
 
@@ -197,13 +176,21 @@ def test_unreadable_labels_are_refused(cell_network, text):
         OnnxDetector(cell_network(("car", "bus"), metadata={"names": text}))
 
 
-def test_a_file_without_labels_says_how_to_add_them(cell_network):
-    with pytest.raises(InputError, match=r"no metadata 'names'.*set_model_props"):
+def test_a_file_without_labels_says_how_to_give_them(cell_network):
+    with pytest.raises(
+        InputError, match=r"name one with detector\.format, or its labels with detector\.labels"
+    ):
         OnnxDetector(cell_network(metadata={"stride": "32"}))
+    with pytest.raises(InputError, match=r"no metadata 'names' for the 3 classes of output output0.*detector\.labels"):
+        OnnxDetector(cell_network(metadata={"stride": "32"}), family="ultralytics")
+    detector = OnnxDetector(cell_network(metadata={"stride": "32"}), labels=["car", "person", "bus"])
+    assert detector.names == ("car", "person", "bus")
 
 
 def test_a_file_without_vehicles_lists_its_labels(cell_network):
-    with pytest.raises(InputError, match=r"none of its labels \(cat, dog\) is among the vehicle names.*vehicle_names"):
+    with pytest.raises(
+        InputError, match=r"none of its labels \(cat, dog\) means a vehicle \(car.*classes\.vehicle"
+    ):
         OnnxDetector(cell_network(("cat", "dog")))
 
 
@@ -239,7 +226,7 @@ def test_street_photograph_has_the_known_boxes(asset_folder):
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     names = ast.literal_eval(session.get_modelmeta().custom_metadata_map["names"])
     image_rgb = cv2.imread(os.fspath(asset_folder / "street.jpg"))[..., ::-1]
-    (found,) = OnnxDetector(path, vehicle_names=list(names.values()), confidence_min=0.25).detect([image_rgb])
+    (found,) = OnnxDetector(path, classes={"vehicle": list(names.values())}, confidence_min=0.25).detect([image_rgb])
     for label, confidence, x, y, width, height in [
         ("bicycle", 0.96, 780, 720, 467, 307),
         ("person", 0.89, 65, 548, 200, 396),

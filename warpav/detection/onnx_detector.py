@@ -1,24 +1,20 @@
-"""A detector from an ONNX file whose output is ``[batch, 4 + classes, candidates]``, run by onnxruntime.
+"""A detector from an ONNX file, run by onnxruntime: the session, its provider, batches, classes and suppression.
 
-This is the layout of an ultralytics export without built-in suppression, and of the detector that warpav ships: rows
-``centre x, centre y, width, height`` in pixels of the network's input, then one score in 0..1 for every class, no
-objectness. The labels stand in the file's metadata as ``names``. How the shipped detector was trained and how well it
-does is told in ``models/MODEL_CARD.md``.
+What the file's inputs want and its outputs mean is the matter of `warpav.detection.families`. How the shipped detector
+was trained and how well it does is told in ``models/MODEL_CARD.md``.
 """
 
 from __future__ import annotations
 
-import ast
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+import difflib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.detection.detector import Detections
-from warpav.detection.matching import iou_matrix
+from warpav.detection.detector import ROAD_USERS, Detections
+from warpav.detection.families import Letterbox, NetworkFile, Tensor, metadata_labels, recognise
 from warpav.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,123 +22,92 @@ if TYPE_CHECKING:
 
 BUILTIN_MODEL_PATH = Path(__file__).parent / "models" / "warpav_town_nano.onnx"
 
-# Labels that mean a motor vehicle, as COCO (both spellings of its motorcycle) and the shipped detector name them.
-VEHICLE_NAMES = ("car", "van", "truck", "lorry", "bus", "motorcycle", "motorbike")
-
-_STRIDE_PX = 32
-_GREY = 114
-_BATCH_MAX = 32
-# Suppression compares all pairs; beyond this many candidates the least confident are dropped.
-_CANDIDATE_MAX = 1000
+# Labels that mean a road user, as COCO (both spellings of its motorcycle), other street data sets and the shipped
+# detector name them. COCO's bicycle is none: it marks the thing alone, ridden or parked, while its rider is a person.
+ROAD_USER_LABELS = {
+    "vehicle": ("car", "van", "truck", "lorry", "bus", "motorcycle", "motorbike", "vehicle"),
+    "pedestrian": ("pedestrian", "person", "people"),
+    "cyclist": ("cyclist", "bicyclist", "rider"),
+}
 PROVIDERS = {
     "cpu": "CPUExecutionProvider",
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
 }
-_LAYOUT = "one input [batch, 3, rows, columns] float32 and one output [batch, 4 + classes, candidates] float32"
+
+_BATCH_MAX = 32
+# Beyond this many candidates the least confident are dropped.
+_CANDIDATE_MAX = 1000
+# What onnxruntime calls otherwise than NumPy.
+_NUMBER_TYPES = {"float": "float32", "double": "float64"}
 
 
-@dataclass(frozen=True)
-class Letterbox:
-    """How an image is scaled and padded to the network's input, keeping its aspect ratio, in the middle.
-
-    Attributes:
-        input_height_px: Height of the network's input [px].
-        input_width_px: Width of the network's input [px].
-        scaled_height_px: Height of the scaled image in it [px].
-        scaled_width_px: Width of the scaled image in it [px].
-        top_px: Rows of grey above it.
-        left_px: Columns of grey left of it.
-    """
-
-    input_height_px: int
-    input_width_px: int
-    scaled_height_px: int
-    scaled_width_px: int
-    top_px: int
-    left_px: int
-
-    @classmethod
-    def fit(cls, height_px: int, width_px: int, input_height_px: int, input_width_px: int) -> Letterbox:
-        """The letterbox that shows an image as large as the input allows."""
-        scale = min(input_height_px / height_px, input_width_px / width_px)
-        scaled_height_px = max(1, min(input_height_px, round(height_px * scale)))
-        scaled_width_px = max(1, min(input_width_px, round(width_px * scale)))
-        return cls(
-            input_height_px,
-            input_width_px,
-            scaled_height_px,
-            scaled_width_px,
-            (input_height_px - scaled_height_px) // 2,
-            (input_width_px - scaled_width_px) // 2,
-        )
-
-    def pack(self, images_rgb: np.ndarray) -> np.ndarray:
-        """The network's input: RGB in 0..1, float32, shape [image, 3, row, column].
-
-        Args:
-            images_rgb: Images, uint8, shape [image, row, column, 3].
-        """
-        if images_rgb.shape[1:3] == (self.input_height_px, self.input_width_px):
-            canvas = images_rgb
-        else:
-            import cv2
-
-            canvas = np.full((len(images_rgb), self.input_height_px, self.input_width_px, 3), _GREY, np.uint8)
-            rows = slice(self.top_px, self.top_px + self.scaled_height_px)
-            columns = slice(self.left_px, self.left_px + self.scaled_width_px)
-            for image_rgb, target in zip(images_rgb, canvas, strict=True):
-                target[rows, columns] = cv2.resize(
-                    image_rgb, (self.scaled_width_px, self.scaled_height_px), interpolation=cv2.INTER_LINEAR
-                )
-        network_input = np.empty((len(canvas), 3, self.input_height_px, self.input_width_px), np.float32)
-        np.multiply(canvas.transpose(0, 3, 1, 2), np.float32(1.0 / 255.0), out=network_input, casting="unsafe")
-        return network_input
-
-    def unpack(self, box_input_px: np.ndarray, height_px: int, width_px: int) -> np.ndarray:
-        """Boxes of the network's input as boxes of the image, cut off at its border, shape [box, 4]."""
-        left_top = np.array([self.left_px, self.top_px] * 2, np.float32)
-        scale = np.array([width_px / self.scaled_width_px, height_px / self.scaled_height_px] * 2, np.float32)
-        size = np.array([width_px, height_px] * 2, np.float32)
-        return np.clip((box_input_px - left_top) * scale, 0.0, size).astype(np.float32)
-
-
-def suppress(box_px: np.ndarray, confidence: np.ndarray, *, iou_max: float) -> np.ndarray:
-    """Non-maximum suppression, whatever the class: keep the most confident box, drop what overlaps it, repeat.
+def suppress(
+    box_px: np.ndarray, confidence: np.ndarray, *, iou_max: float, class_index: np.ndarray | None = None
+) -> np.ndarray:
+    """Non-maximum suppression: keep the most confident box, drop what overlaps it, repeat.
 
     Args:
         box_px: Edges ``x0, y0, x1, y1``, shape [box, 4].
         confidence: Shape [box].
         iou_max: A box that overlaps a kept one by more is dropped.
+        class_index: Given, boxes of the same class leave each other alone; None: whatever the class, shape [box].
 
     Returns:
         Indices of the kept boxes, most confident first, int64.
     """
     order = np.argsort(-confidence, kind="stable")[:_CANDIDATE_MAX]
-    overlaps = iou_matrix(box_px[order], box_px[order]) > iou_max
-    alive = np.ones(len(order), bool)
-    for index in range(len(order)):
-        if alive[index]:
-            alive[index + 1 :] &= ~overlaps[index, index + 1 :]
-    return order[alive]
+    box = np.asarray(box_px, np.float64)[order].reshape(-1, 4)
+    area = (box[:, 2] - box[:, 0]) * (box[:, 3] - box[:, 1])
+    left = np.arange(len(order))
+    kept = []
+    while len(left):
+        best, left = left[0], left[1:]
+        kept.append(best)
+        x0, y0, x1, y1 = box[best]
+        rest = box[left]
+        width = np.minimum(rest[:, 2], x1) - np.maximum(rest[:, 0], x0)
+        height = np.minimum(rest[:, 3], y1) - np.maximum(rest[:, 1], y0)
+        shared = np.where((width > 0.0) & (height > 0.0), width * height, 0.0)
+        stays = shared <= iou_max * (area[left] + area[best] - shared)
+        if class_index is not None:
+            stays |= class_index[order[left]] == class_index[order[best]]
+        left = left[stays]
+    return order[kept]
 
 
 class OnnxDetector:
-    """Vehicles in images, by an ONNX network.
+    """Road users in images, by an ONNX network.
+
+    Each kind of road user is detected as if it were the only one: a candidate counts with the best score among the
+    labels of that kind, and suppression never crosses kinds. A network that suppresses by itself is trusted within a
+    label; only boxes of different labels of one kind, as car and truck, still give way to each other.
 
     Args:
         model: Path of an ONNX file, or ``builtin`` for the shipped network.
         confidence_min: Detections below are dropped.
         nms_iou_max: Of two detections that overlap by more, the less confident is dropped.
-        vehicle_names: Labels that count as vehicles, capital letters or not; None means `VEHICLE_NAMES`.
-        input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32. None:
-            as they are. A file that fixes its input size takes none.
+        family: Layout of inputs and outputs, see `warpav.detection.families`; ``auto`` finds it out.
+        labels: Labels in the order of the network's classes, or a file with one a line; None: the file's metadata, else
+            COCO's where the number of classes says so or the family has no other way.
+        classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
+            of `ROAD_USER_LABELS` that the network knows.
+        targets: Kinds of road users to detect, out of `ROAD_USERS`.
+        input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
+            family that wants a square gets one of this side. None: as they are, or the family's own. A file that fixes
+            its input size takes none.
         threads: Threads of onnxruntime; None lets it use all cores.
         provider: Where the network runs: ``cpu``, ``cuda`` or ``tensorrt``.
 
+    Attributes:
+        file: What the file says about itself, with the labels in use and where they come from.
+        family: How its inputs and outputs are read.
+        reason: Why this family, in words.
+
     Raises:
-        InputError: The file is missing, not ONNX, of another layout, without labels or without vehicles; or the
-            provider is not there, or gave way to another.
+        InputError: The file is missing, not ONNX, of unknown layout, without labels or without a label of a target; or
+            the provider is not there, or gave way to another.
+        ValueError: A target is no road user.
     """
 
     def __init__(
@@ -151,42 +116,54 @@ class OnnxDetector:
         *,
         confidence_min: float = 0.1,
         nms_iou_max: float = 0.65,
-        vehicle_names: Sequence[str] | None = None,
+        family: str = "auto",
+        labels: Sequence[str] | Path | str | None = None,
+        classes: Mapping[str, Sequence[str] | None] | None = None,
+        targets: Sequence[str] = ("vehicle",),
         input_px: int | None = None,
         threads: int | None = None,
         provider: str = "cpu",
     ) -> None:
+        if not targets or not set(targets) <= set(ROAD_USERS):
+            raise ValueError(f"targets must be some of {ROAD_USERS}, got {tuple(targets)}")
         self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model)
         self._confidence_min = confidence_min
         self._nms_iou_max = nms_iou_max
         self._session = _open_session(self._path, threads, provider)
         self._provider = provider
-        self._input = self._session.get_inputs()[0]
-        self._check_layout()
-        self._batch, _, rows, columns = (side if isinstance(side, int) else None for side in self._input.shape)
-        self._static_input_px = None if rows is None or columns is None else (rows, columns)
-        if input_px is not None and self._static_input_px not in (None, (input_px, input_px)):
+        self.family, self.reason = recognise(self._read_file(labels), family)
+        self.file = self.family.file
+        size_px = self.file.size_px
+        if input_px is not None and size_px not in (None, (input_px, input_px)):
+            rows, columns = size_px or (0, 0)
             raise InputError(
                 f"{self._path}: the file fixes its input at {rows} x {columns} pixels, so leave detector.input_px out, "
                 f"got {input_px}; or export the network with dynamic size"
             )
         self._input_px = input_px
-        self._names = self._read_names()
-        wanted = {name.lower() for name in (VEHICLE_NAMES if vehicle_names is None else vehicle_names)}
-        self._vehicle_class = np.array([i for i, name in enumerate(self._names) if name.lower() in wanted], np.int32)
-        if len(self._vehicle_class) == 0:
-            raise InputError(
-                f"{self._path}: none of its labels ({_listed(self._names)}) is among the vehicle names "
-                f"({', '.join(sorted(wanted))}); name them in detector.vehicle_names"
-            )
+        self._classes = self._sort_labels(classes or {}, targets)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every label of the network; only those that count as vehicles are given to detections."""
-        return self._names
+        """Every label of the network; only those that count as a wanted road user are given to detections."""
+        return self.file.labels or ()
+
+    @property
+    def road_users(self) -> dict[str, tuple[str, ...]]:
+        """The labels that count as each kind of road user that is detected."""
+        return {user: tuple(self.names[index] for index in classes) for user, classes in self._classes.items()}
+
+    @property
+    def providers_used(self) -> tuple[str, ...]:
+        """What onnxruntime runs the network on, first choice first, in its own words."""
+        return tuple(self._session.get_providers())
+
+    def input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]:
+        """Rows and columns of the network's input for an image of this size."""
+        return self.family.input_size_px(height_px, width_px, self._input_px)
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
-        """Find the vehicles in every image.
+        """Find the road users in every image.
 
         Args:
             images_rgb: Images of one size, uint8, shape [image, row, column, 3].
@@ -196,25 +173,27 @@ class OnnxDetector:
 
         Raises:
             InputError: The network gives something else than its file promises, or numbers that are not finite.
+            ValueError: The images are of another shape or type, or have no pixels.
         """
         if len(images_rgb) == 0:
             return []
         images_rgb = np.asarray(images_rgb)
         if images_rgb.ndim != 4 or images_rgb.shape[3] != 3 or images_rgb.dtype != np.uint8 or 0 in images_rgb.shape:
             raise ValueError(
-                f"images_rgb must be uint8 [image, row, column, 3], got {images_rgb.dtype} {images_rgb.shape}"
+                "images_rgb must be uint8 [image, row, column, 3] with at least one pixel, got "
+                f"{images_rgb.dtype} {images_rgb.shape}"
             )
         height_px, width_px = images_rgb.shape[1:3]
-        letterbox = Letterbox.fit(height_px, width_px, *self._input_size_px(height_px, width_px))
-        raw = self._run(letterbox.pack(images_rgb))
-        return [self._decode(each, letterbox, height_px, width_px) for each in raw]
+        letterbox = Letterbox.fit(height_px, width_px, *self.input_size_px(height_px, width_px), self.family.placement)
+        outputs = self._run(self.family.pack(images_rgb, letterbox))
+        return [self._decode(each, letterbox, height_px, width_px) for each in outputs]
 
     def takes_tensor(self, height_px: int, width_px: int) -> bool:
-        """Whether images of this size go into the network as they are, neither scaled nor padded."""
-        return self._input_size_px(height_px, width_px) == (height_px, width_px)
+        """Whether images of this size go into the network as they are: RGB in 0..1, neither scaled nor padded."""
+        return self.family.takes_unit_rgb and self.input_size_px(height_px, width_px) == (height_px, width_px)
 
     def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
-        """Find the vehicles in images that are laid out for the network, without a copy where that can be.
+        """Find the road users in images that are laid out for the network, without a copy where that can be.
 
         What lies on the CPU is read where it lies by the CPU's provider, what lies on a GPU by the GPU's; otherwise it
         is copied to the host first.
@@ -242,124 +221,158 @@ class OnnxDetector:
             raise ValueError(f"the network takes no images of {width_px} x {height_px} pixels as they are")
         if image_count == 0:
             return []
-        if array.device.is_cuda and self._provider != "cpu" and self._batch is None:
-            raw = self._run_on_device(array)
+        if array.device.is_cuda and self._provider != "cpu" and self.family.takes_device_tensor:
+            outputs = self._run_on_device(array)
         else:
-            raw = self._run(array.numpy())  # on the CPU a view, not a copy
+            outputs = self._run(array.numpy())  # on the CPU a view, not a copy
         letterbox = Letterbox.fit(height_px, width_px, height_px, width_px)
-        return [self._decode(each, letterbox, height_px, width_px) for each in raw]
+        return [self._decode(each, letterbox, height_px, width_px) for each in outputs]
 
-    def _run_on_device(self, array: Any) -> np.ndarray:  # noqa: ANN401 (a Warp array whose device is known)
-        """The network's raw output for an input on the GPU, read where it lies."""
+    def _run_on_device(self, array: Any) -> list[tuple[np.ndarray, ...]]:  # noqa: ANN401 (a Warp array on a GPU)
+        """The network's outputs for an input on the GPU, read where it lies; one for every image."""
         import warp as wp
 
         wp.synchronize_device(array.device)  # the network runs on a stream of its own
         binding = self._session.io_binding()
-        binding.bind_input(self._input.name, "cuda", array.device.ordinal, np.float32, list(array.shape), array.ptr)
-        binding.bind_output(self._session.get_outputs()[0].name)
+        name = self.family.image.name
+        binding.bind_input(name, "cuda", array.device.ordinal, np.float32, list(array.shape), array.ptr)
+        for output in self.file.outputs:
+            binding.bind_output(output.name)
         try:
             self._session.run_with_iobinding(binding)
         except Exception as error:  # onnxruntime's own types share no parent
             raise InputError(f"{self._path}: cannot run on {array.device}: {_one_line(error)}") from error
-        return self._checked(binding.copy_outputs_to_cpu()[0], image_count=len(array))
+        return self.family.each_image(self._checked(binding.copy_outputs_to_cpu()), len(array))
 
-    def _input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]:
-        """Rows and columns of the network's input for an image of this size."""
-        if self._static_input_px is not None:
-            return self._static_input_px
-        scale = 1.0 if self._input_px is None else self._input_px / max(height_px, width_px)
-        return (
-            max(1, math.ceil(round(height_px * scale) / _STRIDE_PX)) * _STRIDE_PX,
-            max(1, math.ceil(round(width_px * scale) / _STRIDE_PX)) * _STRIDE_PX,
-        )
-
-    def _run(self, network_input: np.ndarray) -> np.ndarray:
-        """The network's raw output, shape [image, 4 + classes, candidates]."""
-        batch = self._batch or min(_BATCH_MAX, len(network_input))
-        parts = []
+    def _run(self, network_input: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+        """The network's outputs for every image of its input."""
+        fixed = self.family.batch
+        batch = fixed or min(_BATCH_MAX, len(network_input))
+        outputs = []
         for start in range(0, len(network_input), batch):
             part = network_input[start : start + batch]
-            missing = batch - len(part) if self._batch else 0
+            missing = batch - len(part) if fixed else 0
             if missing:
                 part = np.concatenate([part, np.zeros((missing, *part.shape[1:]), np.float32)])
-            try:
-                output = np.asarray(self._session.run(None, {self._input.name: part})[0])
-            except Exception as error:  # onnxruntime's own types share no parent
-                raise InputError(f"{self._path}: cannot run on input {list(part.shape)}: {_one_line(error)}") from error
-            parts.append(output[: batch - missing])
-        return self._checked(np.concatenate(parts) if len(parts) > 1 else parts[0], image_count=len(network_input))
+            arrays = self._checked(self._run_session(self.family.feed(part)))
+            outputs += self.family.each_image(arrays, len(part))[: len(part) - missing]
+        return outputs
 
-    def _checked(self, raw: np.ndarray, *, image_count: int) -> np.ndarray:
-        """The network's output, if it is what the file promises."""
-        if raw.ndim != 3 or raw.shape[:2] != (image_count, 4 + len(self._names)):
-            raise InputError(
-                f"{self._path}: output {self._session.get_outputs()[0].name} came as {list(raw.shape)}, expected "
-                f"[{image_count}, 4 + {len(self._names)} labels, candidates]"
-            )
-        if not np.isfinite(raw).all():
-            raise InputError(
-                f"{self._path}: output {self._session.get_outputs()[0].name} holds numbers that are not finite; export "
-                "the network in float32"
-            )
-        return raw
-
-    def _decode(self, raw: np.ndarray, letterbox: Letterbox, height_px: int, width_px: int) -> Detections:
-        """Detections of one image from its raw output, shape [4 + classes, candidates]."""
-        score = raw[4 + self._vehicle_class]
-        confidence = score.max(axis=0)
-        candidate = np.nonzero(confidence >= self._confidence_min)[0]
-        center_px, half_px = raw[0:2, candidate].T, 0.5 * raw[2:4, candidate].T
-        box_input_px = np.concatenate([center_px - half_px, center_px + half_px], axis=1)
-        kept = suppress(box_input_px, confidence[candidate], iou_max=self._nms_iou_max)
-        box_px = letterbox.unpack(box_input_px[kept], height_px, width_px)
-        # Boxes that lie in the grey border alone are cut down to nothing.
-        solid = (box_px[:, 2:] > box_px[:, :2]).all(axis=1)
-        kept = candidate[kept[solid]]
-        class_index = self._vehicle_class[score[:, kept].argmax(axis=0)] if len(kept) else np.zeros(0, np.int32)
-        return Detections(box_px[solid], confidence[kept].astype(np.float32), class_index, self._names)
-
-    def _check_layout(self) -> None:
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        shape_in, shape_out = inputs[0].shape, outputs[0].shape
-        channels, output_rows = (shape[1] if len(shape) > 1 else 0 for shape in (shape_in, shape_out))
-        fits = (
-            len(inputs) == 1
-            and len(outputs) == 1
-            and inputs[0].type == outputs[0].type == "tensor(float)"
-            and len(shape_in) == 4
-            and len(shape_out) == 3
-            and (not isinstance(channels, int) or channels == 3)
-            and (not isinstance(output_rows, int) or output_rows > 4)
-        )
-        if not fits:
-            came = "; ".join(
-                f"{kind} {_listed([f'{each.name} {_shape(each.shape)} {each.type}' for each in listed])}"
-                for kind, listed in (("inputs", inputs), ("outputs", outputs))
-            )
-            raise InputError(
-                f"{self._path}: unknown layout, expected {_LAYOUT}, got {came}; export it without suppression"
-            )
-
-    def _read_names(self) -> tuple[str, ...]:
-        """The labels in the order of the output's rows."""
-        text = self._session.get_modelmeta().custom_metadata_map.get("names")
-        mend = "set them with onnx.helper.set_model_props(model, {'names': \"{0: 'car', 1: 'bus'}\"})"
-        if text is None:
-            raise InputError(f"{self._path}: has no metadata 'names', so its labels are unknown; {mend}")
+    def _run_session(self, feed: dict[str, np.ndarray]) -> list[np.ndarray]:
         try:
-            names = ast.literal_eval(text)
-            names = [names[index] for index in range(len(names))]
-        except (ValueError, SyntaxError, TypeError, KeyError) as error:
-            raise InputError(
-                f"{self._path}: metadata 'names' is not a list of labels: {text[:80]!r}; {mend}"
-            ) from error
-        rows = self._session.get_outputs()[0].shape[1]
-        if isinstance(rows, int) and rows != 4 + len(names):
-            raise InputError(
-                f"{self._path}: unknown layout, expected output [batch, 4 + {len(names)} labels, candidates], got "
-                f"{_shape(self._session.get_outputs()[0].shape)}; export it without suppression"
+            return [np.asarray(output) for output in self._session.run(None, feed)]
+        except Exception as error:  # onnxruntime's own types share no parent
+            came = ", ".join(f"{name} {list(array.shape)} {array.dtype}" for name, array in feed.items())
+            raise InputError(f"{self._path}: cannot run on input {came}: {_one_line(error)}") from error
+
+    def _checked(self, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The network's outputs, single precision at least, if all numbers are finite."""
+        checked = []
+        for tensor, array in zip(self.file.outputs, outputs, strict=True):
+            if not np.isfinite(array).all():
+                raise InputError(
+                    f"{self._path}: output {tensor.name} holds numbers that are not finite, expected boxes and scores; "
+                    f"look at what the network makes of its input{_half_hint(self.family.image)}"
+                )
+            checked.append(array.astype(np.float32) if array.dtype == np.float16 else array)
+        return checked
+
+    def _decode(
+        self, outputs: tuple[np.ndarray, ...], letterbox: Letterbox, height_px: int, width_px: int
+    ) -> Detections:
+        """Detections of one image from its outputs."""
+        size_px = (letterbox.input_height_px, letterbox.input_width_px)
+        parts = []
+        for user, classes in self._classes.items():
+            found = self.family.decode(outputs, size_px, classes, self._confidence_min)
+            kept = suppress(
+                found.box_input_px,
+                found.confidence,
+                iou_max=self._nms_iou_max,
+                class_index=found.class_index if self.family.suppresses else None,
             )
-        return tuple(str(name) for name in names)
+            box_px = letterbox.unpack(found.box_input_px[kept], height_px, width_px)
+            # Boxes that lie in the grey border alone are cut down to nothing.
+            solid = (box_px[:, 2:] > box_px[:, :2]).all(axis=1)
+            kept = kept[solid]
+            user_index = np.full(len(kept), ROAD_USERS.index(user), np.int32)
+            parts.append((box_px[solid], found.confidence[kept], found.class_index[kept], user_index))
+        box_px, confidence, class_index, user_index = (np.concatenate(part) for part in zip(*parts, strict=True))
+        order = np.argsort(-confidence, kind="stable")
+        return Detections(
+            box_px[order],
+            np.minimum(confidence[order], 1.0).astype(np.float32),
+            class_index[order].astype(np.int32),
+            self.names,
+            user_index[order],
+        )
+
+    def _read_file(self, labels: Sequence[str] | Path | str | None) -> NetworkFile:
+        inputs, outputs = (
+            tuple(_tensor(each.name, each.shape, each.type) for each in listed)
+            for listed in (self._session.get_inputs(), self._session.get_outputs())
+        )
+        metadata = dict(self._session.get_modelmeta().custom_metadata_map)
+        if labels is not None:
+            known, origin = _given_labels(labels), "detector.labels"
+        else:
+            known, origin = metadata_labels(self._path, metadata), "the file's metadata"
+        return NetworkFile(self._path, inputs, outputs, metadata, known, origin, self._run_session)
+
+    def _sort_labels(
+        self, classes: Mapping[str, Sequence[str] | None], targets: Sequence[str]
+    ) -> dict[str, np.ndarray]:
+        """The network's classes of every kind of road user that is wanted, int32."""
+        index: dict[str, list[int]] = {}
+        for k, name in enumerate(self.names):
+            index.setdefault(name.lower(), []).append(k)
+        found: dict[str, np.ndarray] = {}
+        for user in (user for user in ROAD_USERS if user in targets):
+            given = classes.get(user)
+            wanted = [label.lower() for label in (ROAD_USER_LABELS[user] if given is None else given)]
+            unknown = [label for label in wanted if label not in index]
+            if given is not None and unknown:
+                near = difflib.get_close_matches(unknown[0], index, 1, 0.6)
+                raise InputError(
+                    f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got "
+                    f"{unknown[0]!r}" + (f"; did you mean {near[0]}?" if near else "")
+                )
+            found[user] = np.array(sorted(k for label in set(wanted) for k in index.get(label, ())), np.int32)
+            if len(found[user]) == 0:
+                raise InputError(
+                    f"{self._path}: none of its labels ({_listed(self.names)}) means a {user} ({', '.join(wanted)}); "
+                    f"name those that do in detector.classes.{user}"
+                )
+        return found
+
+
+def _tensor(name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
+    """An input or output as onnxruntime describes it."""
+    number = kind.removeprefix("tensor(").removesuffix(")")
+    axes = tuple(side if isinstance(side, int) else None for side in shape)
+    return Tensor(name, axes, _NUMBER_TYPES.get(number, number))
+
+
+def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
+    """Labels as the user gave them: a list, or a file with one a line."""
+    if not isinstance(labels, (str, Path)):
+        given = tuple(str(label).strip() for label in labels)
+    else:
+        try:
+            given = tuple(line.strip() for line in Path(labels).read_text(encoding="utf-8").rstrip().splitlines())
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"detector.labels: expected a text file with one label a line, got {labels}: {error}"
+            ) from error
+    if not given or "" in given:
+        raise InputError(
+            f"detector.labels: expected a label for every class, got {'none' if not given else 'an empty one'}"
+        )
+    return given
+
+
+def _half_hint(image: Tensor) -> str:
+    return ", or export it in float32" if image.dtype == "float16" else ""
 
 
 def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSession:
@@ -380,6 +393,11 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=[known[provider]])
     except Exception as error:  # onnxruntime's own types share no parent
+        if "external" in str(error).lower():
+            raise InputError(
+                f"{path}: its weights lie in another file, which must stand beside it, but cannot be read: "
+                f"{_one_line(error)}"
+            ) from error
         raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error
     if session.get_providers()[0] != known[provider]:
         raise InputError(
@@ -387,10 +405,6 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
             f"{session.get_providers()[0]}; check the GPU's driver and CUDA libraries, or set detector.provider=cpu"
         )
     return session
-
-
-def _shape(shape: Sequence[int | str | None]) -> str:
-    return "[" + ", ".join("?" if side is None else str(side) for side in shape) + "]"
 
 
 def _listed(words: Sequence[str]) -> str:
