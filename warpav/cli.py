@@ -30,7 +30,7 @@ app = App(
 scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 rig_app = App(name="rig", help="Known camera rigs.")
-detector_app = App(name="detector", help="The object detector: how probably it finds what it is shown.")
+detector_app = App(name="detector", help="Check the object detector, fit how probably it finds what it is shown.")
 for _group in (scenes_app, config_app, rig_app, detector_app):
     app.command(_group)
 
@@ -376,6 +376,24 @@ def rig_presets() -> None:
 
     for name in preset_names():
         _say(f"{name}: {len(preset_rig(name).cameras)} cameras")
+
+
+@detector_app.command(name="check")
+def detector_check(
+    file: Annotated[str, Parameter(help="ONNX file, or builtin.")],
+    /,
+    *overrides: Overrides,
+    image: Annotated[Path | None, Parameter(help="Picture to find road users in.")] = None,
+    out: Annotated[Path | None, Parameter(help="PNG to draw them into; by default <picture>_boxes.png.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Tell how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
+    from warpav.config import placed_config
+    from warpav.detector_check import check_detector
+
+    with placed_config(config, overrides) as settings:
+        for line in check_detector(file, settings, image_file=image, out=out):
+            _say(line)
 
 
 @detector_app.command(name="fit")

@@ -195,8 +195,12 @@ def camera_model(config: Config) -> CameraModel:
     )
 
 
-def load_detector(config: Config) -> OnnxDetector:
+def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
     """The detector of the configuration.
+
+    Args:
+        config: Says which, and whom it is to find.
+        every_road_user: Let it find whomever it has labels for, if vehicles are among those to be found.
 
     Raises:
         InputError: Its file cannot be used.
@@ -210,7 +214,7 @@ def load_detector(config: Config) -> OnnxDetector:
         family=config.detector.format,
         labels=config.detector.labels,
         classes=dict(config.detector.classes),
-        targets=config.scenes.targets,
+        targets=None if every_road_user and "vehicle" in config.scenes.targets else config.scenes.targets,
         input_px=config.detector.input_px,
         provider=config.detector.provider,
     )

@@ -92,7 +92,7 @@ class OnnxDetector:
             COCO's where the number of classes says so or the family has no other way.
         classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
             of `ROAD_USER_LABELS` that the network knows.
-        targets: Kinds of road users to detect, out of `ROAD_USERS`.
+        targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that it has labels for.
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
             family that wants a square gets one of this side. None: as they are, or the family's own. A file that fixes
             its input size takes none.
@@ -119,13 +119,13 @@ class OnnxDetector:
         family: str = "auto",
         labels: Sequence[str] | Path | str | None = None,
         classes: Mapping[str, Sequence[str] | None] | None = None,
-        targets: Sequence[str] = ("vehicle",),
+        targets: Sequence[str] | None = ("vehicle",),
         input_px: int | None = None,
         threads: int | None = None,
         provider: str = "cpu",
     ) -> None:
-        if not targets or not set(targets) <= set(ROAD_USERS):
-            raise ValueError(f"targets must be some of {ROAD_USERS}, got {tuple(targets)}")
+        if targets is not None and (not targets or not set(targets) <= set(ROAD_USERS)):
+            raise ValueError(f"targets must be some of {ROAD_USERS}, got {targets}")
         self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model)
         self._confidence_min = confidence_min
         self._nms_iou_max = nms_iou_max
@@ -320,30 +320,38 @@ class OnnxDetector:
         return NetworkFile(self._path, inputs, outputs, metadata, known, origin, self._run_session)
 
     def _sort_labels(
-        self, classes: Mapping[str, Sequence[str] | None], targets: Sequence[str]
+        self, classes: Mapping[str, Sequence[str] | None], targets: Sequence[str] | None
     ) -> dict[str, np.ndarray]:
         """The network's classes of every kind of road user that is wanted, int32."""
         index: dict[str, list[int]] = {}
         for k, name in enumerate(self.names):
             index.setdefault(name.lower(), []).append(k)
+        named: dict[str, str] = {}
+        for user, labels in classes.items():
+            for label in (label.lower() for label in labels or ()):
+                if label not in index:
+                    near = difflib.get_close_matches(label, index, 1, 0.6)
+                    raise InputError(
+                        f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got {label!r}"
+                        + (f"; did you mean {near[0]}?" if near else "")
+                    )
+                if named.setdefault(label, user) != user:
+                    raise InputError(
+                        f"detector.classes: expected {label!r} in one list, got it in {named[label]} and {user}"
+                    )
         found: dict[str, np.ndarray] = {}
-        for user in (user for user in ROAD_USERS if user in targets):
+        for user in ROAD_USERS:
             given = classes.get(user)
-            wanted = [label.lower() for label in (ROAD_USER_LABELS[user] if given is None else given)]
-            unknown = [label for label in wanted if label not in index]
-            if given is not None and unknown:
-                near = difflib.get_close_matches(unknown[0], index, 1, 0.6)
-                raise InputError(
-                    f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got "
-                    f"{unknown[0]!r}" + (f"; did you mean {near[0]}?" if near else "")
-                )
-            found[user] = np.array(sorted(k for label in set(wanted) for k in index.get(label, ())), np.int32)
-            if len(found[user]) == 0:
+            # What the user calls one kind of road user is no other, whatever it is called usually.
+            usual = [label for label in ROAD_USER_LABELS[user] if named.get(label, user) == user]
+            wanted = usual if given is None else [label.lower() for label in given]
+            found[user] = np.array(sorted({k for label in wanted for k in index.get(label, ())}), np.int32)
+            if len(found[user]) == 0 and user in (("vehicle",) if targets is None else targets):
                 raise InputError(
                     f"{self._path}: none of its labels ({_listed(self.names)}) means a {user} ({', '.join(wanted)}); "
                     f"name those that do in detector.classes.{user}"
                 )
-        return found
+        return {user: found[user] for user in ROAD_USERS if len(found[user]) and (targets is None or user in targets)}
 
 
 def _tensor(name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
