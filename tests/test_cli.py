@@ -14,7 +14,7 @@ from warpav.cli import main
 from warpav.config import Config
 from warpav.gallery import OBJECT_EGO
 from warpav.optimise.gradient import Descent
-from warpav.results import ARM_COLUMNS, RunFolder
+from warpav.results import ARM_ROWS, RunFolder
 
 SMALL = [
     "scenes.train_seeds=[0, 1]",
@@ -244,8 +244,12 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     assert list(evaluation["arms"]) == ["optimised", "start", "highest", "random"]
     assert list(evaluation["paired"]) == ["start", "highest", "random"]
     for metrics in evaluation["arms"].values():
-        assert set(ARM_COLUMNS) | {"objects", "per_scene"} == set(metrics)
+        size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
+        assert set(ARM_ROWS) | size_aps | {"rig_recall", "objects", "frames", "recall_by", "per_scene"} == set(metrics)
         assert all(len(values) == 2 for values in metrics["per_scene"].values())
+        assert metrics["rig_recall"] == metrics["tp_detection_rate"]
+        for by in ("distance_m", "sector", "category", "road_user"):
+            assert sum(group["objects"] for group in metrics["recall_by"][by].values()) == metrics["objects"]
         assert metrics["constraint_violation"] == 0.0
     training = evaluation["training_objective"]
     assert training["optimised"] <= training["start"]  # the best iterate is kept, and the start is one of them
@@ -272,7 +276,7 @@ def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory)
     found = json.loads((working_directory / "m.json").read_text())
     assert found["scenes"] == {"test": 2}
     of_the_run = run_folder.evaluation()["arms"]["optimised"]
-    for field in ARM_COLUMNS:
+    for field in ARM_ROWS:
         assert found["arms"]["optimised"][field] == pytest.approx(of_the_run[field], abs=1e-3), field
 
 
@@ -283,7 +287,7 @@ def test_scenes_from_files_give_the_same_metrics(working_directory):
     files = ["scenes.source=folder", "scenes.folder=scenes"]
     assert main(["evaluate", "highest", *seeds, *files, "--json", "files.json"]) == 0
     town, folder = (json.loads((working_directory / name).read_text()) for name in ("town.json", "files.json"))
-    for field in ARM_COLUMNS:
+    for field in ARM_ROWS:
         assert folder["arms"]["highest"][field] == pytest.approx(town["arms"]["highest"][field], rel=1e-5), field
 
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from warpav.console import REFRESH_PER_SECOND, RunDisplay, show_verdict
-from warpav.results import ARM_COLUMNS
+from warpav.results import ARM_ROWS
 
 
 @dataclasses.dataclass
@@ -72,7 +72,7 @@ def test_a_terminal_shows_the_table_while_it_runs():
 @pytest.mark.parametrize(("violation", "words"), [(0.0, "constraints met"), (0.5, "constraints broken by 0.5 m")])
 def test_the_verdict_says_what_matters(violation, words):
     stream = io.StringIO()
-    metrics = {**dict.fromkeys(ARM_COLUMNS, 0.25), "constraint_violation": violation, "objective": None}
+    metrics = {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": violation, "objective": None}
     alone = {"mean": None, "low": None, "high": None}
     evaluation = {
         "scenes": {"test": 7},
@@ -90,5 +90,5 @@ def test_the_verdict_says_what_matters(violation, words):
     assert "2.0000 at the start, 1.5000 at the end (-25.0%)" in text
     assert "optimised - highest: +0.1000 (95 % of resampled scene sets: -0.0500 to +0.2000)" in text
     assert "optimised - random" not in text
-    for heading in ARM_COLUMNS.values():
+    for heading in ARM_ROWS.values():
         assert heading in text

@@ -7,7 +7,7 @@ import pytest
 from warpav.config import load_config
 from warpav.errors import InputError
 from warpav.report import write_report
-from warpav.results import ARM_COLUMNS, RunFolder
+from warpav.results import ARM_ROWS, RunFolder
 
 ONE_PIXEL_PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154789c6360606060000000050001"
@@ -41,7 +41,7 @@ class Page(HTMLParser):
 
 
 def _metrics(violation=0.0):
-    return {**dict.fromkeys(ARM_COLUMNS, 0.5), "constraint_violation": violation, "ap50_pooled": None}
+    return {**dict.fromkeys(ARM_ROWS, 0.5), "constraint_violation": violation, "ap50_pooled": None}
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 from rich.text import Text
 
-from warpav.results import ARM_COLUMNS
+from warpav.results import ARM_ROWS, recall_rows
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -141,8 +141,25 @@ def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Tabl
     table.add_column("", no_wrap=True)
     for name in arms:
         table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
-    for field, heading in ARM_COLUMNS.items():
+    for field, heading in ARM_ROWS.items():
         table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
+    return table
+
+
+def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
+    """The rig's recall by distance, sector and class, one column per arm; None where the metrics do not hold it."""
+    blocks = recall_rows(arms)
+    if not blocks:
+        return None
+    table = Table(title="recall of the rig", title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    table.add_column("objects", justify="right")
+    for name in arms:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for block in blocks:
+        for row in block:
+            table.add_row(*map(Text, row))
+        table.add_section()
     return table
 
 
@@ -155,6 +172,9 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     """
     arms = evaluation["arms"]
     console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
+    recall = recall_table(arms)
+    if recall is not None:
+        console.print(recall)
     name, metrics = next(iter(arms.items()))
     violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
     met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
@@ -168,7 +188,7 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
         found = differences["tp_detection_rate"]
         if found["low"] is not None:
             console.print(
-                f"vehicles detected, {name} - {other}: {found['mean']:+.4f} "
+                f"recall of the rig, {name} - {other}: {found['mean']:+.4f} "
                 f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
             )
 

@@ -1,7 +1,8 @@
-"""How good a rig is on test scenes: the metrics of thesis section IV, pooled AP50, and paired differences."""
+"""How good a rig is on test scenes: the metrics of thesis section IV, COCO's, the rig's recall, paired differences."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.detection.average_precision import (
-    ImageScore,
+    COCO_AREA_PX2,
+    COCO_IOU,
+    ImageBoxes,
     average_precision,
     mean_image_average_precision,
-    score_image,
+    score_images,
 )
-from warpav.detection.detector import Detector
+from warpav.detection.detector import ROAD_USERS, Detector
 from warpav.detection.observe import Observation, observe
 from warpav.objective.constraints import constraint_violation_m, min_camera_distance_m
 from warpav.objective.mount import CameraMount, views_of_rig
@@ -25,26 +28,90 @@ from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig
 
 # metrics that exist per scene, and so can be compared scene by scene
-PAIRED_METRICS = ("tp_detection_rate", "tp_in_frame_rate", "detection_confidence", "ap50_pooled", "objective")
+PAIRED_METRICS = (
+    "tp_detection_rate",
+    "rig_recall",
+    "rig_recall_visible",
+    "tp_in_frame_rate",
+    "detection_confidence",
+    "ap50_pooled",
+    "false_alarms_per_frame",
+    "objective",
+)
 BOOTSTRAP_RESAMPLES = 9999
+
+DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
+"""Bins of the distance from the middle of the ego vehicle to the middle of an object's box, seen from above [m]; a
+bin holds its lower edge."""
+
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Sectors of 45 degrees around the middle of the ego vehicle, the first one centred straight ahead; an object is where
+the middle of its box is, and a sector holds its edge to the right."""
+
+
+@dataclass(frozen=True)
+class GroupRecall:
+    """How many of a group of objects a rig finds; every object counts once, however many cameras see it.
+
+    Attributes:
+        objects: Objects in the scenes.
+        visible: Those of which some camera sees enough for a ground-truth box.
+        detected: Those that some camera detects (the thesis's true positive); all of them are visible.
+        recall: Detected of all; None where there is none.
+        recall_visible: Detected of the visible ones; None where there is none.
+    """
+
+    objects: int
+    visible: int
+    detected: int
+    recall: float | None
+    recall_visible: float | None
+
+    @classmethod
+    def of(cls, visible: np.ndarray, detected: np.ndarray) -> GroupRecall:
+        """From flags of the objects, bool [object]."""
+        return cls(len(visible), int(visible.sum()), int(detected.sum()), _mean(detected), _mean(detected[visible]))
 
 
 @dataclass(frozen=True)
 class ArmMetrics:
     """Metrics of one rig on the test scenes; None where a metric is not defined. Fields as in ``evaluation.json``.
 
+    The objects are the scenes' vehicles: the road users that ``scenes.targets`` names, every one of a scene once. With
+    several kinds of road users, average precisions are means over the kinds, as COCO's are over classes; a detection
+    only ever matches an object of its own kind. Objects of which an image shows too little for a ground-truth box are
+    ignored there, as COCO ignores objects: they need not be found, and a box that matches one is no false alarm.
+
     Attributes:
         map50_average: Mean over cameras of each camera's mAP@50, the thesis's way (images with truth and detections).
         map50_min_camera: The worst camera's.
         map50_max_camera: The best camera's.
         ap50_pooled: AP at IoU 0.5 over all images of all cameras together (COCO's interpolation).
-        tp_detection_rate: Share of all vehicles that some camera detects.
-        tp_in_frame_rate: Share of all vehicles of which some part lies in some camera's image, hidden or not.
-        detection_confidence: Mean over detected vehicles of their best confidence.
+        ap50_95_pooled: The mean of AP at IoU .50, .55, ... .95 over all images together (COCO's AP).
+        ap50_small: `ap50_pooled` of objects whose ground-truth box has at most 32^2 px^2.
+        ap50_medium: Of those from 32^2 to 96^2 px^2.
+        ap50_large: Of those from 96^2 px^2.
+        ap50_95_small: `ap50_95_pooled` of the small ones.
+        ap50_95_medium: Of the medium ones.
+        ap50_95_large: Of the large ones.
+        tp_detection_rate: Share of all objects that some camera detects; the thesis's name for the rig's recall.
+        tp_in_frame_rate: Share of all objects of which some part lies in some camera's image, hidden or not.
+        rig_recall: Share of all objects of the scenes that some camera detects; the same as `tp_detection_rate`.
+        rig_recall_visible: Share of those that some camera detects out of those that some camera of this rig sees
+            enough of for a ground-truth box.
+        visible_rate: Share of all objects that some camera sees enough of; times `rig_recall_visible` it is
+            `rig_recall`.
+        detection_confidence: Mean over detected objects of their best confidence.
+        false_alarms_per_frame: Detections of sufficient confidence that are neither true positives nor ignored, in
+            COCO's sense and at the least IoU of a match, by the number of images (scenes times cameras). Second boxes
+            on one object are among them, and so are boxes on the ego vehicle and on road users of another kind.
         objective: Scaled training objective on the test scenes.
         constraint_violation: Excess over the bounds plus missing spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].
-        objects: Number of vehicles in the test scenes.
+        objects: Number of objects in the test scenes.
+        frames: Number of images.
+        recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
+            ``road_user``, each a `GroupRecall` by the group's name.
         per_scene: The metrics of `PAIRED_METRICS` scene by scene.
     """
 
@@ -52,13 +119,26 @@ class ArmMetrics:
     map50_min_camera: float | None
     map50_max_camera: float | None
     ap50_pooled: float | None
+    ap50_95_pooled: float | None
+    ap50_small: float | None
+    ap50_medium: float | None
+    ap50_large: float | None
+    ap50_95_small: float | None
+    ap50_95_medium: float | None
+    ap50_95_large: float | None
     tp_detection_rate: float | None
     tp_in_frame_rate: float | None
+    rig_recall: float | None
+    rig_recall_visible: float | None
+    visible_rate: float | None
     detection_confidence: float | None
+    false_alarms_per_frame: float | None
     objective: float | None
     constraint_violation: float
     min_camera_distance_m: float | None
     objects: int
+    frames: int
+    recall_by: dict[str, dict[str, GroupRecall]]
     per_scene: dict[str, list[float | None]]
 
 
@@ -166,52 +246,155 @@ def evaluate_rig(
             supersampling=objective.supersampling,
             device=objective.device,
         )
-    scores: list[list[ImageScore]] = []  # [scene][camera]
-    in_frame, detected, confidence, losses = [], [], [], []
+    looks: list[list[Observation]] = []  # [scene][camera model]
+    in_frame, losses = [], []
     for assigned in scenes:
         if observer is None:
             observation, measures, loss = objective.observe_rig(rig, assigned)
-            area = measures.value.numpy()[objective.ahead_view][:, :, AMODAL_AREA]
-            looks = [(observation, area)]
+            area_px = measures.value.numpy()[objective.ahead_view][:, :, AMODAL_AREA]
+            looks.append([observation])
             losses.append(loss)
         else:
-            looks = [
-                (seen, measured.value.numpy()[:, :, AMODAL_AREA]) for seen, measured in observer.look(assigned.scene)
-            ]
-        in_frame.append(np.concatenate([area for _, area in looks]).max(axis=0, initial=0.0) > 0.0)
-        best = np.concatenate([seen.matched_confidence() for seen, _ in looks])
+            seen = observer.look(assigned.scene)
+            area_px = np.concatenate([measured.value.numpy()[:, :, AMODAL_AREA] for _, measured in seen])
+            looks.append([observation for observation, _ in seen])
+        in_frame.append(area_px.max(axis=0, initial=0.0) > 0.0)
+    detected, visible, confidence = [], [], []
+    for look in looks:
+        best = np.concatenate([each.matched_confidence() for each in look])
         detected.append(np.isfinite(best).any(axis=0))
+        visible.append(np.isfinite(np.concatenate([each.truth_box_px for each in look])).all(axis=2).any(axis=0))
         confidence.append(np.where(detected[-1], np.nan_to_num(best, nan=-1.0).max(axis=0, initial=-1.0), np.nan))
-        scores.append(
-            [
-                score_image(truth, found.box_px, found.confidence, iou_min=objective.iou_min)
-                for seen, _ in looks
-                for truth, found in zip(seen.truth_box_px, seen.detections, strict=True)
-            ]
-        )
-    camera_map = [mean_image_average_precision(images) for images in zip(*scores, strict=True)]
-    camera_map = [value for value in camera_map if math.isfinite(value)]
+    boxes = _Boxes([assigned.scene for assigned in scenes], looks, objective)
+    camera_map = boxes.map50_of_cameras()
+    ap50, ap50_95 = boxes.average_precision()
     position_m = np.array([camera.position_m for camera in rig.cameras])
+    flags = np.concatenate(visible), np.concatenate(detected)
+    whole = GroupRecall.of(*flags)
+    of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     return ArmMetrics(
-        map50_average=_number(float(np.mean(camera_map))) if camera_map else None,
-        map50_min_camera=_number(min(camera_map)) if camera_map else None,
-        map50_max_camera=_number(max(camera_map)) if camera_map else None,
-        ap50_pooled=_number(average_precision([score for images in scores for score in images])),
-        tp_detection_rate=_mean(np.concatenate(detected)),
+        map50_average=_mean(np.array(camera_map)),
+        map50_min_camera=min(camera_map, default=None),
+        map50_max_camera=max(camera_map, default=None),
+        ap50_pooled=ap50["all"],
+        ap50_95_pooled=ap50_95["all"],
+        ap50_small=ap50["small"],
+        ap50_medium=ap50["medium"],
+        ap50_large=ap50["large"],
+        ap50_95_small=ap50_95["small"],
+        ap50_95_medium=ap50_95["medium"],
+        ap50_95_large=ap50_95["large"],
+        tp_detection_rate=whole.recall,
         tp_in_frame_rate=_mean(np.concatenate(in_frame)),
+        rig_recall=whole.recall,
+        rig_recall_visible=whole.recall_visible,
+        visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
+        false_alarms_per_frame=_mean(boxes.false_alarms),
         objective=_mean(np.array(losses)),
         constraint_violation=constraint_violation_m(rig, mount.surface, min_spacing_m=objective.settings.min_spacing_m),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
-        objects=sum(len(flags) for flags in detected),
+        objects=whole.objects,
+        frames=boxes.false_alarms.size,
+        recall_by=_recall_by(
+            [assigned.scene for assigned in scenes], np.concatenate(visible), np.concatenate(detected)
+        ),
         per_scene={
-            "tp_detection_rate": [_mean(flags) for flags in detected],
-            "tp_in_frame_rate": [_mean(flags) for flags in in_frame],
+            "tp_detection_rate": [each.recall for each in of_scene],
+            "rig_recall": [each.recall for each in of_scene],
+            "rig_recall_visible": [each.recall_visible for each in of_scene],
+            "tp_in_frame_rate": [_mean(each) for each in in_frame],
             "detection_confidence": [_mean(values) for values in confidence],
-            "ap50_pooled": [_number(average_precision(images)) for images in scores],
+            "ap50_pooled": boxes.ap50_of_scenes(),
+            "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
         },
     )
+
+
+class _Boxes:
+    """The boxes of all images, scored; every kind of road user apart, since no box matches another kind.
+
+    Attributes:
+        false_alarms: Number in every image, int64 [scene, camera].
+    """
+
+    def __init__(
+        self, scenes: Sequence[DeviceScene], looks: Sequence[Sequence[Observation]], objective: ThesisObjective
+    ) -> None:
+        images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
+        for scene, look in zip(scenes, looks, strict=True):
+            for seen in look:
+                for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
+                    for kind, images_of_kind in enumerate(images):
+                        own, said = scene.road_user_index == kind, found.road_user_index == kind
+                        images_of_kind.append(
+                            ImageBoxes(
+                                np.concatenate([truth[own], small[own]]),
+                                found.box_px[said],
+                                found.confidence[said],
+                                truth_ignored=np.repeat([False, True], own.sum()),
+                            )
+                        )
+        shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
+        # the last threshold is that of a true positive, for the false alarms
+        scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
+        self.false_alarms = np.zeros(shape, np.int64)
+        for each in scores:
+            is_false = each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.confidence_min)
+            self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
+        self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
+        self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
+
+    def average_precision(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
+        """AP50 and AP50:95 by size."""
+        whole = self._average_precision
+        return (
+            {name: _mean(whole[:, k, 0]) for k, name in enumerate(COCO_AREA_PX2)},
+            {name: _mean(whole[:, k, : len(COCO_IOU)].mean(axis=1)) for k, name in enumerate(COCO_AREA_PX2)},
+        )
+
+    def ap50_of_scenes(self) -> list[float | None]:
+        """AP50 over the images of each scene."""
+        count = self.false_alarms.shape[1]
+        return [
+            _mean(np.array([average_precision(images[count * k : count * (k + 1)]) for images in self._images]))
+            for k in range(len(self.false_alarms))
+        ]
+
+    def map50_of_cameras(self) -> list[float]:
+        """The thesis's mAP@50 of every camera that has one."""
+        count = self.false_alarms.shape[1]
+        values = [
+            mean_image_average_precision([each for images in self._images for each in images[camera::count]])
+            for camera in range(count)
+        ]
+        return [value for value in values if math.isfinite(value)]
+
+
+def _recall_by(
+    scenes: Sequence[DeviceScene], visible: np.ndarray, detected: np.ndarray
+) -> dict[str, dict[str, GroupRecall]]:
+    """The rig's recall by distance, sector, category and road user; flags are bool [object], scene by scene."""
+    from_ego_m = np.concatenate([np.zeros((0, 2)), *(scene.from_ego_m for scene in scenes)])
+    distance_bin = np.digitize(np.hypot(*from_ego_m.T), DISTANCE_EDGES_M) - 1
+    sector_rad = 2.0 * math.pi / len(SECTORS)
+    turn = np.arctan2(from_ego_m[:, 1], from_ego_m[:, 0]) / sector_rad
+    category = np.array([name for scene in scenes for name in scene.category], object)
+    road_user = np.concatenate([np.zeros(0, np.int32), *(scene.road_user_index for scene in scenes)])
+    groups = {
+        "distance_m": {
+            f"{low:g}+" if math.isinf(high) else f"{low:g}-{high:g}": distance_bin == k
+            for k, (low, high) in enumerate(itertools.pairwise(DISTANCE_EDGES_M))
+        },
+        "sector": {name: np.floor(turn + 0.5) % len(SECTORS) == k for k, name in enumerate(SECTORS)},
+        "category": {name: category == name for name in sorted(set(category))},
+        "road_user": {ROAD_USERS[k]: road_user == k for k in np.unique(road_user)},
+    }
+    return {
+        by: {name: GroupRecall.of(visible[group], detected[group]) for name, group in flags.items()}
+        for by, flags in groups.items()
+    }
 
 
 def paired_differences(

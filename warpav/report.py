@@ -10,7 +10,7 @@ from string import Template
 from typing import Any
 
 from warpav.errors import InputError
-from warpav.results import ARM_COLUMNS, RunFolder
+from warpav.results import ARM_ROWS, RunFolder, recall_rows
 from warpav.yaml_file import read_yaml
 
 CAPTIONS = {
@@ -38,7 +38,9 @@ _PAGE = Template("""<!DOCTYPE html>
   table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
   th, td { padding: 6px 8px; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
   th { color: var(--muted); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
-  tr.first td { font-weight: 600; background: #f0f6ff; }
+  td.first { font-weight: 600; background: #f0f6ff; } table.numbers { width: auto; min-width: 60%; }
+  tbody + tbody tr:first-child td { border-top: 2px solid var(--line); }
+  p.note { color: var(--muted); font-size: 13px; margin: 6px 0 0; max-width: 70em; }
   table.options td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
   .cards { display: flex; flex-wrap: wrap; gap: 12px; margin-top: 24px; }
   .card { flex: 1 1 200px; border: 1px solid var(--line); border-radius: 8px; padding: 12px 16px; }
@@ -78,6 +80,7 @@ def write_report(folder: RunFolder) -> Path:
     body = [
         _cards(events, evaluation),
         _arms(evaluation),
+        _recall(evaluation),
         _paired(evaluation),
         _figures(folder.figures()),
         _details("Configuration", options),
@@ -107,7 +110,8 @@ def _cards(events: Sequence[Mapping[str, Any]], evaluation: Mapping[str, Any] | 
             change = (training["optimised"] - training["start"]) / training["start"]
             cards.append(("objective, training scenes", f"{change:+.1%}", "good" if change < 0.0 else "bad"))
         cards.append((f"AP50 pooled, {name}", _number(arm["ap50_pooled"]), ""))
-        cards.append((f"vehicles detected, {name}", _number(arm["tp_detection_rate"]), ""))
+        cards.append((f"recall of the rig, {name}", _number(arm["tp_detection_rate"]), ""))
+        cards.append((f"false alarms a frame, {name}", _number(arm.get("false_alarms_per_frame")), ""))
     elif events:
         cards.append(("last loss", _number(events[-1]["loss"]), ""))
     inner = "".join(
@@ -120,24 +124,39 @@ def _cards(events: Sequence[Mapping[str, Any]], evaluation: Mapping[str, Any] | 
 def _arms(evaluation: Mapping[str, Any] | None) -> str:
     if not evaluation:
         return ""
-    rows = [
-        [name, *(_number(metrics.get(field)) for field in ARM_COLUMNS)] for name, metrics in evaluation["arms"].items()
-    ]
+    arms = evaluation["arms"]
+    rows = [[heading, *(_number(arm.get(field)) for arm in arms.values())] for field, heading in ARM_ROWS.items()]
     count = evaluation["scenes"]["test"]
-    return f"<h2>On {count} test scenes</h2>" + _table(["arm", *ARM_COLUMNS.values()], rows, first="first")
+    note = (
+        '<p class="note">An object counts once, however many cameras see it. Visible: some camera sees enough of it '
+        "for a ground-truth box. False alarms: detections that fit no object, and second ones of the same object.</p>"
+    )
+    return f"<h2>On {count} test scenes</h2>" + _table(["", *arms], [rows], first=1) + note
+
+
+def _recall(evaluation: Mapping[str, Any] | None) -> str:
+    blocks = recall_rows(evaluation["arms"]) if evaluation else []
+    if not evaluation or not blocks:
+        return ""
+    headings = ["", "objects", *evaluation["arms"]]
+    note = (
+        '<p class="note">Distances and sectors of 45 degrees are those of the middle of an object seen from the middle '
+        "of the vehicle that carries the cameras.</p>"
+    )
+    return "<h2>Recall of the rig by distance, sector and class</h2>" + _table(headings, blocks, first=2) + note
 
 
 def _paired(evaluation: Mapping[str, Any] | None) -> str:
     if not evaluation or not evaluation.get("paired"):
         return ""
     first = next(iter(evaluation["arms"]))
-    metrics = next(iter(evaluation["paired"].values()))
+    paired = evaluation["paired"]
+    metrics = [metric for metric in ARM_ROWS if metric in next(iter(paired.values()))]
     rows = [
-        [f"{first} - {other}", *(_interval(differences[metric]) for metric in metrics)]
-        for other, differences in evaluation["paired"].items()
+        [ARM_ROWS[metric], *(_interval(differences[metric]) for differences in paired.values())] for metric in metrics
     ]
-    headings = ["difference, scene by scene", *(ARM_COLUMNS.get(metric, metric) for metric in metrics)]
-    return "<h2>Paired differences with 95 % intervals</h2>" + _table(headings, rows)
+    headings = ["difference, scene by scene", *(f"{first} - {other}" for other in paired)]
+    return "<h2>Paired differences with 95 % intervals</h2>" + _table(headings, [rows])
 
 
 def _figures(files: Sequence[Path]) -> str:
@@ -170,13 +189,17 @@ def _options(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     return options
 
 
-def _table(headings: Iterable[str], rows: Iterable[Sequence[str]], *, first: str = "") -> str:
-    head = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
-    body = []
-    for number, row in enumerate(rows):
-        mark = f' class="{first}"' if first and number == 0 else ""
-        body.append(f"<tr{mark}>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>")
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+def _table(headings: Sequence[str], blocks: Iterable[Iterable[Sequence[str]]], *, first: int | None = None) -> str:
+    """A table of blocks of rows; ``first`` is the column to stress."""
+
+    def line(tag: str, row: Sequence[str]) -> str:
+        marks = (' class="first"' if column == first else "" for column in range(len(row)))
+        cells = (f"<{tag}{mark}>{html.escape(cell)}</{tag}>" for mark, cell in zip(marks, row, strict=True))
+        return f"<tr>{''.join(cells)}</tr>"
+
+    body = ("<tbody>" + "".join(line("td", row) for row in block) + "</tbody>" for block in blocks)
+    table = f"<thead>{line('th', headings)}</thead>" + "".join(body)
+    return f'<div class="wide"><table class="numbers">{table}</table></div>'
 
 
 def _interval(difference: Mapping[str, Any]) -> str:

@@ -40,12 +40,19 @@ if TYPE_CHECKING:
 RigRole = Literal["initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
-ARM_COLUMNS = {
-    "map50_average": "AP50 mean",
-    "map50_min_camera": "worst camera",
-    "map50_max_camera": "best camera",
-    "ap50_pooled": "AP50 pooled",
-    "tp_detection_rate": "detected",
+ARM_ROWS = {
+    "map50_average": "AP50, mean of the cameras",
+    "map50_min_camera": "AP50, worst camera",
+    "map50_max_camera": "AP50, best camera",
+    "ap50_pooled": "AP50, all images",
+    "ap50_small": "AP50, up to 32 x 32 px",
+    "ap50_medium": "AP50, to 96 x 96 px",
+    "ap50_large": "AP50, larger",
+    "ap50_95_pooled": "AP50:95, all images",
+    "tp_detection_rate": "recall of the rig",
+    "visible_rate": "visible to the rig",
+    "rig_recall_visible": "recall of the visible",
+    "false_alarms_per_frame": "false alarms a frame",
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
     "objective": "objective",
@@ -53,6 +60,32 @@ ARM_COLUMNS = {
     "min_camera_distance_m": "closest [m]",
 }
 """Fields of an arm's metrics and the headings they are shown under."""
+
+RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
+"""Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
+
+
+def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
+    """The rig's recall by group as text: for every grouping its rows of group, number of objects, and recall by arm.
+
+    Groups without objects, and road users where there is only one kind of them, are left out.
+
+    Args:
+        arms: Metrics by arm, as in ``evaluation.json``; empty for one that was written before there was ``recall_by``.
+    """
+    tables = [arm["recall_by"] for arm in arms.values() if "recall_by" in arm]
+    if not tables or len(tables) < len(arms):
+        return []
+    blocks = [
+        [
+            [f"{name}{unit}", str(group["objects"]), *(f"{table[by][name]['recall']:.3f}" for table in tables)]
+            for name, group in tables[0][by].items()
+            if group["objects"]
+        ]
+        for by, unit in RECALL_GROUPS.items()
+    ]
+    return [block for by, block in zip(RECALL_GROUPS, blocks, strict=True) if len(block) > (by == "road_user")]
+
 
 # worth knowing although warpav does not ask for them itself
 _RELATED_PACKAGES = ("onnxruntime-gpu", "vtk")
