@@ -372,7 +372,7 @@ def reliability_diagram(
         axis.errorbar(
             predicted,
             detected,
-            yerr=[detected - low, high - detected],
+            yerr=np.maximum([detected - low, high - detected], 0.0),  # ends at 0 and 1 are rounded
             fmt="o",
             markersize=4.5,
             linewidth=1.2,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from threadpoolctl import threadpool_limits
 
 from warpav.detection.detector import Detector
 from warpav.detection.observe import observe
@@ -33,7 +34,7 @@ RIDGE = 0.01
 BIN_COUNT = 15
 MIN_OBJECTS = 200
 MIN_OF_EACH = 10
-_ITERATIONS_MAX = 1000
+_ITERATIONS_MAX = 100
 
 # More pixels of the same thing, and less of it hidden, never make it harder to find. Nothing like that is known of the
 # rest: of two objects that show as many pixels, the one that is cut by the border is the nearer.
@@ -214,6 +215,7 @@ def _wilson_interval(share: float, count: int) -> tuple[float, float]:
     return max(0.0, middle - reach), min(1.0, middle + reach)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # more threads would only wait for one another
 def fit_probability(
     sightings: Sightings,
     *,
@@ -292,34 +294,39 @@ class _Regression:
         return cls(design, is_detected.astype(np.float64), rising, lower, bend)
 
     def fit(self, used: np.ndarray, penalty: float) -> np.ndarray:
-        """The weights for some of the objects."""
-        from scipy.optimize import minimize
+        """The weights for some of the objects, by Newton's method with bounds."""
+        from scipy.linalg import solve_triangular
+        from scipy.optimize import lsq_linear
         from scipy.special import expit
 
-        design, outcome = self.design[used], self.outcome[used]
+        design, outcome = self.design[used] @ self.rising, self.outcome[used]
         ridge = np.full(len(self.bend), RIDGE)
-        ridge[0] = 0.0
-        costs = penalty * self.bend + np.diag(ridge)
+        ridge[0] = 1e-9  # the constant goes where it wants
+        costs = self.rising.T @ (penalty * self.bend + np.diag(ridge)) @ self.rising
 
-        def loss(step: np.ndarray) -> tuple[float, np.ndarray]:
-            weight = self.rising @ step
-            logit = design @ weight
-            value = np.logaddexp(0.0, logit).sum() - logit @ outcome + 0.5 * weight @ costs @ weight
-            slope = design.T @ (expit(logit) - outcome) + costs @ weight
-            return float(value), self.rising.T @ slope
+        def loss(at: np.ndarray) -> float:
+            logit = design @ at
+            return float(np.logaddexp(0.0, logit).sum() - logit @ outcome + 0.5 * at @ costs @ at)
 
         share = outcome.mean().clip(1e-3, 1.0 - 1e-3)
-        begin = np.zeros(len(self.bend))
-        begin[0] = math.log(share / (1.0 - share))
-        found = minimize(
-            loss,
-            begin,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(low, None) for low in self.lower],
-            options={"maxiter": _ITERATIONS_MAX, "maxfun": 2 * _ITERATIONS_MAX, "ftol": 1e-11, "maxcor": 30},
-        )
-        return self.rising @ found.x
+        place = np.zeros(len(costs))
+        place[0] = math.log(share / (1.0 - share))
+        reached = loss(place)
+        for _ in range(_ITERATIONS_MAX):
+            chance = expit(design @ place)
+            slope = design.T @ (chance - outcome) + costs @ place
+            root = np.linalg.cholesky((design.T * (chance * (1.0 - chance))) @ design + costs)
+            # the least value of the quadratic model within the bounds is a problem of least squares
+            target = root.T @ place - solve_triangular(root, slope, lower=True)
+            step = lsq_linear(root.T, target, (self.lower, np.inf), method="bvls").x - place
+            length, tried = 1.0, loss(place + step)
+            while tried > reached and length > 1e-6:
+                length *= 0.5
+                tried = loss(place + length * step)
+            if tried > reached - 1e-9 * (1.0 + abs(reached)):
+                break
+            place, reached = place + length * step, tried
+        return self.rising @ place
 
     def left_out_loss(self, left_out: np.ndarray, penalty: float) -> float:
         """Negative log-likelihood of some objects under what is fitted to the others."""
