@@ -439,6 +439,11 @@ class LossConfig(Section):
 
     in_frame_rotation: float = Field(default=1.0, ge=0.0, description="weight of the in-frame rotation loss")
     detected_area: float = Field(default=10.0, ge=0.0, description="weight of the detected object area loss")
+    detector_gradient: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="weight of the detection network's own loss, differentiated through it; needs warpav[torch]",
+    )
     min_detected_area: float = Field(
         default=0.5, gt=0.0, le=1.0, description="detected share of a vehicle's area from which more brings nothing"
     )
@@ -446,8 +451,9 @@ class LossConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> LossConfig:
-        if self.in_frame_rotation == 0.0 and self.detected_area == 0.0:
-            _mistake("expected at least one weight above 0, got only zeros", "in_frame_rotation", "detected_area")
+        weights = ("in_frame_rotation", "detected_area", "detector_gradient")
+        if not any(getattr(self, name) for name in weights):
+            _mistake("expected at least one weight above 0, got only zeros", *weights)
         return self
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from warpav.config import Config
 from warpav.console import show_verdict
+from warpav.detection.differentiable import DifferentiableDetector
 from warpav.errors import InputError
 from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
 from warpav.gallery import draw_run
@@ -31,6 +32,7 @@ from warpav.rig.rig import Rig, read_rig
 from warpav.scene.scene import Scene
 from warpav.sources import (
     arm_name,
+    camera_model,
     camera_mount,
     check_rig_source,
     checked_device,
@@ -96,6 +98,9 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     """
     device = checked_device(config.device)
     detector = load_detector(config)
+    differentiable = None
+    if config.losses.detector_gradient > 0.0:
+        differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
     train_count = len(config.scenes.train_seeds)
     seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)
     packed: list[DeviceScene] = []
@@ -133,6 +138,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         settings=LossSettings(
             in_frame_rotation=config.losses.in_frame_rotation,
             detected_area=config.losses.detected_area,
+            detector_gradient=config.losses.detector_gradient,
             min_detected_area=config.losses.min_detected_area,
             reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
             epsilon=config.losses.epsilon,
@@ -143,6 +149,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
+        differentiable_detector=differentiable,
     )
     return Problem(config, objective, segregation, assigned[:train_count], assigned[train_count:], ego, shown)
 

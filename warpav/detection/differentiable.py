@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.detection.torch_network import TorchNetwork
+from warpav.detection.detector import ROAD_USERS
+from warpav.detection.onnx_detector import OnnxDetector
+from warpav.detection.torch_network import TorchNetwork, require_torch
 from warpav.errors import InputError
+from warpav.rig.camera import CameraModel
 
 STRIDE_PX = 32
 # The score at which the logarithmic score loss bends: a candidate far below still pulls, none pulls without bound.
@@ -71,6 +74,29 @@ class DifferentiableDetector:
         self._network = TorchNetwork(path, device=_torch_device(device))
         self._label_group = np.asarray(label_group, np.int64)
 
+    @classmethod
+    def of(cls, detector: OnnxDetector, camera: CameraModel, *, device: str) -> DifferentiableDetector:
+        """The network of a detector, for images of a camera.
+
+        Raises:
+            InputError: As the class; or the layout or size of the network's input is another than the images'.
+        """
+        if detector.family.name != "ultralytics":
+            raise InputError(
+                f"{detector.file.path}: losses.detector_gradient expected the raw layout ultralytics, got "
+                f"{detector.family.name}; export the network without suppression, or set losses.detector_gradient=0"
+            )
+        if not detector.takes_tensor(camera.height_px, camera.width_px):
+            rows, columns = detector.input_size_px(camera.height_px, camera.width_px)
+            raise InputError(
+                f"losses.detector_gradient: expected images of the network's own size, {columns} x {rows} px here, got "
+                f"{camera.width_px} x {camera.height_px}; set camera.width_px={columns} camera.height_px={rows}"
+            )
+        label_group = np.full(len(detector.names), -1)
+        for user, labels in detector.road_users.items():
+            label_group[np.isin(detector.names, labels)] = ROAD_USERS.index(user)
+        return cls(detector.file.path, label_group, device=device)
+
     def loss(
         self,
         image: wp.array,
@@ -103,7 +129,9 @@ class DifferentiableDetector:
             )
         if len(box_px) == 0:
             still = wp.zeros_like(image) if weight is not None else None
-            return DetectionLoss(np.zeros(0, np.float32), still, None if weight is None else np.zeros((0, 4), np.float32))
+            return DetectionLoss(
+                np.zeros(0, np.float32), still, None if weight is None else np.zeros((0, 4), np.float32)
+            )
         # a view of the renderer's memory, not a copy; gradients are asked for a fresh leaf
         picture = wp.to_torch(image, requires_grad=False).detach().requires_grad_(weight is not None)
         truth_px = torch.from_numpy(np.asarray(box_px, np.float32)).to(picture.device)
@@ -175,8 +203,6 @@ def _torch_device(device: str) -> str:
     Raises:
         InputError: PyTorch is missing, or has no such device.
     """
-    from warpav.detection.torch_network import require_torch
-
     require_torch()
     import torch  # pyright: ignore[reportMissingImports]
 

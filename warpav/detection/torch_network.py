@@ -316,9 +316,7 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Gather": _gather,
     "GlobalAveragePool": lambda given, _: given[0].mean((2, 3), keepdim=True),
     "Identity": lambda given, _: given[0],
-    "LeakyRelu": lambda given, attributes: given[0].where(
-        given[0] > 0.0, given[0] * attributes.get("alpha", 0.01)
-    ),
+    "LeakyRelu": lambda given, attributes: given[0].where(given[0] > 0.0, given[0] * attributes.get("alpha", 0.01)),
     "MatMul": lambda given, _: given[0] @ given[1],
     "MaxPool": _max_pool,
     "Mul": lambda given, _: given[0] * given[1],

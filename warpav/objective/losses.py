@@ -13,6 +13,7 @@ from warpav_kernels import lagrangian, placement_losses
 
 # order of the objective losses in their array
 OBJECTIVES = ("in_frame_rotation", "detected_area")
+DETECTOR_GRADIENT = "detector_gradient"  # the loss that comes from the detection network itself, where it takes part
 
 
 class Reference(Enum):
@@ -29,6 +30,7 @@ class LossSettings:
     Attributes:
         in_frame_rotation: Scale of the in-frame rotation loss, at least 0.
         detected_area: Scale of the detected-area loss, at least 0.
+        detector_gradient: Scale of the detection network's own loss, at least 0; 0 leaves it out altogether.
         min_detected_area: Visibility below which a vehicle costs something, in (0, 1].
         reference: What the detected area is compared with.
         epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
@@ -38,6 +40,7 @@ class LossSettings:
 
     in_frame_rotation: float = 1.0
     detected_area: float = 10.0
+    detector_gradient: float = 0.0
     min_detected_area: float = 0.5
     reference: Reference = Reference.NON_OCCLUDED
     epsilon: float = 1e-5
@@ -45,9 +48,19 @@ class LossSettings:
     multiplier_damping: float = 0.0
 
     @property
-    def objective_scale(self) -> tuple[float, float]:
+    def placement_scale(self) -> tuple[float, float]:
         """Scales in the order of `OBJECTIVES`."""
         return self.in_frame_rotation, self.detected_area
+
+    @property
+    def objectives(self) -> tuple[str, ...]:
+        """Names of the objectives that are looked at: `OBJECTIVES`, then `DETECTOR_GRADIENT` where it takes part."""
+        return (*OBJECTIVES, DETECTOR_GRADIENT) if self.detector_gradient > 0.0 else OBJECTIVES
+
+    @property
+    def objective_scale(self) -> tuple[float, ...]:
+        """Scales in the order of `objectives`."""
+        return (*self.placement_scale, self.detector_gradient)[: len(self.objectives)]
 
     @property
     def constraint_scale(self) -> float:

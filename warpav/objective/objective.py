@@ -11,8 +11,10 @@ import numpy as np
 import warp as wp
 
 from warpav.detection.detector import Detector
+from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.observe import Observation, observe
 from warpav.objective.constraints import CONSTRAINTS, constraint_losses_of
+from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import OBJECTIVES, LossSettings, lagrangian_of, placement_losses_of
 from warpav.objective.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.objective.scene_step import AssignedScene, SceneStep
@@ -55,6 +57,7 @@ class ThesisObjective:
         iou_min: float = 0.5,
         occlusion: Occlusion = Occlusion.PAIRWISE,
         supersampling: int = 1,
+        differentiable_detector: DifferentiableDetector | None = None,
     ) -> None:
         """Objective for rigs of ``camera_count`` cameras of the mount's model.
 
@@ -67,8 +70,15 @@ class ThesisObjective:
             iou_min: Least intersection over union of a true positive.
             occlusion: What hides a vehicle.
             supersampling: Samples per pixel along each axis.
+            differentiable_detector: The network of the loss ``detector_gradient``; needed where its scale is not 0.
+
+        Raises:
+            ValueError: It is needed and not there.
         """
+        if settings.detector_gradient > 0.0 and differentiable_detector is None:
+            raise ValueError("settings.detector_gradient needs a differentiable_detector")
         self.mount = mount
+        self.differentiable_detector = differentiable_detector if settings.detector_gradient > 0.0 else None
         self.detector = detector
         self.settings = settings
         self.camera_count = camera_count
@@ -108,13 +118,13 @@ class ThesisObjective:
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
         self._pose.assign(np.asarray(mount_pose, np.float32))
         # the mean over scenes is linear, so every scene can send its share of the gradient back at once
-        self._seed.assign(np.array(self.settings.objective_scale, np.float32) / len(scenes))
+        self._seed.assign(np.array(self.settings.placement_scale, np.float32) / len(scenes))
         steps = [self._step_of(assigned) for assigned in scenes]
         while True:
             assert self._pose.grad is not None
             self._pose.grad.zero_()
-            losses = [self._run(step, seconds, gradient=gradient) for step in steps]
-            objectives = np.array([loss.numpy() for loss in losses], np.float64).mean(axis=0)
+            losses = [self._run(step, seconds, gradient=gradient, share=1.0 / len(scenes)) for step in steps]
+            objectives = np.array([[*loss.numpy(), *more] for loss, more in losses], np.float64).mean(axis=0)
             if not self._renderer.grew():
                 break
 
@@ -149,7 +159,9 @@ class ThesisObjective:
             objective=float(np.dot(objectives, self.settings.objective_scale)),
             terms={
                 name: float(value)
-                for name, value in zip((*OBJECTIVES, *CONSTRAINTS), (*objectives, *constraints), strict=True)
+                for name, value in zip(
+                    (*self.settings.objectives, *CONSTRAINTS), (*objectives, *constraints), strict=True
+                )
             },
             gradient=pose_gradient,
             multiplier_gradient=multiplier_gradient,
@@ -170,8 +182,14 @@ class ThesisObjective:
             )
         return self._steps[assigned]
 
-    def _run(self, step: SceneStep, seconds: dict[str, float], *, gradient: bool) -> wp.array:
-        """Decide, detect, measure, differentiate; adds the wall time to ``seconds`` and gives the scene's losses."""
+    def _run(
+        self, step: SceneStep, seconds: dict[str, float], *, gradient: bool, share: float
+    ) -> tuple[wp.array, list[float]]:
+        """Decide, detect, measure, differentiate; adds the wall time to ``seconds``.
+
+        Returns:
+            The scene's placement losses, and the detection network's own where it takes part.
+        """
         start = time.perf_counter()
         step.look()
         looked = time.perf_counter()
@@ -187,10 +205,14 @@ class ThesisObjective:
         step.set_boxes(observation.matched_box_px())
         detected = time.perf_counter()
         loss = step.learn() if gradient else step.judge()
+        more = []
+        if self.differentiable_detector is not None:
+            weight = share * self.settings.detector_gradient if gradient else None
+            more.append(step.detector_loss(self.differentiable_detector, observation.truth_box_px, weight=weight))
         seconds["render"] += looked - start
         seconds["detect"] += detected - looked
         seconds["backward"] += time.perf_counter() - detected
-        return loss
+        return loss, more
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.
@@ -225,4 +247,18 @@ class ThesisObjective:
             assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
             settings=self.settings,
         )
-        return observation, measures, float(np.dot(loss.numpy(), self.settings.objective_scale))
+        losses = list(loss.numpy())
+        if self.differentiable_detector is not None:
+            losses.append(
+                detector_loss_of(
+                    self._renderer,
+                    scene,
+                    views,
+                    measures,
+                    self.differentiable_detector,
+                    truth_box_px=observation.truth_box_px,
+                    assigned_camera=assigned.assigned_camera,
+                    ahead_view=self.ahead_view,
+                )
+            )
+        return observation, measures, float(np.dot(losses, self.settings.objective_scale))

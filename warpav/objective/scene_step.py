@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpav.detection.differentiable import DifferentiableDetector
+from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import LossSettings, placement_losses_of
 from warpav.objective.mount import CameraMount
 from warpav.objective.recording import Recording
 from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Measures, Renderer
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ class SceneStep:
             renderer: Renders all views; shared by the steps of all scenes.
             assigned: The scene.
             pose: Mount poses, float [camera, 5], with a gradient, to which `learn` adds.
-            seed: Weight of each loss in that gradient, float [loss].
+            seed: Weight of each placement loss in that gradient, float [loss].
             ahead_view: The view of each camera in which it looks straight ahead.
             settings: Parameters of the losses.
             recorded: Whether to record the launches; None: on a GPU.
@@ -69,6 +71,7 @@ class SceneStep:
         self._mount, self._renderer, self._settings = mount, renderer, settings
         self._pose, self._seed, self._ahead_view = pose, seed, list(ahead_view)
         self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
+        self._camera_of_vehicle = assigned.assigned_camera
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self._assigned_count = int(np.count_nonzero(assigned.assigned_camera >= 0))
         self._recordings = [
@@ -110,9 +113,41 @@ class SceneStep:
         self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego)
         self.image = self._renderer.rgb(self.scene, self._ahead_view)
 
-    def _loss(self) -> wp.array:
+    def detector_loss(
+        self, detector: DifferentiableDetector, truth_box_px: np.ndarray, *, weight: float | None
+    ) -> float:
+        """The detection network's own loss of the last look, after `learn` (or `judge`).
+
+        PyTorch runs the network, so this is never part of a recording.
+
+        Args:
+            detector: The network.
+            truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4].
+            weight: Weight of the loss in the poses' gradient, to which it is added; None: no gradient.
+        """
+        tape = None if weight is None else wp.Tape()
+        measures = self._judged_measures if tape is None else self._learned_measures
+        if tape is None:
+            views = self._mount.place(self._pose)
+        else:
+            with tape:
+                views = self._mount.place(self._pose)
+        return detector_loss_of(
+            self._renderer,
+            self.scene,
+            views,
+            measures,
+            detector,
+            truth_box_px=truth_box_px,
+            assigned_camera=self._camera_of_vehicle,
+            ahead_view=self._ahead_view,
+            tape=tape,
+            weight=0.0 if weight is None else weight,
+        )
+
+    def _loss(self) -> tuple[wp.array, Measures]:
         measures = self._renderer.measure(self.scene, self._box_px)
-        return placement_losses_of(
+        loss = placement_losses_of(
             self._mount,
             self._mount.place(self._pose),
             measures,
@@ -120,13 +155,14 @@ class SceneStep:
             assigned_count=self._assigned_count,
             settings=self._settings,
         )
+        return loss, measures
 
     def _learn(self) -> None:
         # kept: a recording goes on using the arrays of the tape
         self._tape = wp.Tape()
         with self._tape:
-            self._learned_loss = self._loss()
+            self._learned_loss, self._learned_measures = self._loss()
         self._tape.backward(grads={self._learned_loss: self._seed})
 
     def _judge(self) -> None:
-        self._judged_loss = self._loss()
+        self._judged_loss, self._judged_measures = self._loss()
