@@ -155,8 +155,8 @@ class DifferentiableDetector:
         except RuntimeError as error:
             raise InputError(
                 f"{self._path}: losses.detector_gradient cannot run it on images of {picture.shape[2]} x "
-                f"{picture.shape[1]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and camera.height_px "
-                "to the network's own size"
+                f"{picture.shape[1]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and "
+                "camera.height_px to the network's own size"
             ) from error
         if raw.ndim != 3 or raw.shape[0] != picture.shape[0] or raw.shape[1] != 4 + labels:
             raise InputError(

@@ -54,8 +54,8 @@ class TorchNetwork:
         device: PyTorch device.
 
     Raises:
-        InputError: PyTorch is missing, or the file holds an operator that is not known here, or PyTorch's output differs
-            from onnxruntime's by more than `MAX_ERROR`.
+        InputError: PyTorch is missing, or the file holds an operator that is not known here, or PyTorch's output
+            differs from onnxruntime's by more than `MAX_ERROR`.
     """
 
     def __init__(self, path: str | Path, *, device: str = "cpu") -> None:
@@ -129,7 +129,7 @@ class TorchNetwork:
             error = float((np.abs(output - expected) / np.maximum(np.abs(expected), 1.0)).max())
         except (RuntimeError, TypeError, ValueError, IndexError, KeyError) as reason:
             raise InputError(
-                f"{self._path}: losses.detector_gradient cannot run it in PyTorch: {' '.join(str(reason).split())[:200]}"
+                f"{self._path}: losses.detector_gradient cannot run it: {' '.join(str(reason).split())[:200]}"
             ) from reason
         self.error = error
         if not error <= MAX_ERROR:
@@ -288,13 +288,6 @@ def _cumulative_sum(given: list, attributes: Mapping[str, Any]) -> Any:  # noqa:
     return given[0].cumsum(int(given[1].item()))
 
 
-def _batch_normalisation(given: list, attributes: Mapping[str, Any]) -> Any:  # noqa: ANN401
-    from torch.nn import functional  # pyright: ignore[reportMissingImports]
-
-    image, scale, shift, mean, variance = given
-    return functional.batch_norm(image, mean, variance, scale, shift, eps=attributes.get("epsilon", 1e-5))
-
-
 def _divide(given: list, attributes: Mapping[str, Any]) -> Any:  # noqa: ANN401
     if given[0].is_floating_point():
         return given[0] / given[1]
@@ -303,7 +296,6 @@ def _divide(given: list, attributes: Mapping[str, Any]) -> Any:  # noqa: ANN401
 
 _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Add": lambda given, _: given[0] + given[1],
-    "BatchNormalization": _batch_normalisation,
     "Cast": _cast,
     "Clip": _clip,
     "Concat": _concat,

@@ -33,10 +33,10 @@ def detector_loss_of(
 ) -> float:
     """Mean over the assigned road users of how badly the network finds them where their camera really looks.
 
-    One that its camera does not see counts 1, the largest loss, and gives no gradient: there the in-frame rotation acts.
-    The gradient takes two ways. The colours change as the static scene flows through the image (`Renderer.rgb_on_tape`).
-    The true box moves with its measured extents; a side where something else hides the object, or where the image ends,
-    is held: what hides it has no extent of its own, and the image's border does not move.
+    One that its camera does not see counts 1, the largest loss, and gives no gradient: there the in-frame rotation
+    acts. The gradient takes two ways. The colours change as the static scene flows through the image
+    (`Renderer.rgb_on_tape`). The true box moves with its measured extents; a side where something else hides the
+    object, or where the image ends, is held: what hides it has no extent of its own, and the border does not move.
 
     Args:
         renderer: Has rendered ``scene`` from ``views`` last.
