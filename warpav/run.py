@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 from warpav.config import Config
 from warpav.console import show_verdict
 from warpav.detection.differentiable import DifferentiableDetector
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
 from warpav.gallery import draw_run
 from warpav.geometry.mesh import Mesh
@@ -29,7 +29,7 @@ from warpav.render.renderer import Occlusion
 from warpav.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig, read_rig
-from warpav.scene.scene import Scene
+from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.sources import (
     arm_name,
     camera_model,
@@ -118,6 +118,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     train_count += len(mirrored)
     assert ego is not None
     assert shown is not None
+    _check_targets(config.scenes.targets, packed, display)
     display.stage("sharing the vehicles among the cameras")
     mount = camera_mount(config, ego)
     middle_m = np.append(ego.bounds_m()[:, :2].mean(axis=0), 0.0)
@@ -152,6 +153,23 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         differentiable_detector=differentiable,
     )
     return Problem(config, objective, segregation, assigned[:train_count], assigned[train_count:], ego, shown)
+
+
+def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], display: RunDisplay) -> None:
+    """Say which targets no scene holds.
+
+    Raises:
+        InputError: None of them is in any scene.
+    """
+    there = {ROAD_USERS[kind] for scene in scenes for kind in scene.road_user_index}
+    absent = [target for target in targets if target not in there]
+    if not absent:
+        return
+    text = f"no {' and no '.join(absent)} in any of the {len(scenes)} scenes"
+    hint = "" if "vehicle" in absent else "; scenes made from images hold people as parts of the environment"
+    if not there:
+        raise OptionError("scenes.targets", f"expected road users that the scenes hold, got {text}{hint}")
+    display.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
 
 
 def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
