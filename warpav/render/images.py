@@ -35,7 +35,12 @@ class CameraImage:
 
 
 def render_images(
-    scene: Scene | DeviceScene, cameras: Sequence[RigCamera], *, supersampling: int = 1, device: str = "cpu"
+    scene: Scene | DeviceScene,
+    cameras: Sequence[RigCamera],
+    *,
+    supersampling: int = 1,
+    device: str = "cpu",
+    thread_count: int | None = None,
 ) -> list[CameraImage]:
     """Pictures of a scene through each camera, exact occlusion.
 
@@ -45,6 +50,7 @@ def render_images(
         supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the
             centre.
         device: Warp device.
+        thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
 
     Returns:
         One picture per camera, in order.
@@ -54,7 +60,11 @@ def render_images(
     for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in cameras):
         group = [i for i, c in enumerate(cameras) if (c.model.width_px, c.model.height_px) == size]
         renderer = Renderer(
-            [cameras[i].model for i in group], supersampling=supersampling, occlusion=Occlusion.EXACT, device=device
+            [cameras[i].model for i in group],
+            supersampling=supersampling,
+            occlusion=Occlusion.EXACT,
+            device=device,
+            thread_count=thread_count,
         )
         transform = np.stack([cameras[i].ego_from_camera for i in group])
         renderer.render(

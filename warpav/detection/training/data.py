@@ -1,18 +1,14 @@
-"""Pictures of town scenes with their boxes: what the detector is trained, watched and judged on.
-
-python -m warpav.detection.training.data --seeds 1000000..1001000 --out FOLDER [--device cuda:0] [--processes 8]
-"""
+"""Pictures of town scenes with their boxes: what the detector is trained on and judged by."""
 
 from __future__ import annotations
 
-import argparse
 import functools
+import itertools
 import logging
 import math
-import multiprocessing
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +16,47 @@ import numpy as np
 
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
+from warpav.executor import run_tasks
+from warpav.geometry.mesh import Mesh
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
-from warpav.scene.scene import Scene
+from warpav.scene.scene import Scene, Vehicle
 
-# Seeds below a million belong to experiments.
-TRAINING_SEED, VALIDATION_SEED, TEST_SEED = 1_000_000, 2_000_000, 3_000_000
 
-# Pictures of every scene, by their side [px].
-VIEWS_PER_SCENE = {256: 10, 384: 4, 640: 2}
+@dataclass(frozen=True)
+class Subset:
+    """Scenes that serve one purpose.
+
+    Attributes:
+        first_seed: Seeds count up from here; those below a million belong to experiments.
+        scene_count: Number of scenes.
+        is_reconstructed: Whether the scenes are recorded by cameras and made of their images again.
+        views_per_scene: Pictures of every scene, by their side [px].
+    """
+
+    first_seed: int
+    scene_count: int
+    is_reconstructed: bool
+    views_per_scene: dict[int, int]
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of the scenes."""
+        return range(self.first_seed, self.first_seed + self.scene_count)
+
+
+_FEW, _MANY = {256: 10, 384: 4, 640: 2}, {256: 30, 384: 12, 640: 6}
+SUBSETS = {
+    "train": Subset(1_000_000, 3000, False, _FEW),
+    "train_reconstructed": Subset(1_500_000, 160, True, _MANY),
+    "validation": Subset(2_000_000, 60, False, _FEW),
+    "test": Subset(3_000_000, 120, False, _FEW),
+    "test_reconstructed": Subset(3_500_000, 24, True, _MANY),
+}
 
 CLASS_OF_CATEGORY = {
+    "car": "car",
     "hatchback": "car",
     "saloon": "car",
     "estate": "car",
@@ -39,10 +64,14 @@ CLASS_OF_CATEGORY = {
     "van": "van",
     "lorry": "lorry",
     "bus": "bus",
+    "pedestrian": "pedestrian",
+    "cyclist": "cyclist",
 }
 
 _OBJECT_MAX = 24
 _MIN_AREA_PX = 16
+# What a reconstruction makes of people lies so far beyond their boxes, and no lower than this above their feet [m].
+_PERSON_MARGIN_M, _PERSON_FOOT_M = 0.15, 0.08
 
 _logger = logging.getLogger(__name__)
 
@@ -54,7 +83,8 @@ class Labels:
     Attributes:
         box_px: Ground-truth box ``x0, y0, x1, y1`` [px], float32, shape [image, object, 4].
         class_index: Index into `CLASS_NAMES`, -1 where padded, int8, shape [image, object].
-        too_small: Objects that show less than the least area of a ground-truth box, bool, shape [image, object].
+        ignored: Objects that are neither to be found nor to be left alone: they show less than the least area of a
+            ground-truth box, or are people whom a reconstruction made unrecognisable, bool, shape [image, object].
         visible_fraction: Share of the object's area in the image that nothing hides, in 0..1, float32, shape
             [image, object].
         distance_m: From the camera to the middle of the object [m], float32, shape [image, object].
@@ -62,7 +92,7 @@ class Labels:
 
     box_px: np.ndarray
     class_index: np.ndarray
-    too_small: np.ndarray
+    ignored: np.ndarray
     visible_fraction: np.ndarray
     distance_m: np.ndarray
 
@@ -102,8 +132,9 @@ def sample_cameras(
 ) -> list[RigCamera]:
     """Random cameras on and around the ego vehicle.
 
-    Three of four stand 5 to 50 cm above roof or bonnet, the others around the body, 2 to 30 cm off it, 0.3 to 2 m high.
-    They look anywhere around, pitched and rolled by some degrees, half of them with the thesis's 90 degrees.
+    Three of five stand 5 to 50 cm above roof or bonnet, one of four beside the body, 2 to 30 cm off it and 0.3 to 2 m
+    high, the others above the body, up to 3 m high. They look anywhere around, pitched and rolled by some degrees, half
+    of them with the thesis's 90 degrees.
 
     Args:
         rng: Random numbers.
@@ -118,15 +149,17 @@ def sample_cameras(
     cameras = []
     low_xy_m, high_xy_m = surface.bounds_m
     for number in range(count):
-        if rng.random() < 0.75:
-            xy_m = rng.uniform(low_xy_m, high_xy_m)
-            z_m = float(surface.height_at_m(xy_m[None])[0]) + rng.uniform(0.05, 0.5)
-        else:
+        place = rng.random()
+        if 0.6 <= place < 0.85:
             xy_m = rng.uniform(*ego_bounds_m[:, :2])
             axis, end = rng.integers(2, size=2)
             xy_m[axis] = ego_bounds_m[end, axis] + (2 * end - 1) * rng.uniform(0.02, 0.3)
             z_m = rng.uniform(0.3, 2.0)
-        fov_deg = 90.0 if rng.random() < 0.5 else rng.uniform(60.0, 110.0)
+        else:
+            xy_m = rng.uniform(low_xy_m, high_xy_m)
+            height_m = float(surface.height_at_m(xy_m[None])[0])
+            z_m = height_m + rng.uniform(0.05, 0.5) if place < 0.6 else rng.uniform(height_m + 0.05, 3.0)
+        fov_deg = 90.0 if rng.random() < 0.5 else rng.uniform(50.0, 120.0)
         cameras.append(
             RigCamera(
                 name=f"camera_{number}",
@@ -140,29 +173,42 @@ def sample_cameras(
     return cameras
 
 
-def render_scene(scene: Scene, surface: MountSurface, seed: int, *, device: str = "cpu") -> dict[int, Pictures]:
+def render_scene(
+    scene: Scene,
+    surface: MountSurface,
+    seed: int,
+    *,
+    views_per_scene: dict[int, int],
+    ignored_ids: Sequence[int] = (),
+    thread_count: int | None = None,
+) -> dict[int, Pictures]:
     """Pictures of one scene by random cameras, by the side of the image [px].
 
     Args:
-        scene: The scene.
+        scene: The scene; road users that are no vehicles get boxes as well.
         surface: Where cameras may stand on its ego vehicle.
         seed: Of the cameras, and of whether a picture has one or four samples a pixel.
-        device: Warp device.
+        views_per_scene: How many, by the side of the image [px].
+        ignored_ids: Instance ids of objects that are drawn but not to be learnt from.
+        thread_count: Views that are drawn at once; None: as many as there are cores.
 
     Returns:
-        Pictures for every size of `VIEWS_PER_SCENE`.
+        Pictures for every size of ``views_per_scene``.
     """
     from warpav.render.device_scene import DeviceScene
     from warpav.render.images import render_images
 
     rng = np.random.default_rng([seed, 1])
-    packed = DeviceScene.pack(scene, device=device)
+    scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
+    packed = DeviceScene.pack(scene)
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
     label = np.array([CLASS_NAMES.index(CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
+    is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
     pictures = {}
-    for side_px, count in VIEWS_PER_SCENE.items():
+    for side_px, count in views_per_scene.items():
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
-        rendered = render_images(packed, cameras, supersampling=int(rng.integers(1, 3)), device=device)
+        supersampling = int(rng.integers(1, 3))
+        rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
         labels = Labels.empty(count)
         for image, (camera, picture) in enumerate(zip(cameras, rendered, strict=True)):
             box_px = visible_boxes(picture.object_index, len(scene.vehicles), min_area_px=1)
@@ -173,7 +219,7 @@ def render_scene(scene: Scene, surface: MountSurface, seed: int, *, device: str 
             room = slice(len(seen))
             labels.box_px[image, room] = box_px[seen]
             labels.class_index[image, room] = label[seen]
-            labels.too_small[image, room] = np.isnan(large_box_px[seen, 0])
+            labels.ignored[image, room] = np.isnan(large_box_px[seen, 0]) | is_ignored[seen]
             amodal_area_px = np.maximum(picture.amodal_area_px[seen], 1e-6)
             labels.visible_fraction[image, room] = np.clip(picture.visible_area_px[seen] / amodal_area_px, 0.0, 1.0)
             labels.distance_m[image, room] = np.linalg.norm(center_m[seen] - camera.position_m, axis=1)
@@ -181,16 +227,53 @@ def render_scene(scene: Scene, surface: MountSurface, seed: int, *, device: str 
     return pictures
 
 
+def reconstructed_scene(seed: int) -> Scene:
+    """A town scene that was recorded by cameras and made of their images again.
+
+    Nobody asks a capture for its people, so that they end up in the environment, as shapes that are hard to recognise.
+    Here they are cut out of it by the boxes in which they stood.
+
+    Args:
+        seed: Of the town scene.
+
+    Returns:
+        The scene; of its `others` those of whom anything is left.
+    """
+    from warpav.capture.plan import PlanSettings, record
+    from warpav.capture.town_simulator import TownSimulator
+    from warpav.reconstruction.reconstruct import reconstruct
+    from warpav.reconstruction.settings import ReconstructionSettings
+    from warpav.scene.town import town_scene
+
+    with TownSimulator() as simulator:
+        capture = record(simulator, seed, PlanSettings())
+    scene = reconstruct(capture, ReconstructionSettings(thread_count=1))
+    environment, others = scene.environment, []
+    for person in town_scene(seed).others:
+        middle_m = environment.vertex_m[environment.triangle].mean(axis=1)
+        above = middle_m[:, 2] > person.box.center_m[2] - 0.5 * person.box.size_m[2] + _PERSON_FOOT_M
+        inside = above & person.box.contains(middle_m, margin_m=_PERSON_MARGIN_M)
+        if inside.any():
+            others.append(Vehicle(person.instance_id, person.category, _part(environment, inside), person.box))
+            environment = _part(environment, ~inside)
+    return replace(scene, environment=environment, others=tuple(others))
+
+
+def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
+    """Some triangles of a mesh, bool [triangle], with the vertices that they use."""
+    used, triangle = np.unique(mesh.triangle[chosen], return_inverse=True)
+    return Mesh(mesh.vertex_m[used], triangle.reshape(-1, 3).astype(np.int32), mesh.vertex_rgb[used])
+
+
 def load_pictures(folder: Path) -> dict[int, Pictures]:
-    """What `main` wrote, by the side of the image [px]; the images stay on the disk until they are read."""
+    """What `write_pictures` wrote, by the side of the image [px]; images stay on the disk until they are read."""
     pictures = {}
-    for side_px in VIEWS_PER_SCENE:
-        with np.load(folder / f"labels_{side_px}.npz") as arrays:
+    for file in sorted(folder.glob("labels_*.npz")):
+        side_px = int(file.stem.removeprefix("labels_"))
+        with np.load(file) as arrays:
             labels = Labels(**{field.name: arrays[field.name] for field in fields(Labels)})
-        images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r")
-        # Where time ran out, the end of the file is empty.
-        pictures[side_px] = Pictures(images_rgb[: len(labels.class_index)], labels)
-    return pictures
+        pictures[side_px] = Pictures(np.load(folder / f"images_{side_px}.npy", mmap_mode="r"), labels)
+    return dict(sorted(pictures.items()))
 
 
 @functools.cache
@@ -200,82 +283,76 @@ def _town_surface() -> MountSurface:
     return mount_surface_from_mesh(ego_vehicle())
 
 
-def _write_scene(seed: int, *, index: int, folder: Path, device: str) -> dict[int, Labels]:
+@dataclass(frozen=True)
+class _Job:
+    """One scene and its place in the files of its subset."""
+
+    index: int
+    seed: int
+    subset: Subset
+    folder: Path
+    thread_count: int | None
+
+
+def _write_scene(job: _Job) -> dict[int, Labels]:
     """Render one town scene into its place in the folder's files and return its labels."""
     from warpav.scene.town import town_scene
 
-    pictures = render_scene(town_scene(seed), _town_surface(), seed, device=device)
-    for side_px, count in VIEWS_PER_SCENE.items():
-        images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r+")
-        images_rgb[index * count : (index + 1) * count] = pictures[side_px].images_rgb
+    subset = job.subset
+    scene = reconstructed_scene(job.seed) if subset.is_reconstructed else town_scene(job.seed)
+    pictures = render_scene(
+        scene,
+        _town_surface(),
+        job.seed,
+        views_per_scene=subset.views_per_scene,
+        ignored_ids=[other.instance_id for other in scene.others] if subset.is_reconstructed else (),
+        thread_count=job.thread_count,
+    )
+    for side_px, count in subset.views_per_scene.items():
+        images_rgb = np.load(job.folder / f"images_{side_px}.npy", mmap_mode="r+")
+        images_rgb[job.index * count : (job.index + 1) * count] = pictures[side_px].images_rgb
     return {side_px: each.labels for side_px, each in pictures.items()}
 
 
-def _write_job(job: tuple[int, int, Path, str]) -> dict[int, Labels]:
-    index, seed, folder, device = job
-    return _write_scene(seed, index=index, folder=folder, device=device)
-
-
-def write_pictures(
-    seeds: Sequence[int], folder: Path, *, device: str, processes: int, minutes: float = math.inf
-) -> None:
+def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
     """Render town scenes and save their pictures: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
-    Args:
-        seeds: Of the scenes.
-        folder: Where to; made if it does not exist.
-        device: Warp device.
-        processes: That share the scenes.
-        minutes: Leave the other scenes out after so long [min].
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    for side_px, count in VIEWS_PER_SCENE.items():
-        shape = (len(seeds) * count, side_px, side_px, 3)
-        np.lib.format.open_memmap(folder / f"images_{side_px}.npy", mode="w+", dtype=np.uint8, shape=shape).flush()
+    Nothing is done where they are there already.
 
-    jobs = [(index, seed, folder, device) for index, seed in enumerate(seeds)]
+    Args:
+        subset: The scenes.
+        folder: Where to; made if it does not exist.
+        processes: That share the scenes.
+
+    Raises:
+        RuntimeError: A scene could not be rendered.
+    """
+    if all((folder / f"labels_{side_px}.npz").is_file() for side_px in subset.views_per_scene):
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    labels: dict[int, list[Labels]] = {}
+    for side_px, count in subset.views_per_scene.items():
+        shape = (subset.scene_count * count, side_px, side_px, 3)
+        np.lib.format.open_memmap(folder / f"images_{side_px}.npy", mode="w+", dtype=np.uint8, shape=shape).flush()
+        labels[side_px] = [Labels.empty(count)] * subset.scene_count
+
+    thread_count = None if processes == 1 else 1
+    jobs = [_Job(index, seed, subset, folder, thread_count) for index, seed in enumerate(subset.seeds)]
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
-    labels = [_write_job(jobs[0])]
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        for done in pool.imap(_write_job, jobs[1:], chunksize=4):
-            labels.append(done)
-            passed_s = time.perf_counter() - start_s
-            if len(labels) % 100 == 0:
-                _logger.info("%d of %d scenes, %.0f s", len(labels), len(jobs), passed_s)
-            if passed_s > 60.0 * minutes:
-                _logger.info("the time is up after %d of %d scenes", len(labels), len(jobs))
-                break
-    for side_px in VIEWS_PER_SCENE:
+    first = run_tasks(_write_scene, jobs[:1])
+    rest = run_tasks(_write_scene, jobs[1:], executor="serial" if processes == 1 else "process", worker_count=processes)
+    for done, outcome in enumerate(itertools.chain(first, rest), start=1):
+        if outcome.result is None:
+            raise RuntimeError(f"seed {outcome.task.seed}: {outcome.error}")
+        for side_px, each in outcome.result.items():
+            labels[side_px][outcome.task.index] = each
+        if done % 100 == 0:
+            _logger.info("%d of %d scenes, %.0f s", done, len(jobs), time.perf_counter() - start_s)
+    for side_px, each in labels.items():
         arrays: dict[str, Any] = {
-            field.name: np.concatenate([getattr(each[side_px], field.name) for each in labels])
-            for field in fields(Labels)
+            field.name: np.concatenate([getattr(one, field.name) for one in each]) for field in fields(Labels)
         }
         np.savez(str(folder / f"labels_{side_px}.npz"), **arrays)
-        _logger.info(
-            "%d images of %d px, %d objects", len(arrays["box_px"]), side_px, (arrays["class_index"] >= 0).sum()
-        )
-
-
-def _seed_range(text: str) -> range:
-    first, _, last = text.partition("..")
-    return range(int(first), int(last) + 1)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description="Render pictures of town scenes for the detector.")
-    parser.add_argument("--seeds", type=_seed_range, required=True, help="first..last, both included")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
-    parser.add_argument("--device", default="cpu", help="Warp device: cpu or cuda:0")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=math.inf, help="leave the other scenes out after so long")
-    options = parser.parse_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    write_pictures(
-        options.seeds, options.out, device=options.device, processes=options.processes, minutes=options.minutes
-    )
-
-
-if __name__ == "__main__":
-    main()
+        count = int((arrays["class_index"] >= 0).sum())
+        _logger.info("%s: %d images of %d px, %d objects", folder.name, len(arrays["box_px"]), side_px, count)

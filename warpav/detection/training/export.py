@@ -1,14 +1,9 @@
-"""The trained network as an ONNX file, in the layout that `warpav.detection.onnx_detector` reads.
-
-python -m warpav.detection.training.export --checkpoint FILE.pt --out FILE.onnx
-"""
+"""The trained network as an ONNX file, in the layout of an ultralytics export without suppression."""
 
 from __future__ import annotations
 
-import argparse
 import logging
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +56,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
     onnx.helper.set_model_props(
         model,
         {
-            "description": "Vehicles in renders of warpav's town scenes",
+            "description": "Road users in renders of warpav's town scenes",
             "author": "The warpav authors",
             "license": "Apache-2.0",
             "task": "detect",
@@ -84,20 +79,3 @@ def export_network(network: TownNetwork, path: Path) -> float:
         raise RuntimeError(f"{path}: PyTorch and onnxruntime differ by {error:.2g}, at most {MAX_ERROR} is fine")
     _logger.info("%s: %.1f MB, differs from PyTorch by %.1g", path, path.stat().st_size / 1e6, error)
     return error
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description="Export a checkpoint's averaged weights as ONNX.")
-    parser.add_argument("--checkpoint", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    network = TownNetwork()
-    network.load_state_dict(torch.load(options.checkpoint, map_location="cpu", weights_only=True)["average"])
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    export_network(network, options.out)
-
-
-if __name__ == "__main__":
-    main()

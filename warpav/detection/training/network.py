@@ -106,9 +106,9 @@ class TownNetwork(nn.Module):
         self,
         class_count: int = len(CLASS_NAMES),
         *,
-        channels: Sequence[int] = (16, 32, 48, 96, 160),
+        channels: Sequence[int] = (16, 24, 40, 80, 160),
         depth: Sequence[int] = (1, 2, 2, 2),
-        neck_channels: Sequence[int] = (16, 48, 96, 96),
+        neck_channels: Sequence[int] = (16, 40, 80, 96),
     ) -> None:
         super().__init__()
         self.class_count = class_count

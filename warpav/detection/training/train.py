@@ -1,19 +1,12 @@
-"""Train the shipped detector; can stop and go on.
-
-    python -m warpav.detection.training.train --data FOLDER --checkpoint FILE.pt --device cuda --minutes 17
-
-The schedule counts steps: either as many as given, or as many as fit into the minutes at the speed of the first ones.
-Run the same command again to go on from the checkpoint.
-"""
+"""Train the shipped detector: pictures, training, ONNX file; can stop at any time and go on."""
 
 from __future__ import annotations
 
-import argparse
 import copy
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
-from warpav.detection.training.data import Pictures, load_pictures
+from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, write_pictures
+from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, detection_loss
 from warpav.detection.training.network import TownNetwork
 
@@ -35,8 +29,6 @@ _WEIGHT_DECAY = 0.02
 _WARM_UP_STEPS = 500
 _AVERAGE_DECAY = 0.9995
 _GRADIENT_NORM_MAX = 10.0
-# The speed is measured over these steps, after as many to warm up.
-_SPEED_STEPS = 100
 _LOG_STEPS = 500
 _CHECKPOINT_S = 120.0
 
@@ -51,20 +43,27 @@ class DeviceData:
     truth: Truth
 
     @classmethod
-    def load(cls, pictures: Pictures, device: torch.device) -> DeviceData:
-        """Copy pictures to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
-        labels = pictures.labels
-        images_rgb = torch.empty(pictures.images_rgb.shape, dtype=torch.uint8, device=device)
-        for start in range(0, len(images_rgb), 1024):
-            block = np.array(pictures.images_rgb[start : start + 1024])
-            images_rgb[start : start + 1024] = torch.from_numpy(block).to(device)
-        side_px = (labels.box_px[..., 2:] - labels.box_px[..., :2]).min(axis=-1)
+    def load(cls, pictures: Iterable[Pictures], device: torch.device) -> DeviceData:
+        """Copy pictures of one size to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
+        pictures = list(pictures)
+        count = sum(len(each.images_rgb) for each in pictures)
+        images_rgb = torch.empty((count, *pictures[0].images_rgb.shape[1:]), dtype=torch.uint8, device=device)
+        place = 0
+        for each in pictures:
+            for start in range(0, len(each.images_rgb), 1024):
+                block = torch.from_numpy(np.array(each.images_rgb[start : start + 1024]))
+                images_rgb[place : place + len(block)] = block.to(device)
+                place += len(block)
+        box_px = np.concatenate([each.labels.box_px for each in pictures])
+        class_index = np.concatenate([each.labels.class_index for each in pictures])
+        ignored = np.concatenate([each.labels.ignored for each in pictures])
+        side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
         return cls(
             images_rgb,
             Truth(
-                torch.from_numpy(labels.box_px).to(device),
-                torch.from_numpy(labels.class_index.astype(np.int64)).to(device),
-                torch.from_numpy(labels.too_small | (side_px < MIN_SIDE_PX)).to(device),
+                torch.from_numpy(box_px).to(device),
+                torch.from_numpy(class_index.astype(np.int64)).to(device),
+                torch.from_numpy(ignored | (side_px < MIN_SIDE_PX)).to(device),
             ),
         )
 
@@ -79,11 +78,14 @@ class Training:
 
     Args:
         device: PyTorch device.
+        step_count: Length of the schedule.
         seed: Of the weights and of the batches.
         learning_rate: The largest.
     """
 
-    def __init__(self, device: torch.device, *, seed: int = 0, learning_rate: float = _LEARNING_RATE) -> None:
+    def __init__(
+        self, device: torch.device, *, step_count: int, seed: int = 0, learning_rate: float = _LEARNING_RATE
+    ) -> None:
         torch.manual_seed(seed)
         self.device = device
         self.network = TownNetwork().to(device)
@@ -97,7 +99,7 @@ class Training:
         self.random = np.random.default_rng(seed)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
-        self.step_count = 0
+        self.step_count = step_count
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint."""
@@ -178,42 +180,32 @@ def train(
     *,
     checkpoint: Path,
     batch_size: int,
-    minutes: float,
     stop_after_minutes: float,
 ) -> None:
     """Train until the schedule ends or the time is up, and save.
 
     Args:
-        training: The run; its schedule is set from the measured speed if it has none.
+        training: The run.
         data: Pictures by their side [px].
         checkpoint: Where to save.
         batch_size: Number of images of 256 px a step; of larger images, as many as have the same number of pixels.
-        minutes: Length of the whole training, used if there is no schedule yet [min].
         stop_after_minutes: Stop before the schedule's end after so long [min].
+
+    Raises:
+        RuntimeError: The loss is no longer finite.
     """
     start_s = saved_s = time.perf_counter()
-    speed_start_s = start_s
     sides_px = list(data)
     probability = np.array([SIZE_PROBABILITY[side_px] for side_px in sides_px])
     total = torch.zeros(2, device=training.device)
     first_step = training.step
-    while not training.step_count or training.step < training.step_count:
+    while training.step < training.step_count:
         side_px = int(training.random.choice(sides_px, p=probability / probability.sum()))
         losses = training.train_step(data[side_px], max(1, round(batch_size * (256 / side_px) ** 2)))
         total += torch.stack(losses)
-        steps_here = training.step - first_step
-        if not training.step_count and steps_here in (_SPEED_STEPS, 2 * _SPEED_STEPS):
-            total.tolist()  # waits for the device
-            if steps_here == _SPEED_STEPS:
-                speed_start_s = time.perf_counter()
-            else:
-                step_s = (time.perf_counter() - speed_start_s) / _SPEED_STEPS
-                left_s = max(0.0, 60.0 * minutes - (time.perf_counter() - start_s))
-                training.step_count = training.step + int(left_s / step_s)
-                _logger.info("%.1f ms a step, %d steps", 1e3 * step_s, training.step_count)
         now_s = time.perf_counter()
         if training.step % _LOG_STEPS == 0:
-            score_loss, box_loss = (total / min(_LOG_STEPS, steps_here)).tolist()
+            score_loss, box_loss = (total / min(_LOG_STEPS, training.step - first_step)).tolist()
             total.zero_()
             _logger.info(
                 "step %d of %d: score loss %.3f, box loss %.3f, %.0f s",
@@ -232,42 +224,56 @@ def train(
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description="Train the shipped detector.")
-    parser.add_argument("--data", type=Path, required=True, help="folder that training.data wrote")
-    parser.add_argument("--checkpoint", type=Path, required=True, help="written, and gone on from where it exists")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--minutes", type=float, default=17.0, help="length of the whole training")
-    parser.add_argument(
-        "--steps", type=int, default=0, help="number of steps of the whole training, instead of minutes"
-    )
-    parser.add_argument("--stop-after-minutes", type=float, default=math.inf, help="stop this command earlier")
-    parser.add_argument("--batch-size", type=int, default=192, help="images of 256 px a step")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+def train_detector(
+    folder: Path,
+    *,
+    pictures: Path,
+    device: str,
+    processes: int,
+    step_count: int,
+    batch_size: int,
+    seed: int,
+    stop_after_minutes: float,
+) -> Path | None:
+    """Make the pictures, train, and write the network as ``detector.onnx``; what is there already is gone on from.
 
-    device = torch.device(options.device)
+    Args:
+        folder: For ``checkpoint.pt`` and ``detector.onnx``.
+        pictures: Folder of the pictures; made where they are missing.
+        device: PyTorch device.
+        processes: That render.
+        step_count: Length of the schedule.
+        batch_size: See `train`.
+        seed: Of the weights and of the batches.
+        stop_after_minutes: See `train`.
+
+    Returns:
+        The ONNX file; None where the time was up before the schedule's end.
+
+    Raises:
+        RuntimeError: A scene cannot be rendered, the loss is not finite, or the ONNX file differs from the network.
+    """
+    names = ("train", "train_reconstructed")
+    for name in names:
+        write_pictures(SUBSETS[name], pictures / name, processes=processes)
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
-    training = Training(device, seed=options.seed)
-    training.step_count = options.steps
-    if options.checkpoint.exists():
-        training.load(options.checkpoint)
+    training = Training(torch.device(device), step_count=step_count, seed=seed)
+    checkpoint = folder / "checkpoint.pt"
+    if checkpoint.exists():
+        training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
-    start_s = time.perf_counter()
-    data = {side_px: DeviceData.load(each, device) for side_px, each in load_pictures(options.data).items()}
-    _logger.info("read the pictures in %.0f s", time.perf_counter() - start_s)
-    train(
-        training,
-        data,
-        checkpoint=options.checkpoint,
-        batch_size=options.batch_size,
-        minutes=options.minutes,
-        stop_after_minutes=options.stop_after_minutes,
-    )
-
-
-if __name__ == "__main__":
-    main()
+    if training.step < training.step_count:
+        start_s = time.perf_counter()
+        loaded = [load_pictures(pictures / name) for name in names]
+        data = {
+            side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
+            for side_px in SIZE_PROBABILITY
+        }
+        _logger.info("read the pictures in %.0f s", time.perf_counter() - start_s)
+        train(training, data, checkpoint=checkpoint, batch_size=batch_size, stop_after_minutes=stop_after_minutes)
+    if training.step < training.step_count:
+        return None
+    file = folder / "detector.onnx"
+    export_network(training.average, file)
+    return file
