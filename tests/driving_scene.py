@@ -173,19 +173,24 @@ def on_device(poses, device="cpu"):
 
 
 class ConstantDetector:
-    """Says the same about every batch of images: boxes [px] and confidences, one pair per image."""
+    """Says the same about every batch of images: boxes [px] and confidences, one pair per image.
+
+    Everything is a vehicle unless ``road_users`` holds indices into `ROAD_USERS`, a list per image.
+    """
 
     names = ("car",)
 
-    def __init__(self, boxes_px, confidences):
+    def __init__(self, boxes_px, confidences, road_users=None):
+        kinds = [[0] * len(each) for each in confidences] if road_users is None else road_users
         self.answer = [
             Detections(
                 np.asarray(box_px, np.float32).reshape(-1, 4),
                 np.asarray(confidence, np.float32).reshape(-1),
                 np.zeros(len(confidence), np.int32),
                 self.names,
+                np.asarray(kind, np.int32),
             )
-            for box_px, confidence in zip(boxes_px, confidences, strict=True)
+            for box_px, confidence, kind in zip(boxes_px, confidences, kinds, strict=True)
         ]
         self.images = []
 
