@@ -16,7 +16,6 @@ from warpav.config import Config
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import (
     BIN_COUNT,
-    Scores,
     Sightings,
     fit_probability,
     look,
@@ -155,7 +154,14 @@ def fit_detector(
         },
     )
     file = _write(model, use, out)
-    _draw(model, file, scores, known)
+    reliability_diagram(
+        scores.bins,
+        probability,
+        unseen.is_detected,
+        file.with_name(f"{file.stem}_reliability.png"),
+        title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
+    )
+    detection_curves(model, known.feature, file.with_name(f"{file.stem}_curves.png"))
     _show(model.record, display)
     return file
 
@@ -231,17 +237,6 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
         return model.write(folders[-1], use)
     except OSError as error:
         raise InputError(f"{folders[-1]}: expected a folder to write to, got {error.strerror}; give --out") from None
-
-
-def _draw(model: DetectionProbability, file: Path, scores: Scores, known: Sightings) -> None:
-    reliability_diagram(
-        asdict(scores)["bins"],
-        file.with_name(f"{file.stem}_reliability.png"),
-        auc=scores.auc,
-        brier=scores.brier,
-        calibration_error=scores.calibration_error,
-    )
-    detection_curves(model, known.feature, file.with_name(f"{file.stem}_curves.png"))
 
 
 def _show(record: Any, display: RunDisplay) -> None:  # noqa: ANN401 (JSON)

@@ -32,6 +32,7 @@ from warpav.view.palette import (
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
+    from warpav.detection.probability_fit import CalibrationBin
     from warpav.geometry.mesh import Mesh
     from warpav.geometry.mount_surface import MountSurface
     from warpav.rig.rig import Rig
@@ -345,29 +346,23 @@ def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **lin
 
 
 def reliability_diagram(
-    bins: Sequence[Mapping[str, float]],
-    path: Path | str,
-    *,
-    auc: float,
-    brier: float,
-    calibration_error: float,
+    bins: Sequence[CalibrationBin], probability: np.ndarray, is_detected: np.ndarray, path: Path | str, *, title: str
 ) -> Path:
     """Draw what share of objects was detected over the probability that was predicted, and how many there were.
 
     Args:
-        bins: Objects of about one probability: ``count``, ``predicted``, ``detected``, and the ends ``low`` and
-            ``high`` of its 95 % interval.
+        bins: Objects of about one probability.
+        probability: That was predicted for every object, 0..1, shape [object].
+        is_detected: What came true, bool, shape [object].
         path: PNG file to write.
-        auc: For the title.
-        brier: For the title.
-        calibration_error: For the title.
+        title: A short line above.
     """
-    count, predicted, detected, low, high = (
-        np.array([each[name] for each in bins]) for name in ("count", "predicted", "detected", "low", "high")
-    )
+    predicted, detected, low, high = np.array(
+        [[each.predicted, each.detected, each.low, each.high] for each in bins]
+    ).T  # fmt: skip
     with figure_style():
         figure = new_figure(0.6 * WIDTH_INCH, 0.72 * WIDTH_INCH)
-        axis, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])
+        axis, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
         axis.plot([0, 1], [0, 1], color=hex_colour(MUTED_RGB), linewidth=1.0, label="as predicted")
         axis.errorbar(
             predicted,
@@ -377,17 +372,23 @@ def reliability_diagram(
             markersize=4.5,
             linewidth=1.2,
             color=hex_colour(camera_rgb(0)),
-            label="share detected, 95 % interval",
+            clip_on=False,
+            label=f"share detected of {bins[0].count} objects, 95 % interval",
         )
         axis.set_ylabel("share detected")
         axis.set_ylim(-0.02, 1.02)
-        axis.set_title(f"AUC {auc:.3f}, Brier {brier:.3f}, calibration error {calibration_error:.3f}")
+        axis.set_title(title)
         axis.legend(loc="upper left")
-        lower.vlines(predicted, 0, count, color=hex_colour(camera_rgb(0)), linewidth=3.0)
-        lower.set_ylim(0, 1.15 * count.max())
+        edges = np.linspace(0.0, 1.0, 21)
+        shown = [probability[is_detected], probability[~is_detected]]
+        colours = [hex_colour(TRUE_POSITIVE_RGB), hex_colour(MISS_RGB)]
+        labels = [f"{len(shown[0])} detected", f"{len(shown[1])} missed"]
+        lower.hist(shown, bins=list(edges), stacked=True, color=colours, label=labels)
+        lower.set_yscale("symlog", linthresh=10)
         lower.set_ylabel("objects")
-        lower.set_xlabel("predicted probability, mean of each bin")
+        lower.set_xlabel("predicted probability")
         lower.set_xlim(-0.02, 1.02)
+        lower.legend(loc="upper center", ncols=2)
         return save_figure(figure, path)
 
 

@@ -12,6 +12,7 @@ from tests.architecture.kernel_style import read_modules
 from warpav_kernels import (
     benchmark,
     constraint_losses,
+    detection_probability,
     lagrangian,
     linearise,
     measure,
@@ -119,6 +120,28 @@ def sum_target_areas(new):
     return VIEWS, [new(size=(VIEWS, VEHICLES, 1)), new(size=VEHICLES)], [new(np.zeros(VIEWS))]
 
 
+def box_solid_angle(new):
+    # from above, from beside, from below and off a corner; the boxes are turned
+    place = new([[0.2, 0.3, 3.0], [2.5, 0.1, 0.3], [0.1, -0.4, -2.5], [-2.0, 2.2, 2.4]], wp.vec3)
+    turn = np.linspace(0.2, 1.1, VEHICLES)
+    middle = new(size=(VEHICLES, 3), dtype=wp.vec3, low=-0.2, high=0.2)
+    half_size = new(size=(VEHICLES, 3), dtype=wp.vec3, low=0.5, high=1.0)
+    along = new(np.stack([np.cos(turn), np.sin(turn)], axis=1), wp.vec2)
+    return VIEWS, [place, middle, half_size, along], [new(np.zeros((VIEWS, VEHICLES)))]
+
+
+def probability_of_detection(new):
+    # values of every measure: areas down to a part of a pixel, extents near a corner and in the middle
+    areas = new.rng.uniform([0.3, 8.0, 0.0], [6.0, 12.0, 1.0], (VIEWS, VEHICLES, 3))
+    extents = new.rng.uniform([1.0, 4.0, 0.5, 5.0], [2.0, 6.0, 1.5, 7.0], (VIEWS, VEHICLES, 4))
+    pairs, curves = (VIEWS, VEHICLES), int(detection_probability.FEATURE_COUNT)
+    inputs = [new(np.concatenate([areas, extents], axis=2)), new(size=(*pairs, 1), low=0.2, high=0.5)]
+    inputs += [new(size=pairs, low=0.6, high=0.9), new(size=pairs, low=0.1, high=0.5), 9.0, 10.0]
+    inputs += [new(size=(curves, 5)), new(size=curves, low=-0.5, high=0.0), new(size=curves, low=0.3, high=0.6), 0.2]
+    outputs = [new(np.zeros((*pairs, curves))), new(np.zeros(pairs))]
+    return pairs, inputs, outputs
+
+
 CASES = {
     linearise.linearise_measures_kernel: linearise_measures,
     linearise.linearise_window_kernel: linearise_window,
@@ -129,6 +152,8 @@ CASES = {
     placement_losses.sum_area_around_kernel: sum_area_around,
     placement_losses.detected_area_loss_kernel: detected_area_loss,
     placement_losses.mean_vehicle_loss_kernel: mean_vehicle_loss,
+    detection_probability.box_solid_angle_kernel: box_solid_angle,
+    detection_probability.detection_probability_kernel: probability_of_detection,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,
     benchmark.place_level_cameras_kernel: place_level_cameras,
     benchmark.sum_target_areas_kernel: sum_target_areas,

@@ -50,14 +50,13 @@ class Feature:
 FEATURES = (
     Feature("visible_size", "ln(1 + px²)", "area that nothing hides, in the image"),
     Feature("visible_share", "0..1", "area that nothing hides over that of the object alone, both in the image"),
-    Feature(
-        "in_frame_share", "0..1", "solid angle of the object alone in the image over that of its upright box"
-    ),
+    Feature("in_frame_share", "0..1", "solid angle of the object alone in the image over that of its upright box"),
     Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
     Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
     Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
 )
 VISIBLE_SIZE, VISIBLE_SHARE = int(kernels.VISIBLE_SIZE), int(kernels.VISIBLE_SHARE)
+IN_FRAME_SHARE = int(kernels.IN_FRAME_SHARE)
 
 
 @dataclass(frozen=True)

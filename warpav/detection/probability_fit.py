@@ -14,6 +14,7 @@ from warpav.detection.detector import Detector
 from warpav.detection.observe import observe
 from warpav.detection.probability import (
     FEATURE_COUNT,
+    IN_FRAME_SHARE,
     VISIBLE_SHARE,
     VISIBLE_SIZE,
     Appearance,
@@ -36,9 +37,8 @@ MIN_OBJECTS = 200
 MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
-# More pixels of the same thing, and less of it hidden, never make it harder to find. Nothing like that is known of the
-# rest: of two objects that show as many pixels, the one that is cut by the border is the nearer.
-MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE)
+# More pixels of the same thing, less of it hidden and less of it cut off never make it harder to find (design.md).
+MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE)
 
 
 @dataclass(frozen=True)
