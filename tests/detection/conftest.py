@@ -5,8 +5,8 @@ import importlib.util
 import numpy as np
 import pytest
 
-# Training needs PyTorch, which nothing else does.
-collect_ignore = [] if importlib.util.find_spec("torch") else ["test_training.py"]
+# Training and the detector gradient need PyTorch, which nothing else does.
+collect_ignore = [] if importlib.util.find_spec("torch") else ["test_training.py", "test_differentiable.py"]
 
 CELL_PX = 32
 

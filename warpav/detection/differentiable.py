@@ -23,9 +23,13 @@ from warpav.rig.camera import CameraModel
 STRIDE_PX = 32
 # The score at which the logarithmic score loss bends: a candidate far below still pulls, none pulls without bound.
 _SCORE_FLOOR = 0.01
-# How sharply a candidate must agree with the true box to answer for the object; a power of (1 + GIoU) / 2.
-_AGREEMENT_POWER = 12.0
-_TINY = 1e-12
+# Error of a side, in sizes of the true box along it, at which the agreement of a candidate has halved.
+_TOLERANCE = 0.25
+_MIN_SIZE_PX = 4.0
+# How sharply a candidate must agree with the true box to answer for the object.
+_AGREEMENT_POWER = 3.0
+PHASE_COUNT = 8
+_TINY = 1e-20
 
 
 @dataclass(frozen=True)
@@ -46,33 +50,47 @@ class DetectionLoss:
 class DifferentiableDetector:
     """How badly a detection network finds given objects in given images, as a smooth function of both.
 
-    For an object with true box b, and the network's candidates j with boxes p_j and pooled scores
+    For an object with true box b of width and height s, and the network's candidates j with boxes p_j and pooled scores
     ``q_j = 1 - prod over the labels of the object's group of (1 - score)``:
 
-        g_j = (1 + GIoU(p_j, b)) / 2                           agreement, 0..1
-        w_j = (q_j + e) g_j^12 / sum of the same               soft maximum: who answers for the object
-        S   = sum of w_j q_j,   D = sum of w_j (1 - g_j)       its score, its disagreement
+        g_j = 1 / (1 + mean over the four sides of ((p_j - b) / (s / 4))^2)     agreement, 0..1
+        w_j = (q_j + e) g_j^3 / sum of the same                  soft maximum: who answers for the object
+        S   = sum of w_j q_j,   D = sum of w_j (1 - g_j)         its score, its disagreement
         L   = (ln((1 + e) / (S + e)) / ln((1 + e) / e) + D) / 2,   e = 0.01
 
-    L is 0 for a sure and exact answer and at most 1. Gradients, all by PyTorch's reverse mode: dL/dS =
-    -1 / (2 (S + e) ln((1 + e) / e)) and dL/dD = 1/2; through S, D and w_j to q_j, p_j and b; through the network to the
-    image. b enters by g_j alone: dg_j/db is half the derivative of the generalised IoU, which does not vanish for
-    boxes that lie apart.
+    L is 0 for a sure and exact answer and at most 1. The agreement is smooth where a candidate fits exactly, which the
+    generalised IoU is not, and falls off with the square of the error, so that boxes that lie apart still attract.
+
+    A network of strides answers differently when the same picture is moved by a pixel. What a world in motion sees is
+    the mean over such moves, so L is the mean over ``phase_count`` of them: the picture and the boxes are moved by
+    k px to the right and (3 k + 1) mod n px down, k = 0 .. n - 1, its first column and row repeated.
+
+    Gradients, all by PyTorch's reverse mode: dL/dS = -1 / (2 (S + e) ln((1 + e) / e)) and dL/dD = 1/2; through S, D and
+    w_j to q_j, p_j and b; through the network to the image. b enters by g_j and s alone.
 
     Args:
         path: ONNX file whose one output is [image, 4 + labels, candidates]: centre x, centre y, width, height in pixels
             of the input, then scores in 0..1.
         label_group: Group of every label, -1 for none, int [label]; see `warpav.detection.detector.ROAD_USERS`.
         device: Warp device of the images.
+        phase_count: n, at least 1; the cost grows with it.
 
     Raises:
         InputError: PyTorch is missing or cannot use the device, or the file cannot be differentiated.
     """
 
-    def __init__(self, path: str | Path, label_group: Sequence[int] | np.ndarray, *, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        label_group: Sequence[int] | np.ndarray,
+        *,
+        device: str = "cpu",
+        phase_count: int = PHASE_COUNT,
+    ) -> None:
         self._path = Path(path)
         self._network = TorchNetwork(path, device=_torch_device(device))
         self._label_group = np.asarray(label_group, np.int64)
+        self._phases_px = [(k, (3 * k + 1) % phase_count) for k in range(phase_count)]  # to the right, down
 
     @classmethod
     def of(cls, detector: OnnxDetector, camera: CameraModel, *, device: str) -> DifferentiableDetector:
@@ -137,25 +155,30 @@ class DifferentiableDetector:
         truth_px = torch.from_numpy(np.asarray(box_px, np.float32)).to(picture.device)
         truth_px = truth_px.requires_grad_(weight is not None)
         with torch.set_grad_enabled(weight is not None):
-            raw = self._raw_output(picture)
-            loss = self._object_losses(raw, np.asarray(image_index, np.int64), truth_px, np.asarray(group, np.int64))
+            parts, gradients = [], []
+            for phase_px in self._phases_px:  # one after the other, so that memory does not grow with their number
+                raw = self._raw_output(_moved(picture, *phase_px))
+                move_px = torch.tensor([*phase_px, *phase_px], dtype=torch.float32, device=picture.device)
+                part = self._object_losses(raw, np.asarray(image_index), truth_px + move_px, np.asarray(group))
+                parts.append(part.detach() / len(self._phases_px))
+                if weight is not None:
+                    share = torch.from_numpy(np.asarray(weight, np.float32) / len(self._phases_px)).to(part.device)
+                    gradients.append(torch.autograd.grad((part * share).sum(), [picture, truth_px]))
+        loss = torch.stack(parts).sum(dim=0).cpu().numpy()
         if weight is None:
-            return DetectionLoss(loss.cpu().numpy(), None, None)
-        total = (loss * torch.from_numpy(np.asarray(weight, np.float32)).to(loss.device)).sum()
-        to_picture, to_truth = torch.autograd.grad(total, [picture, truth_px])
-        return DetectionLoss(
-            loss.detach().cpu().numpy(), wp.from_torch(to_picture.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy()
-        )
+            return DetectionLoss(loss, None, None)
+        to_picture, to_truth = (torch.stack(each).sum(dim=0) for each in zip(*gradients, strict=True))
+        return DetectionLoss(loss, wp.from_torch(to_picture.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
 
     def _raw_output(self, picture: Any) -> Any:  # noqa: ANN401 (tensors; PyTorch is no import of this module)
-        """The network's output for colours [image, row, column, 3], checked."""
+        """The network's output for colours [image, 3, row, column], checked."""
         labels = len(self._label_group)
         try:
-            raw = self._network(picture.permute(0, 3, 1, 2))
+            raw = self._network(picture)
         except RuntimeError as error:
             raise InputError(
-                f"{self._path}: losses.detector_gradient cannot run it on images of {picture.shape[2]} x "
-                f"{picture.shape[1]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and "
+                f"{self._path}: losses.detector_gradient cannot run it on images of {picture.shape[3]} x "
+                f"{picture.shape[2]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and "
                 "camera.height_px to the network's own size"
             ) from error
         if raw.ndim != 3 or raw.shape[0] != picture.shape[0] or raw.shape[1] != 4 + labels:
@@ -171,30 +194,31 @@ class DifferentiableDetector:
         """L of every object."""
         import torch  # pyright: ignore[reportMissingImports]
 
-        where = torch.from_numpy(image_index).to(raw.device)
+        where = torch.from_numpy(image_index.astype(np.int64)).to(raw.device)
         center, half = raw[:, :2], 0.5 * raw[:, 2:4]
         candidate_px = torch.cat([center - half, center + half], dim=1).transpose(1, 2)[where]
         # the complements of the scores of all labels that are not of the object's group count as 1
         counts = torch.from_numpy(self._label_group[None, :] == group[:, None]).to(raw)[:, :, None]
         score = 1.0 - (1.0 - counts * raw[where, 4:]).prod(dim=1)
-        agreement = 0.5 * (1.0 + _generalised_iou(candidate_px, truth_px[:, None]))
-        share = (score + _SCORE_FLOOR) * agreement.clamp(min=0.0) ** _AGREEMENT_POWER
+        size_px = (truth_px[:, 2:] - truth_px[:, :2]).clamp(min=_MIN_SIZE_PX).repeat(1, 2)[:, None]
+        error = (candidate_px - truth_px[:, None]) / (_TOLERANCE * size_px)
+        agreement = 1.0 / (1.0 + error.square().mean(dim=-1))
+        share = (score + _SCORE_FLOOR) * agreement**_AGREEMENT_POWER
         share = share / (share.sum(dim=1, keepdim=True) + _TINY)
         floor = torch.tensor(_SCORE_FLOOR, dtype=raw.dtype, device=raw.device)
         score_loss = torch.log((1.0 + floor) / ((share * score).sum(dim=1) + floor)) / torch.log((1.0 + floor) / floor)
-        # shares sum to 1 unless no candidate agrees at all: then nothing answers, and the disagreement is 1
         disagreement = 1.0 - (share * agreement).sum(dim=1)
         return 0.5 * (score_loss + disagreement)
 
 
-def _generalised_iou(first_px: Any, second_px: Any) -> Any:  # noqa: ANN401
-    """Generalised IoU in -1..1 of boxes [..., 4] and [..., 4] (Rezatofighi et al., CVPR 2019)."""
-    overlap = (first_px[..., 2:].minimum(second_px[..., 2:]) - first_px[..., :2].maximum(second_px[..., :2])).clamp(0.0)
-    hull = first_px[..., 2:].maximum(second_px[..., 2:]) - first_px[..., :2].minimum(second_px[..., :2])
-    intersection, hull_area = overlap.prod(dim=-1), hull.prod(dim=-1)
-    first_area = (first_px[..., 2:] - first_px[..., :2]).prod(dim=-1)
-    union = first_area + (second_px[..., 2:] - second_px[..., :2]).prod(dim=-1) - intersection
-    return intersection / (union + _TINY) - (hull_area - union) / (hull_area + _TINY)
+def _moved(picture: Any, right_px: int, down_px: int) -> Any:  # noqa: ANN401
+    """A picture [image, row, column, 3] moved by whole pixels, its first column and row repeated."""
+    from torch.nn import functional  # pyright: ignore[reportMissingImports]
+
+    planes = picture.permute(0, 3, 1, 2)
+    if right_px or down_px:
+        planes = functional.pad(planes, (right_px, 0, down_px, 0), mode="replicate")
+    return planes[..., : picture.shape[1], : picture.shape[2]]
 
 
 def _torch_device(device: str) -> str:

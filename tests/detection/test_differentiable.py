@@ -1,0 +1,243 @@
+"""The detection network in PyTorch, its loss, and that loss's gradient to the pose; collected where PyTorch is there."""
+
+import functools
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+import warp as wp
+
+from tests.driving_scene import camera_pose, on_device
+from tests.render.test_gradients import X, Y, YAW, moved
+from warpav.detection.detector import ROAD_USERS
+from warpav.detection.differentiable import DifferentiableDetector
+from warpav.detection.ground_truth import largest_component_box
+from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
+from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
+from warpav.errors import InputError
+from warpav.objective.detector_loss import detector_loss_of
+from warpav.objective.mount import PlacedViews
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Renderer
+from warpav.rig.camera import CameraModel
+from warpav.scene.town import town_scene
+
+SIZE_PX = 256
+MODEL = CameraModel(SIZE_PX, SIZE_PX, math.radians(90.0), 0.1)
+CAMERAS = 4
+TRUTH_SAMPLES = 8
+# One sample of a render at x2, for an object 10 m away: smaller steps see the grain of the samples.
+STEP_M, LEVER_M = 0.02, 10.0
+SAME_SIDE_PX = 1.0
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def builtin_network(**options):
+    detector = OnnxDetector("builtin")
+    groups = np.full(len(detector.names), -1)
+    groups[np.isin(detector.names, detector.road_users["vehicle"])] = ROAD_USERS.index("vehicle")
+    return DifferentiableDetector(BUILTIN_MODEL_PATH, groups, **options)
+
+
+def assert_same_as_onnxruntime(path, shape):
+    images = np.random.default_rng(1).random(shape, np.float32)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    expected = session.run(None, {session.get_inputs()[0].name: images})[0]
+    given = torch.from_numpy(images).requires_grad_()
+    output = TorchNetwork(path)(given)
+    assert output.shape == expected.shape
+    error = np.abs(output.detach().numpy() - expected) / np.maximum(np.abs(expected), 1.0)
+    assert error.max() < MAX_ERROR  # worst seen 7e-5
+    output[:, 4:].sum().backward()
+    assert torch.isfinite(given.grad).all()
+    assert given.grad.abs().max() > 0.0
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 256, 256), (3, 3, 160, 224)])
+def test_the_shipped_network_is_the_same_in_pytorch(shape):
+    assert_same_as_onnxruntime(BUILTIN_MODEL_PATH, shape)
+
+
+def test_a_network_of_others_is_the_same_in_pytorch():
+    folder = os.environ.get("WARPAV_TEST_ASSETS")
+    if not folder:
+        pytest.skip("WARPAV_TEST_ASSETS is not set")
+    assert_same_as_onnxruntime(Path(folder) / "yolox_nano_coco.onnx", (1, 3, 640, 640))
+
+
+def test_an_operator_without_gradient_is_refused_by_name(tmp_path):
+    import onnx
+    from onnx import TensorProto, helper
+
+    ends = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, 3, 64, 64]) for n in ("images", "output0")]
+    graph = helper.make_graph([helper.make_node("Round", ["images"], ["output0"])], "round", ends[:1], ends[1:])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.save(model, str(tmp_path / "round.onnx"))
+    with pytest.raises(InputError, match=r"round.onnx: losses.detector_gradient cannot differentiate the operator Round"):
+        TorchNetwork(tmp_path / "round.onnx")
+
+
+def test_loss_is_bounded_and_low_where_the_cell_network_finds_the_object(cell_network):
+    # the network sees a box in every 32 px cell, whose score is the cell's mean red
+    detector = DifferentiableDetector(cell_network(("car",)), [0], phase_count=1)
+    image = np.zeros((2, 96, 96, 3), np.float32)
+    image[0, 32:64, 32:64, 0] = 1.0
+    box_px = np.array([[32.0, 32, 64, 64], [32, 32, 64, 64], [40, 32, 72, 64]], np.float32)
+    wanted = DifferentiableDetector.loss(
+        detector, wp.array(image, dtype=wp.vec3), np.array([0, 1, 0]), box_px, np.zeros(3, int)
+    )
+    found, empty, beside = wanted.loss
+    # a sure and exact answer, but for the share of the neighbours: (0 + .01) / 1.01 and less
+    assert found < 0.01 < beside < empty < 1.0
+
+
+def test_gradients_of_the_loss_are_those_of_differences(cell_network, rng):
+    detector = DifferentiableDetector(cell_network(("car", "person", "bus")), [0, -1, 0], phase_count=3)
+    image = rng.uniform(0.1, 0.9, (2, 96, 96, 3)).astype(np.float32)
+    box_px = np.array([[30.0, 35, 60, 66], [5, 40, 37, 80], [50, 20, 90, 60]], np.float32)
+    where, group, weight = np.array([0, 1, 1]), np.zeros(3, int), np.array([1.0, 2.0, 0.5])
+
+    def total(image, box_px):
+        return float(detector.loss(wp.array(image, dtype=wp.vec3), where, box_px, group).loss @ weight)
+
+    result = detector.loss(wp.array(image, dtype=wp.vec3), where, box_px, group, weight=weight)
+    for _ in range(3):
+        change = rng.normal(size=image.shape).astype(np.float32)
+        slope = (total(image + 1e-2 * change, box_px) - total(image - 1e-2 * change, box_px)) / 2e-2
+        assert slope == pytest.approx(float((result.image_gradient.numpy() * change).sum()), abs=2e-3)
+        change = rng.normal(size=box_px.shape).astype(np.float32)
+        slope = (total(image, box_px + 0.1 * change) - total(image, box_px - 0.1 * change)) / 0.2
+        assert slope == pytest.approx(float((result.box_gradient * change).sum()), abs=2e-3)
+
+
+# The gradient to the pose
+
+
+def camera_poses(seed):
+    rng = np.random.default_rng(seed)
+    return np.stack(
+        [
+            camera_pose(
+                np.array([rng.uniform(-0.5, 1.5), rng.uniform(-0.6, 0.6), rng.uniform(1.6, 2.0)]),
+                rng.uniform(-math.pi, math.pi),
+                rng.uniform(0.0, 0.1),
+                0.0,
+            )
+            for _ in range(CAMERAS)
+        ]
+    )
+
+
+def visible_boxes(renderer, scene):
+    """Boxes of what is seen of every vehicle, [view, vehicle, 4]; NaN where too little is."""
+    samples = renderer.supersampling
+    box_px = np.full((renderer.view_count, scene.vehicle_count, 4), np.nan)
+    for camera, masks in enumerate(renderer.visible_masks(scene, range(renderer.view_count))):
+        for vehicle, (left, top, mask) in enumerate(masks):
+            if mask.any():
+                box = largest_component_box(mask, min_area_px=16 * samples * samples)
+                if box is not None:
+                    box_px[camera, vehicle] = (box + [left, top, left, top]) / samples
+    return box_px
+
+
+def corner_boxes(scene, poses):
+    """Exact boxes of the vehicles alone from their corners, [view, vehicle, 4]; NaN unless wholly in the image."""
+    box_px = np.full((len(poses), len(scene.vehicles), 4), np.nan)
+    for camera, pose in enumerate(poses):
+        for k, vehicle in enumerate(scene.vehicles):
+            point_m = (vehicle.mesh.vertex_m - pose[:3, 3]) @ pose[:3, :3]
+            if (point_m[:, 2] > 0.2).all():
+                place_px = 0.5 * SIZE_PX * (point_m[:, :2] / point_m[:, 2:] + 1.0)
+                if (place_px > 0.0).all() and (place_px < SIZE_PX).all():
+                    box_px[camera, k] = [*place_px.min(axis=0), *place_px.max(axis=0)]
+    return box_px
+
+
+def gradients_at(seed, detector, supersampling):
+    """Ours and the truth, per metre and per radian, [camera, (x, y, yaw)], of the cameras that see a vehicle.
+
+    The loss is the mean over the vehicles that a camera sees.
+    """
+    host = town_scene(seed)
+    scene, poses = DeviceScene.pack(host), camera_poses(seed)
+    renderer = Renderer([MODEL] * CAMERAS, supersampling=supersampling)
+    position, rotation = on_device(poses, "cpu")
+    renderer.render(scene, position, rotation)
+    truth_px, measures = visible_boxes(renderer, scene), renderer.measure(scene)
+    alone_px = measures.value.numpy()[..., 3:7][..., [0, 2, 1, 3]]
+    corner_px = corner_boxes(host, poses)
+    ours, truth = [], []
+    for camera in range(CAMERAS):
+        seen = np.isfinite(truth_px[camera, :, 0])
+        if not seen.any():
+            continue
+        assigned = np.where(seen, camera, -1)
+        for array in (position, rotation):
+            array.requires_grad = True
+            array.grad.zero_()
+        detector_loss_of(
+            renderer,
+            scene,
+            PlacedViews(position, position, rotation),
+            measures,
+            detector,
+            truth_box_px=truth_px,
+            assigned_camera=assigned,
+            ahead_view=range(CAMERAS),
+            tape=wp.Tape(),
+            weight=1.0,
+        )
+        turned = poses[camera, :3, :3].T @ np.cross([0.0, 0.0, 1.0], np.eye(3))
+        yaw = (rotation.grad.numpy()[camera].astype(float) * turned).sum()
+        ours.append([*position.grad.numpy()[camera, :2], yaw])
+        truth.append(np.full(3, np.nan))
+    fine = Renderer([MODEL] * CAMERAS, supersampling=TRUTH_SAMPLES)
+    cameras = [camera for camera in range(CAMERAS) if np.isfinite(truth_px[camera, :, 0]).any()]
+    for column, direction in enumerate((X, Y, YAW)):
+        step = STEP_M if direction != YAW else STEP_M / LEVER_M
+        looks = []
+        for sign in (1.0, -1.0):
+            at = moved(poses, direction, sign * step)
+            fine.render(scene, *on_device(at, "cpu"))
+            looks.append((fine.rgb(scene), visible_boxes(fine, scene), corner_boxes(host, at)))
+        for row, camera in enumerate(cameras):
+            values = []
+            vehicles = np.nonzero(np.isfinite(truth_px[camera, :, 0]))[0]
+            for image, seen_px, cornered_px in looks:
+                # whole vehicles by their corners, others by the samples; hidden sides are held, as in the loss
+                change_px = cornered_px[camera] - corner_px[camera]
+                middle_px = 0.5 * (looks[0][1][camera] + looks[1][1][camera])
+                change_px = np.where(np.isfinite(change_px), change_px, seen_px[camera] - middle_px)
+                moves = np.abs(truth_px[camera] - alone_px[camera]) <= SAME_SIDE_PX
+                change_px = np.where(np.isfinite(change_px) & moves, change_px, 0.0)
+                box_px = (truth_px[camera] + change_px)[vehicles]
+                where, group = np.full(len(vehicles), camera), scene.road_user_index[vehicles]
+                values.append(float(detector.loss(image, where, box_px, group).loss.mean()))
+            truth[row][column] = (values[0] - values[1]) / (2.0 * step)
+    return np.array(ours).reshape(-1, 3), np.array(truth).reshape(-1, 3)
+
+
+def cosines(ours, truth):
+    """Cosines over x, y and yaw, where a turn counts as the arc that it moves what is LEVER_M away."""
+    scale = np.array([1.0, 1.0, 1.0 / LEVER_M])
+    ours, truth = ours * scale, truth * scale
+    return (ours * truth).sum(axis=1) / np.linalg.norm(ours, axis=1) / np.linalg.norm(truth, axis=1)
+
+
+@functools.cache
+def agreement(seeds, supersampling=2, phase_count=8):
+    detector = builtin_network(phase_count=phase_count)
+    pairs = [gradients_at(seed, detector, supersampling) for seed in seeds]
+    return cosines(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
