@@ -377,7 +377,7 @@ def _recall_by(
 ) -> dict[str, dict[str, GroupRecall]]:
     """The rig's recall by distance, sector, category and road user; flags are bool [object], scene by scene."""
     from_ego_m = np.concatenate([np.zeros((0, 2)), *(scene.from_ego_m for scene in scenes)])
-    distance_bin = np.digitize(np.hypot(*from_ego_m.T), DISTANCE_EDGES_M) - 1
+    distance_bin = np.searchsorted(DISTANCE_EDGES_M, np.hypot(*from_ego_m.T), side="right") - 1
     sector_rad = 2.0 * math.pi / len(SECTORS)
     turn = np.arctan2(from_ego_m[:, 1], from_ego_m[:, 0]) / sector_rad
     category = np.array([name for scene in scenes for name in scene.category], object)

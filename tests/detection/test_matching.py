@@ -85,6 +85,21 @@ def test_the_least_confidence_is_enough(confidence_min, expected):
     assert match_detections(box, box, np.array([0.5]), confidence_min=confidence_min).tolist() == [expected]
 
 
+@pytest.mark.parametrize(("right_px", "expected"), [(5.0, 0), (4.99, -1)])
+def test_the_least_iou_is_enough(right_px, expected):
+    # half of the object, nothing beside it: IoU 0.5 to the last bit
+    detection = np.array([[0, 0, right_px, 10.0]])
+    assert match_detections(np.array([[0, 0, 10, 10.0]]), detection, np.ones(1)).tolist() == [expected]
+
+
+def test_every_box_is_matched_once():
+    # the second object's better box is taken by the first, with which it shares more
+    truth = np.array([[0, 0, 10, 10.0], [2, 0, 12, 10.0]])
+    detection = np.array([[0.5, 0, 10.5, 10.0], [3.5, 0, 13.5, 10.0]])
+    assert match_detections(truth, detection, np.array([0.2, 0.9])).tolist() == [0, 1]
+    assert match_detections(truth, detection[:1], np.array([0.2])).tolist() == [0, -1]
+
+
 def test_an_object_that_is_not_seen_inside_does_not_match():
     box = np.array([[0, 0, 10, 10.0]])
     assert match_detections(box, box, np.ones(1), seen_inside=np.array([[False]])).tolist() == [-1]
