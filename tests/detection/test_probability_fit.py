@@ -1,0 +1,140 @@
+"""Fitting the probability of detection: known curves are found again, scores equal their definitions."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import expit
+from scipy.stats import binomtest
+
+from tests.driving_scene import ALL_CARS, ConstantDetector, packed_street, roof
+from warpav.detection.observe import observe
+from warpav.detection.probability import FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
+from warpav.detection.probability_fit import Sightings, fit_probability, look, random_cameras, score
+from warpav.render.renderer import Renderer
+from warpav.rig.camera import CameraModel
+
+MODEL = CameraModel(128, 128, math.radians(90.0))
+
+
+def true_logit(feature):
+    """Rises with size to a ceiling, with what is visible, and has a hump over the aspect."""
+    return 9.0 * expit(feature[:, 0] - 4.0) - 6.0 + 2.0 * feature[:, 1] - 1.5 * feature[:, 3] ** 2
+
+
+def made_up(rng, count, first_seed=0):
+    feature = rng.uniform([0, 0, 0, -1, 1, 0], [8, 1, 0.7, 1, 5, 0.6], (count, FEATURE_COUNT))
+    is_detected = rng.random(count) < expit(true_logit(feature))
+    return Sightings(feature, is_detected, first_seed + np.arange(count) % 20)
+
+
+def test_known_curves_are_found_again(rng):
+    model, penalty = fit_probability(made_up(rng, 8000), rng=rng)
+    fresh = made_up(rng, 8000, 100)
+    error = model.of_features(fresh.feature) - expit(true_logit(fresh.feature))
+    # worst seen .016 and .008
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert score(model.of_features(fresh.feature), fresh.is_detected).calibration_error < 0.02
+    assert penalty > 0.0
+
+
+def test_more_to_see_never_lowers_the_probability(rng):
+    # outcomes that fall with size and with what is visible, which no fit may follow
+    sightings = made_up(rng, 1000)
+    falling = rng.random(1000) < expit(3.0 - sightings.feature[:, 0] - 2.0 * sightings.feature[:, 1])
+    model, _ = fit_probability(Sightings(sightings.feature, falling, sightings.seed), rng=rng)
+    for f in (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE):
+        assert np.diff(model.curve(f, np.linspace(-1.0, 9.0, 300))).min() >= -1e-9
+
+
+def test_a_fit_repeats_itself():
+    one, other = (fit_probability(made_up(np.random.default_rng(3), 600), rng=np.random.default_rng(4)) for _ in "ab")
+    np.testing.assert_array_equal(one[0].coefficient, other[0].coefficient)
+    assert one[1] == other[1]
+
+
+@pytest.mark.parametrize(
+    ("count", "chance", "message"),
+    [
+        (150, 0.5, "200 visible objects.* got 150"),
+        (400, 1.0, "400 detected and 0 missed"),
+        (400, 0.0, "got 400, 0 det"),
+    ],
+)
+def test_too_little_to_fit_is_refused(rng, count, chance, message):
+    sightings = made_up(rng, count)
+    with pytest.raises(ValueError, match=message):
+        fit_probability(Sightings(sightings.feature, rng.random(count) < chance, sightings.seed), rng=rng)
+
+
+def test_a_feature_that_never_changes_does_no_harm(rng):
+    sightings = made_up(rng, 600)
+    sightings.feature[:, 5] = 0.25
+    model, _ = fit_probability(sightings, rng=rng)
+    assert np.isfinite(model.of_features(sightings.feature)).all()
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=15, max_size=80))
+@settings(deadline=None)
+def test_scores_are_what_they_are_called(pairs):
+    probability, is_detected = np.array([p for p, _ in pairs]), np.array([d for _, d in pairs])
+    if is_detected.all() or not is_detected.any():
+        with pytest.raises(ValueError, match="some detected and some not"):
+            score(probability, is_detected)
+        return
+    found = score(probability, is_detected)
+    higher = [(p > q) + 0.5 * (p == q) for p in probability[is_detected] for q in probability[~is_detected]]
+    assert found.auc == pytest.approx(np.mean(higher))
+    assert found.brier == pytest.approx(np.mean((probability - is_detected) ** 2))
+    assert found.brier_base_rate == pytest.approx(np.mean((is_detected.mean() - is_detected) ** 2))
+    assert sum(each.count for each in found.bins) == len(pairs)
+    assert max(each.count for each in found.bins) - min(each.count for each in found.bins) <= 1
+    for each in found.bins:
+        interval = binomtest(round(each.detected * each.count), each.count).proportion_ci(0.95, method="wilson")
+        assert (each.low, each.high) == pytest.approx((interval.low, interval.high), abs=1e-6)
+    # no calibration error is larger than the largest gap of a bin, and none smaller than that of all together
+    assert found.calibration_error <= max(abs(each.predicted - each.detected) for each in found.bins) + 1e-12
+    assert found.calibration_error >= abs(probability.mean() - is_detected.mean()) - 1e-12
+
+
+def test_the_right_probabilities_are_calibrated(rng):
+    probability = rng.random(20_000)
+    found = score(probability, rng.random(20_000) < probability)
+    assert found.calibration_error < 0.015
+    assert score(probability**2, rng.random(20_000) < probability).calibration_error > 0.1
+
+
+def test_what_is_seen_and_found_is_counted(device, rng):
+    renderer = Renderer([MODEL] * 6, device=device)
+    cameras = random_cameras(rng, roof(), MODEL, height_offset_m=0.2, count=6)
+    scene = packed_street(device)
+    limits = {"seed": 8, "confidence_min": 0.1, "iou_min": 0.5}
+    blind = look(renderer, scene, cameras, ConstantDetector.silent(6), **limits)
+    assert 6 <= len(blind) <= 6 * ALL_CARS
+    assert not blind.is_detected.any()
+    assert (blind.seed == 8).all()
+    assert (blind.feature[:, VISIBLE_SIZE] >= math.log(2.0) - 1e-6).all()
+    assert ((blind.feature[:, VISIBLE_SHARE] > 0.0) & (blind.feature[:, VISIBLE_SHARE] <= 1.0 + 1e-6)).all()
+    assert ((blind.feature[:, IN_FRAME_SHARE] > 0.0) & (blind.feature[:, IN_FRAME_SHARE] < 1.02)).all()
+    # a detector that finds exactly the second camera's objects
+    truth = observe(renderer, scene, ConstantDetector.silent(6), ahead_view=range(6), confidence_min=0.1, iou_min=0.5)
+    boxes = truth.truth_box_px[1][np.isfinite(truth.truth_box_px[1, :, 0])]
+    answer = [[], boxes, [], [], [], []]
+    keen = ConstantDetector(answer, [np.full(len(box), 0.9) for box in answer])
+    sharp = look(renderer, scene, cameras, keen, **limits)
+    assert sharp.is_detected.sum() == len(boxes) >= 1
+    np.testing.assert_array_equal(sharp.feature, blind.feature)
+    assert len(Sightings.join([blind, sharp]).of_seeds([8])) == 2 * len(blind)
+    assert len(blind.of_seeds([9])) == 0
+
+
+def test_cameras_stand_on_the_surface(rng):
+    surface = roof()
+    cameras = random_cameras(rng, surface, MODEL, height_offset_m=0.25, count=50)
+    place = np.array([camera.position_m for camera in cameras])
+    assert (place[:, :2] >= surface.bounds_m[0]).all()
+    assert (place[:, :2] <= surface.bounds_m[1]).all()
+    np.testing.assert_allclose(place[:, 2], surface.height_at_m(place[:, :2]) + 0.25)
+    assert np.ptp([camera.yaw_rad for camera in cameras]) > 5.0
