@@ -1,6 +1,5 @@
-"""The detection network in PyTorch, its loss, and that loss's gradient to the pose; collected where PyTorch is there."""
+"""The detection network in PyTorch, its loss, and that loss's gradient to the pose; collected where PyTorch is."""
 
-import functools
 import math
 import os
 from pathlib import Path
@@ -11,8 +10,8 @@ import pytest
 import torch
 import warp as wp
 
-from tests.driving_scene import camera_pose, on_device
-from tests.render.test_gradients import X, Y, YAW, moved
+from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
+from tests.render.test_gradients import YAW, X, Y, moved
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.ground_truth import largest_component_box
@@ -20,9 +19,11 @@ from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
 from warpav.errors import InputError
 from warpav.objective.detector_loss import detector_loss_of
-from warpav.objective.mount import PlacedViews
+from warpav.objective.losses import LossSettings
+from warpav.objective.mount import CameraMount, PlacedViews
+from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import Renderer
+from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
 from warpav.scene.town import town_scene
 
@@ -84,7 +85,7 @@ def test_an_operator_without_gradient_is_refused_by_name(tmp_path):
     graph = helper.make_graph([helper.make_node("Round", ["images"], ["output0"])], "round", ends[:1], ends[1:])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.save(model, str(tmp_path / "round.onnx"))
-    with pytest.raises(InputError, match=r"round.onnx: losses.detector_gradient cannot differentiate the operator Round"):
+    with pytest.raises(InputError, match=r"round.onnx: .*cannot differentiate the operator Round"):
         TorchNetwork(tmp_path / "round.onnx")
 
 
@@ -94,9 +95,7 @@ def test_loss_is_bounded_and_low_where_the_cell_network_finds_the_object(cell_ne
     image = np.zeros((2, 96, 96, 3), np.float32)
     image[0, 32:64, 32:64, 0] = 1.0
     box_px = np.array([[32.0, 32, 64, 64], [32, 32, 64, 64], [40, 32, 72, 64]], np.float32)
-    wanted = DifferentiableDetector.loss(
-        detector, wp.array(image, dtype=wp.vec3), np.array([0, 1, 0]), box_px, np.zeros(3, int)
-    )
+    wanted = detector.loss(wp.array(image, dtype=wp.vec3), np.array([0, 1, 0]), box_px, np.zeros(3, int))
     found, empty, beside = wanted.loss
     # a sure and exact answer, but for the share of the neighbours: (0 + .01) / 1.01 and less
     assert found < 0.01 < beside < empty < 1.0
@@ -148,7 +147,7 @@ def visible_boxes(renderer, scene):
             if mask.any():
                 box = largest_component_box(mask, min_area_px=16 * samples * samples)
                 if box is not None:
-                    box_px[camera, vehicle] = (box + [left, top, left, top]) / samples
+                    box_px[camera, vehicle] = (box + np.array([left, top, left, top])) / samples
     return box_px
 
 
@@ -165,21 +164,21 @@ def corner_boxes(scene, poses):
     return box_px
 
 
-def gradients_at(seed, detector, supersampling):
+def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
     """Ours and the truth, per metre and per radian, [camera, (x, y, yaw)], of the cameras that see a vehicle.
 
     The loss is the mean over the vehicles that a camera sees.
     """
     host = town_scene(seed)
-    scene, poses = DeviceScene.pack(host), camera_poses(seed)
-    renderer = Renderer([MODEL] * CAMERAS, supersampling=supersampling)
+    scene, poses = DeviceScene.pack(host), camera_poses(seed)[list(cameras)]
+    renderer = Renderer([MODEL] * len(poses), supersampling=supersampling)
     position, rotation = on_device(poses, "cpu")
     renderer.render(scene, position, rotation)
     truth_px, measures = visible_boxes(renderer, scene), renderer.measure(scene)
     alone_px = measures.value.numpy()[..., 3:7][..., [0, 2, 1, 3]]
     corner_px = corner_boxes(host, poses)
     ours, truth = [], []
-    for camera in range(CAMERAS):
+    for camera in range(len(poses)):
         seen = np.isfinite(truth_px[camera, :, 0])
         if not seen.any():
             continue
@@ -195,7 +194,7 @@ def gradients_at(seed, detector, supersampling):
             detector,
             truth_box_px=truth_px,
             assigned_camera=assigned,
-            ahead_view=range(CAMERAS),
+            ahead_view=range(len(poses)),
             tape=wp.Tape(),
             weight=1.0,
         )
@@ -203,8 +202,8 @@ def gradients_at(seed, detector, supersampling):
         yaw = (rotation.grad.numpy()[camera].astype(float) * turned).sum()
         ours.append([*position.grad.numpy()[camera, :2], yaw])
         truth.append(np.full(3, np.nan))
-    fine = Renderer([MODEL] * CAMERAS, supersampling=TRUTH_SAMPLES)
-    cameras = [camera for camera in range(CAMERAS) if np.isfinite(truth_px[camera, :, 0]).any()]
+    fine = Renderer([MODEL] * len(poses), supersampling=TRUTH_SAMPLES)
+    looking = [camera for camera in range(len(poses)) if np.isfinite(truth_px[camera, :, 0]).any()]
     for column, direction in enumerate((X, Y, YAW)):
         step = STEP_M if direction != YAW else STEP_M / LEVER_M
         looks = []
@@ -212,7 +211,7 @@ def gradients_at(seed, detector, supersampling):
             at = moved(poses, direction, sign * step)
             fine.render(scene, *on_device(at, "cpu"))
             looks.append((fine.rgb(scene), visible_boxes(fine, scene), corner_boxes(host, at)))
-        for row, camera in enumerate(cameras):
+        for row, camera in enumerate(looking):
             values = []
             vehicles = np.nonzero(np.isfinite(truth_px[camera, :, 0]))[0]
             for image, seen_px, cornered_px in looks:
@@ -236,8 +235,75 @@ def cosines(ours, truth):
     return (ours * truth).sum(axis=1) / np.linalg.norm(ours, axis=1) / np.linalg.norm(truth, axis=1)
 
 
-@functools.cache
-def agreement(seeds, supersampling=2, phase_count=8):
-    detector = builtin_network(phase_count=phase_count)
-    pairs = [gradients_at(seed, detector, supersampling) for seed in seeds]
-    return cosines(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
+@pytest.mark.slow
+def test_gradient_to_the_pose_agrees_with_differences_of_finer_renders():
+    detector = builtin_network()
+    pairs = [gradients_at(seed, detector, 2) for seed in range(2200, 2213)]
+    cosine = cosines(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
+    assert len(cosine) >= 40
+    assert np.median(cosine) >= 0.9
+
+
+# of the slow test's scenes one that agrees well: it shows that the path is right, not how good it is
+def test_gradient_to_one_pose_agrees_with_differences_of_finer_renders():
+    ours, truth = gradients_at(2201, builtin_network(), 2, cameras=[3])
+    assert cosines(ours, truth)[0] > 0.98  # measured .998
+    assert np.linalg.norm(ours - truth) < 0.2 * np.linalg.norm(truth)  # measured .10
+
+
+# In the objective
+
+
+def objective_with(detector, **scales):
+    mount = CameraMount(roof(), camera=CameraModel(128, 128), height_offset_m=0.25)
+    return ThesisObjective(
+        mount,
+        ConstantDetector.silent(2),
+        camera_count=2,
+        settings=LossSettings(**scales),
+        occlusion=Occlusion.EXACT,
+        differentiable_detector=detector,
+    )
+
+
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
+
+
+def test_the_loss_joins_the_objective_and_its_gradient():
+    scene = AssignedScene(packed_street(), (np.arange(10) % 2).astype(np.int32))
+    detector = builtin_network(phase_count=1)
+    without = objective_with(detector, in_frame_rotation=1.0, detected_area=10.0)
+    assert without.differentiable_detector is None
+    plain = without.evaluate(POSE, [scene], gradient=True)
+    assert "detector_gradient" not in plain.terms
+    joint = objective_with(detector, in_frame_rotation=1.0, detected_area=10.0, detector_gradient=3.0)
+    first = joint.evaluate(POSE, [scene], gradient=True)
+    second = joint.evaluate(POSE, [scene, scene], gradient=True)
+    loss = first.terms["detector_gradient"]
+    assert 0.0 < loss < 1.0
+    assert first.objective == pytest.approx(plain.objective + 3.0 * loss, rel=1e-5)
+    assert joint.evaluate(POSE, [scene]).terms["detector_gradient"] == pytest.approx(loss, rel=1e-5)
+    np.testing.assert_allclose(second.gradient, first.gradient, rtol=1e-4, atol=1e-6)
+    # three times the gradient of the loss on its own
+    alone = objective_with(detector, in_frame_rotation=0.0, detected_area=0.0, detector_gradient=1.0)
+    share = alone.evaluate(POSE, [scene], gradient=True).gradient
+    assert np.abs(share[:, :3]).max() > 1e-3
+    np.testing.assert_allclose(first.gradient, plain.gradient + 3.0 * share, rtol=1e-4, atol=1e-5)
+    _, _, objective = joint.observe_rig(joint.mount.rig(POSE), scene)
+    assert objective == pytest.approx(first.objective, rel=1e-3)
+
+
+def test_a_vehicle_out_of_view_counts_1_and_does_not_pull():
+    scene = AssignedScene(packed_street(), np.full(10, 0, np.int32))
+    detector = builtin_network(phase_count=1)
+    alone = objective_with(detector, in_frame_rotation=0.0, detected_area=0.0, detector_gradient=1.0)
+    at_the_sky = POSE.copy()
+    at_the_sky[:, 3] = -1.5
+    result = alone.evaluate(at_the_sky, [scene], gradient=True)
+    assert result.terms["detector_gradient"] == 1.0
+    np.testing.assert_array_equal(result.gradient, 0.0)
+
+
+def test_an_objective_without_the_network_is_refused():
+    with pytest.raises(ValueError, match="needs a differentiable_detector"):
+        objective_with(None, detector_gradient=1.0)
