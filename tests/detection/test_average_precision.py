@@ -20,7 +20,7 @@ from warpav.detection.average_precision import (
     score_images,
 )
 
-# COCO's numbers pass through its own float64; worst difference seen 3e-16.
+# COCO's numbers pass through its own float64; worst difference seen on 200 random sets 2e-15.
 TOLERANCE = 1e-6
 EVERY_SIZE = tuple(COCO_AREA_PX2.values())
 
