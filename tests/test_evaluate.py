@@ -12,6 +12,7 @@ from warpav.detection.observe import observe
 from warpav.evaluate import (
     PAIRED_METRICS,
     ArmMetrics,
+    GroupRecall,
     assign_to_nearest_cameras,
     common_model,
     evaluate_rig,
@@ -114,6 +115,11 @@ def check(metrics, *, has_objective):
     assert metrics.tp_detection_rate == pytest.approx(3 / 6)
     assert metrics.tp_in_frame_rate == pytest.approx(5 / 6)
     assert metrics.detection_confidence == pytest.approx((0.8 + 0.6 + 0.7) / 3)
+    assert (metrics.rig_recall, metrics.visible_rate) == (3 / 6, 5 / 6)
+    assert metrics.rig_recall_visible == pytest.approx(3 / 5)
+    assert (metrics.frames, metrics.false_alarms_per_frame) == (4, 1 / 4)
+    assert metrics.per_scene["false_alarms_per_frame"] == [1 / 2, 0.0]
+    assert metrics.recall_by["category"]["hatchback"] == GroupRecall(6, 5, 3, 3 / 6, 3 / 5)
     # camera 0: the false alarm comes first, so AP 0.5 in scene 0; one of two cars in scene 1: 51 of 101 recall points
     ap_camera_0 = (0.5 + 51 / 101) / 2
     assert metrics.map50_min_camera == pytest.approx(ap_camera_0)

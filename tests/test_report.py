@@ -44,6 +44,18 @@ def _metrics(violation=0.0):
     return {**dict.fromkeys(ARM_ROWS, 0.5), "constraint_violation": violation, "ap50_pooled": None}
 
 
+def _recall(**recall):
+    """Recall by group of one arm: two kinds of road users, one bin of two, a category with a tag in its name."""
+    some = {"objects": 4, "visible": 4, "detected": 3, "recall": 0.75, "recall_visible": 0.75}
+    none = {"objects": 0, "visible": 0, "detected": 0, "recall": None, "recall_visible": None}
+    return {
+        "road_user": {"vehicle": some, "cyclist": some},
+        "distance_m": {"0-10": some, "10-20": none},
+        "sector": {"rear left": {**some, **recall}},
+        "category": {"<bus>": some},
+    }
+
+
 @pytest.fixture
 def folder(tmp_path):
     """A run folder with two iterations."""
@@ -82,6 +94,27 @@ def test_a_finished_run_is_told_in_full(folder):
     assert "scenes.train_seeds" in page.text
     assert len(page.address) == 2
     assert all(address.startswith("data:image/png;base64,") for address in page.address)
+
+
+def test_recall_by_group_is_shown_for_groups_with_objects(folder):
+    arms = {
+        "optimised": {**_metrics(), "recall_by": _recall(recall=0.875)},
+        "highest": {**_metrics(), "recall_by": _recall(recall=0.125)},
+    }
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": arms, "paired": {}})
+    text = Page(write_report(folder).read_text()).text
+    place = text.index("rear left")
+    assert [word for word in text[place : place + 8] if word][:4] == ["rear left", "4", "0.875", "0.125"]
+    for shown in ("0-10 m", "<bus>", "vehicle", "cyclist"):
+        assert shown in text
+    assert "10-20 m" not in text
+    # one kind of road users says nothing new, and a run from before these metrics has a report too
+    del arms["optimised"]["recall_by"]["road_user"]["cyclist"]
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": arms, "paired": {}})
+    assert "vehicle" not in Page(write_report(folder).read_text()).text
+    del arms["highest"]["recall_by"]
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": arms, "paired": {}})
+    assert "rear left" not in Page(write_report(folder).read_text()).text
 
 
 def test_a_stopped_run_is_told_as_far_as_it_came(folder):
