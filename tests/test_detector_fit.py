@@ -57,6 +57,7 @@ def test_scenes_of_files_are_shared_out(tmp_path):
         ),
         (("--scenes", "1000..1003"), "--scenes.*expected other scenes than scenes.test_seeds, got 4 .* such as 1000"),
         (("--scenes", "9..1"), "command line .--scenes.: expected a range"),
+        (("--out", "/dev/null/fit"), "command line .--out.: expected a folder to write to, got '/dev/null/fit'"),
         (("--held-out", "x"), "command line .--held-out.: expected seeds"),
         (("detector.model=none.onnx",), "detector.model: expected builtin or the path of an ONNX file"),
     ],

@@ -120,6 +120,13 @@ def fit_detector(
     began = time.perf_counter()
     use = detector_use(config)
     seeds = chosen_seeds(config, fit_seeds, held_out_seeds)
+    if out is not None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"command line (--out): expected a folder to write to, got {str(out)!r} ({error.strerror})"
+            ) from None
     stored = stored_file(use) if out is None else _existing(out / use.file_name)
     if stored is not None and not again:
         model = DetectionProbability.read(stored, use=use)

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from tests.driving_scene import ALL_CARS, ConstantDetector, packed_street, roof
 from warpav.detection.observe import observe
-from warpav.detection.probability import FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
+from warpav.detection.probability import CONTRAST, FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
 from warpav.detection.probability_fit import Sightings, fit_probability, look, random_cameras, score
 from warpav.render.renderer import Renderer
 from warpav.rig.camera import CameraModel
@@ -45,7 +45,7 @@ def test_more_to_see_never_lowers_the_probability(rng):
     sightings = made_up(rng, 1000)
     falling = rng.random(1000) < expit(3.0 - sightings.feature[:, 0] - 2.0 * sightings.feature[:, 1])
     model, _ = fit_probability(Sightings(sightings.feature, falling, sightings.seed), rng=rng)
-    for f in (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE):
+    for f in (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST):
         assert np.diff(model.curve(f, np.linspace(-1.0, 9.0, 300))).min() >= -1e-9
 
 

@@ -56,7 +56,7 @@ FEATURES = (
     Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
 )
 VISIBLE_SIZE, VISIBLE_SHARE = int(kernels.VISIBLE_SIZE), int(kernels.VISIBLE_SHARE)
-IN_FRAME_SHARE = int(kernels.IN_FRAME_SHARE)
+IN_FRAME_SHARE, CONTRAST = int(kernels.IN_FRAME_SHARE), int(kernels.CONTRAST)
 
 
 @dataclass(frozen=True)

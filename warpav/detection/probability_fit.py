@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from warpav.detection.detector import Detector
 from warpav.detection.observe import observe
 from warpav.detection.probability import (
+    CONTRAST,
     FEATURE_COUNT,
     IN_FRAME_SHARE,
     VISIBLE_SHARE,
@@ -37,8 +38,9 @@ MIN_OBJECTS = 200
 MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
-# More pixels of the same thing, less of it hidden and less of it cut off never make it harder to find (design.md).
-MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE)
+# More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
+# (design.md).
+MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
 
 
 @dataclass(frozen=True)
