@@ -447,7 +447,9 @@ class _Ultralytics(_Scored):
             return None
         if file.labels is not None:
             return f"{len(file.labels)} labels, and an output with 4 + {len(file.labels)} numbers for every candidate"
-        return "84 numbers for every candidate: a box and the 80 classes of COCO" if shape[axis] == 84 else None
+        if shape[axis] != 84 or shape[3 - axis] == 85:
+            return None
+        return "84 numbers for every candidate: a box and the 80 classes of COCO"
 
     def __init__(self, file: NetworkFile) -> None:
         super().__init__(file)
@@ -546,15 +548,18 @@ def _grid(rows_px: int, columns_px: int, count: int) -> tuple[np.ndarray, np.nda
     return None
 
 
-def _gives_pixels(file: NetworkFile) -> bool:
-    """Whether a YOLOX file's box centres follow its cells on a grey image, or are offsets that know no place."""
+def _gives_pixels(file: NetworkFile) -> bool | None:
+    """Whether a YOLOX file's box centres follow its cells on a grey image, or are offsets that know no place.
+
+    None where its boxes are not as many as its cells.
+    """
     assert file.image is not None
     size_px = file.size_px or (256, 256)
     grey = np.full((file.image.shape[0] or 1, 3, *size_px), GREY, file.image.dtype)
     centre = file.run({file.image.name: grey})[0][0]
     grid = _grid(*size_px, len(centre))
     if grid is None:
-        return False
+        return None
     place_px = (grid[0] + 0.5) * grid[1][:, None]
     centre = centre[:, :2].astype(np.float64)
     if not np.isfinite(centre).all() or (centre.std(axis=0) == 0.0).any():

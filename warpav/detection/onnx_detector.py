@@ -92,7 +92,8 @@ class OnnxDetector:
             COCO's where the number of classes says so or the family has no other way.
         classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
             of `ROAD_USER_LABELS` that the network knows.
-        targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that it has labels for.
+        targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that
+            it has labels for.
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
             family that wants a square gets one of this side. None: as they are, or the family's own. A file that fixes
             its input size takes none.
@@ -332,8 +333,8 @@ class OnnxDetector:
                 if label not in index:
                     near = difflib.get_close_matches(label, index, 1, 0.6)
                     raise InputError(
-                        f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got {label!r}"
-                        + (f"; did you mean {near[0]}?" if near else "")
+                        f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got "
+                        f"{label!r}" + (f"; did you mean {near[0]}?" if near else "")
                     )
                 if named.setdefault(label, user) != user:
                     raise InputError(
