@@ -57,7 +57,7 @@ class Graph:
     def __init__(self):
         self.nodes, self.constants = [], []
 
-    def constant(self, value, dtype=np.float32):
+    def constant(self, value, dtype: type = np.float32):
         name = f"constant_{len(self.constants)}"
         self.constants.append(numpy_helper.from_array(np.asarray(value, dtype), name))
         return name

@@ -405,7 +405,7 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
         if "external" in str(error).lower():
             raise InputError(
                 f"{path}: its weights lie in another file, which must stand beside it, but cannot be read: "
-                f"{_one_line(error)}"
+                f"{_one_line(error, 600)}"
             ) from error
         raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error
     if session.get_providers()[0] != known[provider]:
@@ -421,6 +421,6 @@ def _listed(words: Sequence[str]) -> str:
     return text if len(text) <= 200 else text[:200] + " ..."
 
 
-def _one_line(error: Exception) -> str:
+def _one_line(error: Exception, longest: int = 200) -> str:
     text = " ".join(str(error).split())
-    return text if len(text) <= 200 else text[:200] + " ..."
+    return text if len(text) <= longest else text[:longest] + " ..."
