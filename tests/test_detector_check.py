@@ -49,7 +49,7 @@ def test_the_shipped_detector_is_described(capsys, monkeypatch):
 def test_boxes_are_listed_and_drawn(folder, capsys):
     assert main(["detector", "check", "mine.onnx", "--image", "picture.png", "detector.nms_iou_max=1.0"]) == 0
     text = capsys.readouterr().out
-    assert "images      RGB 0..1, centred, 64 x 64 px, batches of 1" in text
+    assert "images      RGB 0..1, centred, 64 x 64 px, 1 at a time" in text
     assert "input       images [1, 3, 64, 64] float32" in text
     assert "pedestrian  pedestrian" in text
     assert "cyclist     no label; detector.classes.cyclist can name some" in text
@@ -82,6 +82,7 @@ def test_overrides_name_the_file_s_meaning(folder, capsys):
         (["mine.onnx", "detector.format=rtdetr"], "mine.onnx: detector.format=rtdetr: expected inputs images and orig"),
         (["broken.onnx"], "broken.onnx: output output0 holds numbers that are not finite"),
         (["trees.onnx"], "trees.onnx: none of its labels (oak, elm, ash) means a vehicle"),
+        (["mine.onnx", "scenes.targets=[vehicle,cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "scenes.targets=[cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "detector.input_px=320"], "fixes its input at 64 x 64 pixels"),
         (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected a picture, got none"),

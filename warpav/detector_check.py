@@ -46,10 +46,10 @@ def check_detector(
     target = None if image_file is None else checked_png(out or Path(f"{image_file.stem}_boxes.png"))
     if target is not None and not target.absolute().parent.is_dir():
         raise InputError(f"{target}: --out: expected an existing folder to write to, got {str(target.parent)!r}")
-    detector = load_detector(
-        config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})}),
-        every_road_user=True,
-    )
+    config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})
+    detector = load_detector(config, every_road_user=True)
+    if not set(config.scenes.targets) <= set(detector.road_users):
+        load_detector(config)  # says which target has no label
     yield from _description(detector)
     yield from _timings(detector)
     if image_rgb is not None and target is not None:
@@ -69,7 +69,7 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
             f" in steps of {family.stride_px} px" if family.square_px is None else f", {family.square_px} px by default"
         )
     colours = f"{'BGR' if family.is_bgr else 'RGB'} 0..{family.white:.0f}"
-    batch = "any batch" if family.batch is None else f"batches of {family.batch}"
+    batch = "any batch" if family.batch is None else f"{family.batch} at a time"
     yield _row("images", f"{colours}, {family.placement.value}, {size}, {batch}")
     for name, tensors in (("input", file.inputs), ("output", file.outputs)):
         for tensor in tensors:

@@ -447,7 +447,7 @@ class _Ultralytics(_Scored):
             return None
         if file.labels is not None:
             return f"{len(file.labels)} labels, and an output with 4 + {len(file.labels)} numbers for every candidate"
-        if shape[axis] != 84 or shape[3 - axis] == 85:
+        if shape[axis] != 84 or shape[3 - axis] in (6, 85):  # cells of a small input, not classes
             return None
         return "84 numbers for every candidate: a box and the 80 classes of COCO"
 
@@ -820,7 +820,7 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
             names = ", ".join(family.name for family, _ in known) or ", ".join(family.name for family in fitting)
             raise InputError(
                 f"{file.path}: its layout could be one of {names}, got {file}; name one with detector.format"
-                + ("" if file.labels is not None else ", or its labels with detector.labels")
+                + ("" if file.labels or _UltralyticsEndToEnd.fits(file) else ", or its labels with detector.labels")
             )
         kind, reason = known[0]
     labels, origin = _labels(file, kind)
@@ -843,7 +843,10 @@ def _labels(file: NetworkFile, kind: type[Family]) -> tuple[tuple[str, ...], str
     if count == len(COCO_91):
         return COCO_91, "COCO with its gaps, for there are 91 classes"
     if kind.assumed_labels is not None:
-        return kind.assumed_labels, "COCO is assumed, for the file says nothing; else set detector.labels"
+        return (
+            kind.assumed_labels,
+            "COCO (assumed, for the file says nothing; if it was trained on others, set detector.labels)",
+        )
     classes = "an unknown number of" if count is None else count
     raise InputError(
         f"{file.path}: has no metadata 'names' for the {classes} classes of output {file.outputs[0]}, so its labels "
