@@ -30,7 +30,9 @@ app = App(
 scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 rig_app = App(name="rig", help="Known camera rigs.")
-detector_app = App(name="detector", help="Check the object detector, fit how probably it finds what it is shown.")
+detector_app = App(
+    name="detector", help="Check, measure and train object detectors, and fit how probably they find objects."
+)
 for _group in (scenes_app, config_app, rig_app, detector_app):
     app.command(_group)
 
@@ -430,6 +432,51 @@ def detector_fit(
             display=display,
         )
     _say(f"p(detected): {file}")
+
+
+@detector_app.command(name="evaluate")
+def detector_evaluate(
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="Folder for evaluation.json and evaluation.md.")],
+    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
+    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    images: Annotated[int | None, Parameter(help="Only so many images of every size.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Measure how well the detector finds road users in held-out town scenes, direct and reconstructed."""
+    from warpav.config import placed_config
+    from warpav.detector_training import measure_detector
+
+    with placed_config(config, overrides) as settings:
+        measure_detector(settings, out, pictures=pictures, processes=processes, image_count=images, say=_say)
+
+
+@detector_app.command(name="train")
+def detector_train(
+    *,
+    out: Annotated[Path, Parameter(help="Folder for checkpoint.pt and detector.onnx.")],
+    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
+    device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
+    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    steps: Annotated[int, Parameter(help="Length of the training.")] = 11_000,
+    batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
+    seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
+    stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command goes on.")] = float("inf"),
+) -> None:
+    """Train the shipped detector on pictures of town scenes; an interrupted training goes on where it stopped."""
+    from warpav.detector_training import train_detector
+
+    train_detector(
+        out,
+        pictures=pictures,
+        device=device,
+        processes=processes,
+        steps=steps,
+        batch_size=batch_size,
+        seed=seed,
+        stop_after_minutes=stop_after_minutes,
+        say=_say,
+    )
 
 
 def _seeds(seeds: str | None, count: int | None) -> tuple[int, ...]:

@@ -1,12 +1,14 @@
 """Training of the shipped detector, on a scale that fits a test; collected where PyTorch is installed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from tests.driving_scene import roof, street
+from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.training import CLASS_NAMES, data
 from warpav.detection.training.augmentation import _move, _warp
@@ -14,7 +16,8 @@ from warpav.detection.training.evaluate import evaluate
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, assign_cells, detection_loss, generalised_iou, pairwise_iou
 from warpav.detection.training.network import TownNetwork
-from warpav.detection.training.train import DeviceData, Training
+from warpav.detection.training.train import DeviceData, Training, train_detector
+from warpav.detector_training import tables
 
 SIDE_PX = 64
 
@@ -124,14 +127,14 @@ def test_a_box_that_leaves_the_image_is_dropped_or_ignored():
 
 
 def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
-    torch_data = DeviceData.load(_pictures(rng), torch.device("cpu"))
-    training = Training(torch.device("cpu"), learning_rate=4e-3)
-    training.step_count = 16
+    torch_data = DeviceData.load([_pictures(rng, 1), _pictures(rng, 3)], torch.device("cpu"))
+    assert torch_data.images_rgb.shape == (4, SIDE_PX, SIDE_PX, 3)
+    training = Training(torch.device("cpu"), step_count=16, learning_rate=4e-3)
     losses = [float(sum(training.train_step(torch_data, 4))) for _ in range(10)]
     assert np.mean(losses[-3:]) < 0.95 * np.mean(losses[:3])
     training.save(tmp_path / "checkpoint.pt")
 
-    other = Training(torch.device("cpu"), seed=1)
+    other = Training(torch.device("cpu"), step_count=1, seed=1)
     other.load(tmp_path / "checkpoint.pt")
     assert (other.step, other.step_count) == (10, 16)
     for name, value in training.average.state_dict().items():
@@ -148,13 +151,58 @@ def test_the_exported_network_is_the_network(rng, tmp_path):
     path = tmp_path / "network.onnx"
     assert export_network(network, path) < 1e-3
     assert path.stat().st_size < 8e6
-    detector = OnnxDetector(path, confidence_min=0.0)
+    detector = OnnxDetector(path, confidence_min=0.0, targets=None)
     assert detector.names == CLASS_NAMES
-    pictures = _pictures(rng, 2)
-    assert all(len(found) for found in detector.detect(pictures.images_rgb))
-    report = evaluate(detector, pictures)
-    assert (report["images"], report["objects"]) == (2, 4)
-    assert 0.0 <= report["ap50"] <= 1.0
+    assert all(len(found) for found in detector.detect(_pictures(rng, 2).images_rgb))
+
+
+class _Told:
+    """A detector that answers with given boxes, labels and confidences."""
+
+    names = CLASS_NAMES
+
+    def __init__(self, *answers):
+        self._answers = list(answers)
+
+    def detect(self, images_rgb):
+        answers = [self._answers.pop(0) for _ in images_rgb]
+        return [
+            Detections(
+                np.array([box for box, _, _ in answer], np.float32).reshape(-1, 4),
+                np.array([confidence for _, _, confidence in answer], np.float32),
+                np.array([CLASS_NAMES.index(name) for _, name, _ in answer], np.int32),
+                CLASS_NAMES,
+                np.array([ROAD_USERS.index(name) if name in ROAD_USERS else 0 for _, name, _ in answer], np.int32),
+            )
+            for answer in answers
+        ]
+
+
+def test_a_detector_is_judged_by_road_user():
+    labels = data.Labels.empty(2)
+    # A car that is found as a van, a bus that is missed, a pedestrian that is found, and one that need not be.
+    labels.box_px[0, :4] = [[4, 4, 34, 24], [36, 4, 60, 40], [4, 30, 12, 54], [20, 30, 28, 54]]
+    labels.class_index[0, :4] = [CLASS_NAMES.index(name) for name in ("car", "bus", "pedestrian", "pedestrian")]
+    labels.ignored[0, 3] = True
+    labels.distance_m[0, :4] = [7.0, 12.0, 7.0, 7.0]
+    labels.visible_fraction[0, :4] = [1.0, 0.6, 1.0, 1.0]
+    found = [([4, 4, 34, 24], "van", 0.9), ([4, 30, 12, 54], "pedestrian", 0.8), ([21, 30, 28, 54], "pedestrian", 0.7)]
+    detector = _Told(found, [([10, 10, 30, 30], "car", 0.6), ([10, 10, 20, 30], "pedestrian", 0.2)])
+    report = evaluate(detector, data.Pictures(np.zeros((2, SIDE_PX, SIDE_PX, 3), np.uint8), labels))
+    assert report["images"] == 2
+    vehicles, pedestrians = report["vehicle"], report["pedestrian"]
+    assert (vehicles["objects"], pedestrians["objects"]) == (2, 1)
+    assert "cyclist" not in report
+    assert (vehicles["recall"], vehicles["precision"], vehicles["right_label"]) == (0.5, 0.5, 0.0)
+    assert (pedestrians["recall"], pedestrians["precision"], pedestrians["ap50"]) == (1.0, 1.0, 1.0)
+    assert vehicles["ap50"] == pytest.approx(51 / 101, abs=1e-4)
+    assert vehicles["false_alarms_per_image"] == 0.5
+    assert vehicles["recall_by_distance_m"]["5-10"] == 1.0
+    assert vehicles["recall_by_distance_m"]["10-20"] == 0.0
+    text = tables({"direct": {"64": report}})
+    assert "| **AP50, headline** | 0.505 |" in text
+    assert "| 10 to 20 m | 0.000 |" in text
+    assert "| 20 to 30 m | - |" in text
 
 
 def test_cameras_stand_around_the_ego_vehicle(rng):
@@ -168,33 +216,60 @@ def test_cameras_stand_around_the_ego_vehicle(rng):
         assert beside.any() or position_m[2] > surface.height_at_m(position_m[:2]) + 0.04
         assert (position_m > low_m - 0.31).all()
         assert (position_m[:2] < high_m[:2] + 0.31).all()
-        assert math.radians(60) <= camera.model.fov_rad <= math.radians(110)
+        assert 0.3 <= position_m[2] <= 3.0
+        assert math.radians(50) <= camera.model.fov_rad <= math.radians(120)
 
 
-def test_labels_are_those_of_the_rendered_objects(monkeypatch):
-    monkeypatch.setattr(data, "VIEWS_PER_SCENE", {64: 6})
+def test_labels_are_those_of_the_rendered_objects():
     scene = street()
-    first = data.render_scene(scene, roof(), 3)[64]
-    again = data.render_scene(scene, roof(), 3)[64]
+    person = replace(scene.vehicles[0], instance_id=77, category="pedestrian")
+    scene = replace(scene, vehicles=scene.vehicles[1:], others=(person,))
+    first = data.render_scene(scene, roof(), 3, views_per_scene={64: 8}, ignored_ids=[77], thread_count=1)[64]
+    again = data.render_scene(scene, roof(), 3, views_per_scene={64: 8}, ignored_ids=[77])[64]
     np.testing.assert_array_equal(first.images_rgb, again.images_rgb)
     labels = first.labels
     exists = labels.class_index >= 0
-    assert exists.any()
-    assert (labels.class_index[exists] == CLASS_NAMES.index("car")).all()
+    is_person = exists & (labels.class_index == CLASS_NAMES.index("pedestrian"))
+    assert is_person.any()
+    assert labels.ignored[is_person].all()
+    assert (labels.class_index[exists & ~is_person] == CLASS_NAMES.index("car")).all()
+    assert (exists & ~labels.ignored).any()
     assert (labels.box_px[exists][:, 2:] > labels.box_px[exists][:, :2]).all()
     assert (labels.visible_fraction[exists] > 0.0).all()
     assert (labels.distance_m[exists] > 1.0).all()
 
 
-def test_data_is_written_and_read_back(tmp_path, monkeypatch):
-    monkeypatch.setattr(data, "VIEWS_PER_SCENE", {64: 2})
-    pictures = data.render_scene(street(), roof(), 3)
-    shape = (8, 64, 64, 3)
-    np.lib.format.open_memmap(tmp_path / "images_64.npy", mode="w+", dtype=np.uint8, shape=shape)[:2] = pictures[
-        64
-    ].images_rgb
-    np.savez(tmp_path / "labels_64.npz", **vars(pictures[64].labels))
-    read = data.load_pictures(tmp_path)[64]
-    np.testing.assert_array_equal(read.images_rgb, pictures[64].images_rgb)
-    np.testing.assert_array_equal(read.labels.box_px, pictures[64].labels.box_px)
-    assert len(read.first(1).images_rgb) == 1
+def test_seeds_of_training_and_tests_are_apart():
+    seeds = [seed for subset in data.SUBSETS.values() for seed in subset.seeds]
+    assert len(set(seeds)) == len(seeds)
+    assert min(seeds) >= 1_000_000
+
+
+@pytest.mark.slow
+def test_people_are_cut_out_of_reconstructed_scenes():
+    seed = 1_500_000
+    scene = data.reconstructed_scene(seed)
+    assert scene.others
+    for person in scene.others:
+        middle_m = person.mesh.vertex_m[person.mesh.triangle].mean(axis=1)
+        assert person.box.contains(middle_m, margin_m=0.16).all()
+        left_m = scene.environment.vertex_m[scene.environment.triangle].mean(axis=1)
+        inside = person.box.contains(left_m, margin_m=0.14)
+        foot_m = person.box.center_m[2] - 0.5 * person.box.size_m[2]
+        assert (left_m[inside, 2] < foot_m + 0.1).all()
+
+
+@pytest.mark.slow
+def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
+    few = {256: 2, 384: 1, 640: 1}
+    monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_000, 2, False, few))
+    monkeypatch.setitem(data.SUBSETS, "train_reconstructed", data.Subset(1_000_100, 1, False, few))
+    settings = {"pictures": tmp_path / "pictures", "device": "cpu", "processes": 1, "step_count": 3, "batch_size": 2}
+    assert train_detector(tmp_path, **settings, seed=0, stop_after_minutes=0.0) is None
+    file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
+    assert OnnxDetector(file).names == CLASS_NAMES
+    read = data.load_pictures(tmp_path / "pictures" / "train")
+    assert list(read) == [256, 384, 640]
+    assert len(read[256].images_rgb) == 4
+    assert read[256].images_rgb.any(axis=(1, 2, 3)).all()
+    assert len(read[256].first(1).images_rgb) == 1

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import json
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from warpav.detection.average_precision import average_precision, score_image
+from warpav.detection.average_precision import ImageBoxes, score_images
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.matching import covered_fraction, match_detections
 from warpav.detection.training import CLASS_NAMES
-from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, write_pictures
+from warpav.detection.training.data import Pictures
 
 # Least height of a visible box [px] from which on an object counts in the headline figure.
 HEADLINE_HEIGHT_PX = 12.0
@@ -25,10 +22,9 @@ DISTANCE_BINS_M = (0.0, 5.0, 10.0, 20.0, 30.0, np.inf)
 # Recall, precision and the labels are judged at this confidence.
 OPERATING_CONFIDENCE = 0.25
 
-_ROAD_USER_OF_CLASS = np.array([max(ROAD_USERS.index(name) if name in ROAD_USERS else 0, 0) for name in CLASS_NAMES])
+# Labels that are no road user's name are kinds of vehicles.
+_ROAD_USER_OF_CLASS = np.array([ROAD_USERS.index(name) if name in ROAD_USERS else 0 for name in CLASS_NAMES])
 _IMAGES_PER_CALL = 32
-
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -50,12 +46,12 @@ class _Judged:
     def ap50(self, low_px: float = 0.0, high_px: float = np.inf) -> float | None:
         """Average precision of objects whose boxes are so high."""
         counted = self.exists & (self.height_px >= low_px) & (self.height_px < high_px)
-        scores = []
+        images = []
         for image, found in enumerate(self.detections):
             held = self.chosen[image]
             found_height_px = found.box_px[:, 3] - found.box_px[:, 1]
-            scores.append(
-                score_image(
+            images.append(
+                ImageBoxes(
                     self.pictures.labels.box_px[image, held],
                     found.box_px,
                     found.confidence,
@@ -63,7 +59,8 @@ class _Judged:
                     detection_ignored_unless_matched=(found_height_px < low_px) | (found_height_px >= high_px),
                 )
             )
-        return _share(average_precision(scores))
+        scores = score_images(images, iou_min=[0.5], area_px2=[(0.0, np.inf)])
+        return _share(float(scores.average_precision()[0, 0]))
 
     def report(self) -> dict[str, object]:
         labels = self.pictures.labels
@@ -144,30 +141,6 @@ def _of_road_user(found: Detections, index: int) -> Detections:
     return Detections(
         found.box_px[kept], found.confidence[kept], found.class_index[kept], found.names, found.road_user_index[kept]
     )
-
-
-def evaluate_on_town(
-    detector: Detector, pictures: Path, *, processes: int = 1, image_count: int | None = None
-) -> dict[str, dict[str, dict[str, object]]]:
-    """Judge a detector on the test pictures, which are made where they are missing.
-
-    Args:
-        detector: See `evaluate`.
-        pictures: Folder of the pictures.
-        processes: That render.
-        image_count: Only so many images of every size.
-
-    Returns:
-        What `evaluate` returns, by subset (``test``, ``test_reconstructed``) and side of the image [px].
-    """
-    report: dict[str, dict[str, dict[str, object]]] = {}
-    for name in ("test", "test_reconstructed"):
-        write_pictures(SUBSETS[name], pictures / name, processes=processes)
-        report[name] = {}
-        for side_px, each in load_pictures(pictures / name).items():
-            report[name][str(side_px)] = evaluate(detector, each.first(image_count))
-            _logger.info("%s, %d px: %s", name, side_px, json.dumps(report[name][str(side_px)]))
-    return report
 
 
 def _share(value: float) -> float | None:
