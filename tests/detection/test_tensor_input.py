@@ -6,7 +6,7 @@ import warp as wp
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street
 from warpav.detection.detector import TensorDetector
-from warpav.detection.observe import detect_in
+from warpav.detection.observe import detections_in, network_input_of
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.errors import InputError
 from warpav.render.renderer import Renderer
@@ -42,7 +42,7 @@ def test_detections_are_those_of_the_pictures(device, detector):
     image = pictures(device)
     expected = detector.detect(on_host(image))
     assert sum(map(len, expected)) > 3
-    same(detect_in(image, detector), expected)
+    same(detections_in(network_input_of([image], detector), detector), expected)
 
 
 def test_the_network_reads_the_array_where_it_lies(detector, monkeypatch):
@@ -53,7 +53,7 @@ def test_the_network_reads_the_array_where_it_lies(detector, monkeypatch):
     network_input = wp.zeros((3, 3, 256, 256), dtype=float)
     detector.detect_tensor(network_input)
     assert seen[0].ctypes.data == network_input.ptr
-    same(detect_in(image, detector), detector.detect(on_host(image)))
+    same(detections_in(network_input_of([image], detector), detector), detector.detect(on_host(image)))
 
 
 def test_another_library_s_tensor_is_taken(detector):
@@ -77,13 +77,13 @@ def test_another_library_s_tensor_is_taken(detector):
 def test_sizes_that_need_padding_go_by_the_host(device, detector):
     image = pictures(device, size_px=72)
     assert not detector.takes_tensor(72, 72)
-    same(detect_in(image, detector), detector.detect(on_host(image)))
+    same(detections_in(network_input_of([image], detector), detector), detector.detect(on_host(image)))
 
 
 def test_detectors_that_know_no_tensors_are_served(device):
     silent = ConstantDetector.silent(3)
     assert not isinstance(silent, TensorDetector)
-    assert [len(found) for found in detect_in(pictures(device), silent)] == [0, 0, 0]
+    assert [len(found) for found in detections_in(network_input_of([pictures(device)], silent), silent)] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("shape", [(1, 64, 64, 3), (3, 64, 64), (1, 3, 72, 72)])

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.driving_scene import ConstantDetector, SilentDetector, packed_street, roof
 from tests.oracle import thesis
 from warpav.detection.observe import Observation
+from warpav.errors import InputError
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount, mount_pose_of_rig, views_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
@@ -56,29 +57,29 @@ def look(objective, scene):
     return objective.observe_rig(objective.mount.rig(POSE), scene)
 
 
-class PerSceneDetector:
-    """Scene after scene, boxes that cut into the true ones at POSE."""
+class FamiliarDetector:
+    """Boxes that cut into the true ones at POSE; knows an image by the one at POSE that it resembles most."""
 
     names = ("car",)
 
     def __init__(self, device):
-        self.detectors = []
+        self.known, self.answers, self.calls = [], [], []
         for scene in assigned_scenes(device):
-            observation, _, _ = look(objective_of(ConstantDetector.silent(3), device), scene)
-            boxes = []
-            for truth in observation.truth_box_px:
+            observation, _, _ = look(objective_of(SilentDetector(), device), scene)
+            for image_rgb, truth in zip(observation.image_rgb, observation.truth_box_px, strict=True):
                 size = truth[:, 2:] - truth[:, :2]
                 large = size.min(axis=1) >= MODEL.width_px / 16  # the others stay undetected
                 # well inside on the left and at the bottom, well outside on the right and at the top: no outline may
                 # touch an edge of its box, where the gradient has a kink
                 size = np.c_[0.18 * size[:, 0], -0.05 * size[:, 1] - 2.0, 0.05 * size[:, 0] + 2.0, -0.15 * size[:, 1]]
-                boxes.append(np.round(truth + size)[large])
-            self.detectors.append(ConstantDetector(boxes, [np.linspace(0.9, 0.5, len(box)) for box in boxes]))
-        self.turn = 0
+                box_px = np.round(truth + size)[large]
+                self.known.append(image_rgb.astype(float))
+                self.answers += ConstantDetector([box_px], [np.linspace(0.9, 0.5, len(box_px))]).answer
 
     def detect(self, images_rgb):
-        self.turn += 1
-        return self.detectors[(self.turn - 1) % len(self.detectors)].detect(images_rgb)
+        self.calls.append(len(images_rgb))
+        distance = [[np.abs(image_rgb - known).mean() for known in self.known] for image_rgb in images_rgb]
+        return [self.answers[k] for k in np.argmin(distance, axis=1)]
 
 
 # seen: cosine .9991, error .045; the truth's steps see the curvature of the objective
@@ -90,11 +91,11 @@ def test_gradient_matches_differences_of_a_supersampled_objective(device, occlus
     multiplier = np.array([0.3, 0.2], np.float32)
     scenes = assigned_scenes(device)
     ours = (
-        objective_of(PerSceneDetector(device), device, **settings)
+        objective_of(FamiliarDetector(device), device, **settings)
         .evaluate(POSE, scenes, multiplier=multiplier, gradient=True)
         .gradient
     )
-    fine = objective_of(PerSceneDetector(device), device, supersampling=4, **settings)
+    fine = objective_of(FamiliarDetector(device), device, supersampling=4, **settings)
     truth = np.zeros((3, 3))
     for camera in range(3):
         for i, column in enumerate((X_M, Y_M, YAW_RAD)):
@@ -114,7 +115,7 @@ def test_gradient_matches_differences_of_a_supersampled_objective(device, occlus
 
 
 def test_value_is_the_mean_of_the_printed_losses(device):
-    detector = PerSceneDetector(device)
+    detector = FamiliarDetector(device)
     objective = objective_of(detector, device, epsilon=1e-3)
     scenes = assigned_scenes(device)
     result = objective.evaluate(POSE, scenes)
@@ -147,7 +148,7 @@ def test_value_is_the_mean_of_the_printed_losses(device):
 
 
 def test_observation_puts_every_box_on_its_own_car(device):
-    objective = objective_of(PerSceneDetector(device), device)
+    objective = objective_of(FamiliarDetector(device), device)
     observation, measures, _ = look(objective, assigned_scenes(device)[0])
     assert isinstance(observation, Observation)
     box = observation.matched_box_px()
@@ -167,7 +168,7 @@ def test_observation_puts_every_box_on_its_own_car(device):
 
 
 def test_evaluation_repeats_bit_by_bit_and_gradient_is_optional(device):
-    detector = PerSceneDetector(device)
+    detector = FamiliarDetector(device)
     objective = objective_of(detector, device)
     scenes = assigned_scenes(device)
     first = objective.evaluate(POSE, scenes)
@@ -184,12 +185,66 @@ def test_evaluation_repeats_bit_by_bit_and_gradient_is_optional(device):
     np.testing.assert_allclose(third, again.gradient, rtol=10 * rel, atol=rel)
 
 
+def test_only_images_of_a_camera_that_sees_its_own_cars_are_detected_and_none_twice(device):
+    detector = FamiliarDetector(device)
+    objective = objective_of(detector, device)
+    scenes = [
+        *assigned_scenes(device),
+        *(AssignedScene(each.scene, each.assigned_camera) for each in assigned_scenes(device)),
+    ]
+    sees_its_own = []
+    for item in scenes:
+        truth_px = look(objective, item)[0].truth_box_px
+        mine = item.assigned_camera == np.arange(3)[:, None]
+        sees_its_own.append((np.isfinite(truth_px[..., 0]) & mine).any(axis=1))
+    wanted = int(np.sum(sees_its_own))
+    detector.calls.clear()
+    first = objective.evaluate(POSE, scenes)
+    assert sum(detector.calls) == wanted
+    if device == "cpu":
+        assert len(detector.calls) == 2  # two scenes at a time
+    assert objective.evaluate(POSE, scenes).terms == first.terms
+    assert sum(detector.calls) == wanted
+    moved = POSE.copy()
+    moved[1, X_M] += 0.01
+    objective.evaluate(moved, scenes)
+    assert sum(detector.calls) == wanted + int(np.sum(sees_its_own, axis=0)[1])
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 7])
+def test_looking_ahead_changes_nothing(device, count):
+    scenes = [AssignedScene(each.scene, each.assigned_camera) for each in assigned_scenes(device) * 4][:count]
+    ahead, plain = (objective_of(FamiliarDetector(device), device) for _ in range(2))
+    plain._renderers = plain._renderers[:1]
+    ours, expected = (each.evaluate(POSE, scenes, gradient=True) for each in (ahead, plain))
+    assert ours.terms == expected.terms
+    np.testing.assert_array_equal(ours.gradient, expected.gradient)
+
+
+def test_without_detected_area_nothing_is_detected(device):
+    detector = FamiliarDetector(device)
+    objective = objective_of(detector, device, detected_area=0.0)
+    objective.evaluate(POSE, assigned_scenes(device), gradient=True)
+    assert detector.calls == []
+
+
+def test_what_the_detector_raises_arrives(device):
+    class Broken:
+        names = ("car",)
+
+        def detect(self, images_rgb):
+            raise InputError("broken")
+
+    with pytest.raises(InputError, match="broken"):
+        objective_of(Broken(), device).evaluate(POSE, assigned_scenes(device))
+
+
 def test_multipliers_ascend_along_the_constraints(device):
     # two cameras too close, one out of bounds
     pose = POSE.copy()
     pose[1, :2] = pose[0, :2] + [0.05, 0.0]
     pose[2, 0] = -0.1
-    objective = objective_of(ConstantDetector.silent(3), device)
+    objective = objective_of(SilentDetector(), device)
     scenes = assigned_scenes(device)[:1]
     with_none = objective.evaluate(pose, scenes)
     result = objective.evaluate(pose, scenes, multiplier=np.array([0.7, 0.4], np.float32), gradient=True)
@@ -203,7 +258,7 @@ def test_multipliers_ascend_along_the_constraints(device):
 
 
 def test_a_scene_without_assigned_cars_dilutes_the_mean(device):
-    objective = objective_of(ConstantDetector.silent(3), device)
+    objective = objective_of(SilentDetector(), device)
     item = assigned_scenes(device)[0]
     nobody = AssignedScene(item.scene, np.full(10, -1, np.int32))
     alone = objective.evaluate(POSE, [item]).objective
@@ -212,7 +267,7 @@ def test_a_scene_without_assigned_cars_dilutes_the_mean(device):
 
 
 def test_undetected_cars_still_cost_nearly_one(device):
-    result = objective_of(ConstantDetector.silent(3), device).evaluate(POSE, assigned_scenes(device))
+    result = objective_of(SilentDetector(), device).evaluate(POSE, assigned_scenes(device))
     assert result.terms["detected_area"] == pytest.approx(1.0, abs=1e-4)
 
 

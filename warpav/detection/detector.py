@@ -44,6 +44,11 @@ class Detections:
         """The label of every detection."""
         return tuple(self.names[index] for index in self.class_index)
 
+    @classmethod
+    def none(cls, names: tuple[str, ...] = ()) -> Detections:
+        """Nothing found."""
+        return cls(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.int32), names)
+
 
 class Detector(Protocol):
     """Finds road users in images."""

@@ -17,6 +17,48 @@ from warpav_kernels import network_input as network_input_kernels
 
 
 @dataclass(frozen=True)
+class Sight:
+    """What the cameras see of every vehicle of a scene, whatever a detector makes of it.
+
+    Attributes:
+        scene: The scene.
+        supersampling: Samples per pixel edge of the masks.
+        masks: Silhouettes of what is seen: left, top and mask in samples, [camera][vehicle].
+        truth_box_px: See `Observation`.
+        too_small_box_px: See `Observation`.
+    """
+
+    scene: DeviceScene
+    supersampling: int
+    masks: list[list[tuple[int, int, np.ndarray]]]
+    truth_box_px: np.ndarray
+    too_small_box_px: np.ndarray
+
+    def match(self, detections: Sequence[Detections], *, confidence_min: float, iou_min: float) -> np.ndarray:
+        """Detection that belongs to every vehicle, -1 for none, int64 [camera, vehicle]; arguments as in `observe`."""
+        match = np.full(self.truth_box_px.shape[:2], -1, np.int64)
+        for camera, (masks, found) in enumerate(zip(self.masks, detections, strict=True)):
+            inside = np.zeros((self.scene.vehicle_count, len(found)), bool)
+            for vehicle, (left, top, mask) in enumerate(masks):
+                if not mask.any():
+                    continue
+                # part of the vehicle is seen inside the detection
+                for k, box_px in enumerate(found.box_px * self.supersampling):
+                    x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
+                    inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
+            inside &= self.scene.road_user_index[:, None] == found.road_user_index
+            match[camera] = match_detections(
+                self.truth_box_px[camera],
+                found.box_px,
+                found.confidence,
+                confidence_min=confidence_min,
+                iou_min=iou_min,
+                seen_inside=inside,
+            )
+        return match
+
+
+@dataclass(frozen=True)
 class Observation:
     """Detections of one scene through the cameras of a rig.
 
@@ -42,11 +84,7 @@ class Observation:
 
     def matched_box_px(self) -> np.ndarray:
         """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
-        box = np.zeros((*self.match.shape, 4), np.float32)
-        for camera, detections in enumerate(self.detections):
-            found = self.match[camera] >= 0
-            box[camera, found] = detections.box_px[self.match[camera, found]]
-        return box
+        return matched_boxes_px(self.match, self.detections)
 
     def matched_confidence(self) -> np.ndarray:
         """Confidence of the detection matched to every vehicle, NaN where there is none, float64 [camera, vehicle]."""
@@ -57,26 +95,74 @@ class Observation:
         return confidence
 
 
-def detect_in(image: wp.array, detector: Detector) -> list[Detections]:
-    """Run a detector on rendered images, without a copy through the host where the detector can do without.
+def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.ndarray:
+    """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4].
 
     Args:
-        image: Colours 0..1, vec3 [image, row, column].
-        detector: Finds vehicles.
+        match: Detection of every vehicle, -1 for none, int [camera, vehicle].
+        detections: Of every camera.
     """
-    count, height_px, width_px = image.shape
-    if isinstance(detector, TensorDetector) and detector.takes_tensor(height_px, width_px):
-        network_input = wp.empty((count, 3, height_px, width_px), dtype=float, device=image.device)
+    box = np.zeros((*match.shape, 4), np.float32)
+    for camera, found in enumerate(detections):
+        is_matched = match[camera] >= 0
+        box[camera, is_matched] = found.box_px[match[camera, is_matched]]
+    return box
+
+
+def network_input_of(images: Sequence[wp.array], detector: Detector) -> wp.array | np.ndarray:
+    """Rendered images as the detector takes them, without a copy through the host where it can do without.
+
+    Args:
+        images: Colours 0..1, vec3 [image, row, column] each, of one size; at least one.
+        detector: Finds road users.
+
+    Returns:
+        For `detections_in`: float [image, 3, row, column] on the device, or uint8 [image, row, column, 3].
+    """
+    _, height_px, width_px = images[0].shape
+    if not (isinstance(detector, TensorDetector) and detector.takes_tensor(height_px, width_px)):
+        return np.concatenate([(image.numpy() * 255.0 + 0.5).astype(np.uint8) for image in images])
+    count = sum(image.shape[0] for image in images)
+    network_input = wp.empty((count, 3, height_px, width_px), dtype=float, device=images[0].device)
+    place = 0
+    for image in images:
         wp.launch(
             network_input_kernels.write_network_input_kernel,
-            dim=(count, height_px),
+            dim=(image.shape[0], height_px),
             inputs=[image],
-            outputs=[network_input],
+            outputs=[network_input[place : place + image.shape[0]]],
             device=image.device,
             record_tape=False,
         )
-        return detector.detect_tensor(network_input)
-    return detector.detect((image.numpy() * 255.0 + 0.5).astype(np.uint8))
+        place += image.shape[0]
+    return network_input
+
+
+def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> list[Detections]:
+    """Run a detector on what `network_input_of` prepared for it; one answer for every image."""
+    if isinstance(network_input, np.ndarray):
+        return detector.detect(network_input)
+    assert isinstance(detector, TensorDetector)
+    return detector.detect_tensor(network_input)
+
+
+def see(renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16) -> Sight:
+    """What the cameras see of the vehicles in the renderer's last render; arguments as in `observe`."""
+    masks = renderer.visible_masks(scene, ahead_view)
+    samples = renderer.supersampling
+    truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
+    too_small_box_px = truth_box_px.copy()
+    for camera, masks_of_camera in enumerate(masks):
+        for vehicle, (left, top, mask) in enumerate(masks_of_camera):
+            if not mask.any():
+                continue
+            box = largest_component_box(mask, min_area_px=min_area_px * samples * samples)
+            boxes = truth_box_px
+            if box is None:
+                box, boxes = largest_component_box(mask, min_area_px=1), too_small_box_px
+                assert box is not None
+            boxes[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
+    return Sight(scene, samples, masks, truth_box_px, too_small_box_px)
 
 
 def observe(
@@ -84,7 +170,6 @@ def observe(
     scene: DeviceScene,
     detector: Detector,
     *,
-    image: wp.array | None = None,
     ahead_view: Sequence[int],
     confidence_min: float,
     iou_min: float,
@@ -98,7 +183,6 @@ def observe(
         renderer: Has rendered ``scene``.
         scene: The scene.
         detector: Finds vehicles.
-        image: What the renderer shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
         ahead_view: The view of each camera in which it looks straight ahead.
         confidence_min: Least confidence of a match.
         iou_min: Least intersection over union of a match.
@@ -107,36 +191,8 @@ def observe(
     Returns:
         The observation; nothing here carries a gradient.
     """
-    if image is None:
-        image = renderer.rgb(scene, ahead_view)
-    detections = detect_in(image, detector)
-    masks = renderer.visible_masks(scene, ahead_view)
-    samples = renderer.supersampling
-    truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
-    too_small_box_px = truth_box_px.copy()
-    match = np.full((len(masks), scene.vehicle_count), -1, np.int64)
-    for camera, (masks_of_camera, found) in enumerate(zip(masks, detections, strict=True)):
-        inside = np.zeros((scene.vehicle_count, len(found)), bool)
-        for vehicle, (left, top, mask) in enumerate(masks_of_camera):
-            if not mask.any():
-                continue
-            box = largest_component_box(mask, min_area_px=min_area_px * samples * samples)
-            boxes = truth_box_px
-            if box is None:
-                box, boxes = largest_component_box(mask, min_area_px=1), too_small_box_px
-                assert box is not None
-            boxes[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
-            # part of the vehicle is seen inside the detection
-            for k, box_px in enumerate(found.box_px * samples):
-                x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
-                inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
-        inside &= scene.road_user_index[:, None] == found.road_user_index
-        match[camera] = match_detections(
-            truth_box_px[camera],
-            found.box_px,
-            found.confidence,
-            confidence_min=confidence_min,
-            iou_min=iou_min,
-            seen_inside=inside,
-        )
-    return Observation(image, detections, truth_box_px, too_small_box_px, match)
+    image = renderer.rgb(scene, ahead_view)
+    detections = detections_in(network_input_of([image], detector), detector)
+    sight = see(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
+    match = sight.match(detections, confidence_min=confidence_min, iou_min=iou_min)
+    return Observation(image, detections, sight.truth_box_px, sight.too_small_box_px, match)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
 
-from warpav.detection.detector import Detector
+from warpav.detection.detector import Detections, Detector
 from warpav.detection.differentiable import DifferentiableDetector
-from warpav.detection.observe import Observation, observe
+from warpav.detection.in_loop import DetectorInLoop, Picture
+from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
 from warpav.objective.constraints import CONSTRAINTS, constraint_losses_of
 from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import OBJECTIVES, LossSettings, lagrangian_of, placement_losses_of
@@ -20,6 +22,11 @@ from warpav.objective.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.objective.scene_step import AssignedScene, SceneStep
 from warpav.render.renderer import Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
+
+# Images of so many scenes go to the detector together, while as many others are rendered.
+_SCENES_PER_QUESTION = 2
+# Renders of more samples are not held several at once.
+_HELD_SAMPLES_MAX = 2**23
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,8 @@ class Evaluation:
         terms: Every loss by name, unscaled.
         gradient: Of the total to the mount poses, float32 [camera, 5]; None if it was not asked for.
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
-        seconds: Wall time by stage: render, detect, backward, total [s].
+        seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
+            total [s].
     """
 
     total: float
@@ -41,6 +49,21 @@ class Evaluation:
     gradient: np.ndarray | None
     multiplier_gradient: np.ndarray | None
     seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """A scene that has been rendered and waits for its detections.
+
+    Attributes:
+        step: Its step; the step's renderer holds the render.
+        sight: What the cameras see of its vehicles.
+        camera: Cameras whose images go to the detector.
+    """
+
+    step: SceneStep
+    sight: Sight
+    camera: list[int]
 
 
 class ThesisObjective:
@@ -88,15 +111,19 @@ class ThesisObjective:
         self.supersampling = supersampling
         self.device = mount.device
         self.ahead_view = [camera * mount.rotation_count for camera in range(camera_count)]
-        self._renderer = Renderer(
-            [mount.camera] * (camera_count * mount.rotation_count),
-            supersampling=supersampling,
-            occlusion=occlusion,
-            device=mount.device,
-        )
+        self._loop = DetectorInLoop(detector)
+        self._renderers = [
+            Renderer(
+                [mount.camera] * (camera_count * mount.rotation_count),
+                supersampling=supersampling,
+                occlusion=occlusion,
+                device=mount.device,
+            )
+            for _ in range(self._renderer_count())
+        ]
         self._pose = wp.zeros((camera_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device, requires_grad=True)
         self._seed = wp.zeros(len(OBJECTIVES), dtype=float, device=mount.device)
-        self._steps: WeakKeyDictionary[AssignedScene, SceneStep] = WeakKeyDictionary()
+        self._steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
 
     def evaluate(
         self,
@@ -119,13 +146,13 @@ class ThesisObjective:
         self._pose.assign(np.asarray(mount_pose, np.float32))
         # the mean over scenes is linear, so every scene can send its share of the gradient back at once
         self._seed.assign(np.array(self.settings.placement_scale, np.float32) / len(scenes))
-        steps = [self._step_of(assigned) for assigned in scenes]
         while True:
             assert self._pose.grad is not None
             self._pose.grad.zero_()
-            losses = [self._run(step, seconds, gradient=gradient, share=1.0 / len(scenes)) for step in steps]
+            losses = self._losses(scenes, seconds, gradient=gradient)
             objectives = np.array([[*loss.numpy(), *more] for loss, more in losses], np.float64).mean(axis=0)
-            if not self._renderer.grew():
+            grown = [renderer.grew() for renderer in self._renderers]
+            if not any(grown):
                 break
 
         multiplier_array = wp.array(
@@ -168,51 +195,117 @@ class ThesisObjective:
             seconds=seconds,
         )
 
-    def _step_of(self, assigned: AssignedScene) -> SceneStep:
-        """The step of a scene, with what it has recorded."""
-        if assigned not in self._steps:
-            self._steps[assigned] = SceneStep(
+    def _renderer_count(self) -> int:
+        """Scenes whose renders are held at once.
+
+        While the detector looks at some, the next are rendered. On a GPU rendering takes less time than it would save.
+        """
+        camera = self.mount.camera
+        pixels = self.camera_count * self.mount.rotation_count * camera.width_px * camera.height_px
+        if wp.get_device(self.device).is_cuda or pixels * self.supersampling**2 > _HELD_SAMPLES_MAX:
+            return 1
+        return 2 * _SCENES_PER_QUESTION
+
+    def _step_of(self, assigned: AssignedScene, slot: int) -> SceneStep:
+        """The step of a scene on one of the renderers, with what it has recorded."""
+        steps = self._steps.setdefault(assigned, {})
+        if slot not in steps:
+            steps[slot] = SceneStep(
                 self.mount,
-                self._renderer,
+                self._renderers[slot],
                 assigned,
                 pose=self._pose,
                 seed=self._seed,
                 ahead_view=self.ahead_view,
                 settings=self.settings,
             )
-        return self._steps[assigned]
+        return steps[slot]
 
-    def _run(
-        self, step: SceneStep, seconds: dict[str, float], *, gradient: bool, share: float
-    ) -> tuple[wp.array, list[float]]:
-        """Decide, detect, measure, differentiate; adds the wall time to ``seconds``.
+    def _losses(
+        self, scenes: Sequence[AssignedScene], seconds: dict[str, float], *, gradient: bool
+    ) -> list[tuple[wp.array, list[float]]]:
+        """Placement losses of every scene, and the detection network's own where it takes part.
 
-        Returns:
-            The scene's placement losses, and the detection network's own where it takes part.
+        The detector looks at the images of some scenes while the next scenes are rendered; scenes are finished, and
+        their gradients added, in the order given.
         """
-        start = time.perf_counter()
-        step.look()
-        looked = time.perf_counter()
-        observation = observe(
-            self._renderer,
-            step.scene,
-            self.detector,
-            image=step.image,
-            ahead_view=self.ahead_view,
-            confidence_min=self.confidence_min,
-            iou_min=self.iou_min,
-        )
-        step.set_boxes(observation.matched_box_px())
-        detected = time.perf_counter()
-        loss = step.learn() if gradient else step.judge()
-        more = []
-        if self.differentiable_detector is not None:
-            weight = share * self.settings.detector_gradient if gradient else None
-            more.append(step.detector_loss(self.differentiable_detector, observation.truth_box_px, weight=weight))
-        seconds["render"] += looked - start
-        seconds["detect"] += detected - looked
-        seconds["backward"] += time.perf_counter() - detected
-        return loss, more
+        slots = len(self._renderers)
+        per_question = max(1, slots // 2)
+        asked: deque[tuple[list[_Looked], Callable[[], list[Detections]]]] = deque()
+        losses: list[tuple[wp.array, list[float]]] = []
+        for first in range(0, len(scenes), per_question):
+            if len(asked) * per_question >= slots:
+                losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
+            group = range(first, min(first + per_question, len(scenes)))
+            asked.append(self._look([(scenes[k], k % slots) for k in group], seconds))
+            if len(asked) > 1:
+                losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
+        while asked:
+            losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
+        return losses
+
+    def _look(
+        self, scenes: Sequence[tuple[AssignedScene, int]], seconds: dict[str, float]
+    ) -> tuple[list[_Looked], Callable[[], list[Detections]]]:
+        """Render scenes, each on its renderer, and ask the detector about the images that can matter.
+
+        Only a camera's own vehicles count, so only cameras are asked about that see one of theirs.
+        """
+        looked, pictures = [], []
+        started = time.perf_counter()
+        pose = self._pose.numpy()
+        for assigned, slot in scenes:
+            step = self._step_of(assigned, slot)
+            step.look()
+            sight = see(self._renderers[slot], step.scene, ahead_view=self.ahead_view)
+            cameras: list[int] = []
+            if self.settings.detected_area > 0.0:
+                is_seen = np.isfinite(sight.truth_box_px[..., 0])
+                mine = assigned.assigned_camera == np.arange(self.camera_count)[:, None]
+                cameras = [int(camera) for camera in np.nonzero((is_seen & mine).any(axis=1))[0]]
+            looked.append(_Looked(step, sight, cameras))
+            pictures += [
+                Picture(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1]) for camera in cameras
+            ]
+        rendered = time.perf_counter()
+        answers = self._loop.ask(pictures)
+        seconds["render"] += rendered - started
+        seconds["detect"] += time.perf_counter() - rendered
+        return looked, answers
+
+    def _finish(
+        self,
+        looked: Sequence[_Looked],
+        answers: Callable[[], list[Detections]],
+        seconds: dict[str, float],
+        *,
+        gradient: bool,
+        share: float,
+    ) -> list[tuple[wp.array, list[float]]]:
+        """Match, measure, differentiate scenes that were looked at."""
+        started = time.perf_counter()
+        found = iter(answers())
+        seconds["detect"] += time.perf_counter() - started
+        losses = []
+        for each in looked:
+            start = time.perf_counter()
+            detections = [Detections.none()] * self.camera_count
+            for camera in each.camera:
+                detections[camera] = next(found)
+            match = each.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
+            each.step.set_boxes(matched_boxes_px(match, detections))
+            matched = time.perf_counter()
+            loss = each.step.learn() if gradient else each.step.judge()
+            more = []
+            if self.differentiable_detector is not None:
+                weight = share * self.settings.detector_gradient if gradient else None
+                more.append(
+                    each.step.detector_loss(self.differentiable_detector, each.sight.truth_box_px, weight=weight)
+                )
+            losses.append((loss, more))
+            seconds["detect"] += matched - start
+            seconds["backward"] += time.perf_counter() - matched
+        return losses
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.
@@ -226,19 +319,19 @@ class ThesisObjective:
             rotation_step_rad=self.mount.rotation_step_rad,
             device=self.device,
         )
-        scene = assigned.scene
-        self._renderer.render(scene, views.position_ego_m, views.camera_from_ego)
+        scene, renderer = assigned.scene, self._renderers[0]
+        renderer.render(scene, views.position_ego_m, views.camera_from_ego)
         observation = observe(
-            self._renderer,
+            renderer,
             scene,
             self.detector,
             ahead_view=self.ahead_view,
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )
-        box_px = np.zeros((self._renderer.view_count, scene.vehicle_count, 4), np.float32)
+        box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[self.ahead_view] = observation.matched_box_px()
-        measures = self._renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
+        measures = renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
         loss = placement_losses_of(
             self.mount,
             views,
@@ -251,7 +344,7 @@ class ThesisObjective:
         if self.differentiable_detector is not None:
             losses.append(
                 detector_loss_of(
-                    self._renderer,
+                    renderer,
                     scene,
                     views,
                     measures,
