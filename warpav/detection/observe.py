@@ -170,6 +170,7 @@ def observe(
     scene: DeviceScene,
     detector: Detector,
     *,
+    image: wp.array | None = None,
     ahead_view: Sequence[int],
     confidence_min: float,
     iou_min: float,
@@ -183,6 +184,7 @@ def observe(
         renderer: Has rendered ``scene``.
         scene: The scene.
         detector: Finds vehicles.
+        image: What the renderer shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
         ahead_view: The view of each camera in which it looks straight ahead.
         confidence_min: Least confidence of a match.
         iou_min: Least intersection over union of a match.
@@ -191,7 +193,8 @@ def observe(
     Returns:
         The observation; nothing here carries a gradient.
     """
-    image = renderer.rgb(scene, ahead_view)
+    if image is None:
+        image = renderer.rgb(scene, ahead_view)
     detections = detections_in(network_input_of([image], detector), detector)
     sight = see(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
     match = sight.match(detections, confidence_min=confidence_min, iou_min=iou_min)
