@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,13 +59,13 @@ def train_detector(
         processes: That render, at least 1.
         steps: Length of the training, at least 1.
         batch_size: Images of 256 px a step, at least 1; of larger ones as many as have the same number of pixels.
-        seed: Of the weights and of the batches.
-        stop_after_minutes: Stop before the end after so long [min].
+        seed: Of the weights and of the batches, at least 0.
+        stop_after_minutes: Stop before the end after so long [min], above 0.
         say: Shows a line.
 
     Raises:
-        InputError: PyTorch is missing, the device is not there, a number is below its least, or a checkpoint is of
-            another training.
+        InputError: PyTorch is missing, the device is not there, a number is below its least, a folder cannot be
+            written to, or a checkpoint is of another training.
     """
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
@@ -72,19 +73,30 @@ def train_detector(
             f"detector train: expected the package{'s' if len(missing) > 1 else ''} {' and '.join(missing)}, got no "
             "such module; pip install 'warpav[train]'"
         )
-    for option, value in (("processes", processes), ("steps", steps), ("batch-size", batch_size)):
-        if value < 1:
-            raise InputError(f"command line (--{option}): expected at least 1, got {value}")
+    for option, value, least in (
+        ("processes", processes, 1),
+        ("steps", steps, 1),
+        ("batch-size", batch_size, 1),
+        ("seed", seed, 0),
+    ):
+        if value < least:
+            raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
+    if not stop_after_minutes > 0.0:
+        raise InputError(f"command line (--stop-after-minutes): expected more than 0, got {stop_after_minutes:g}")
     import torch
 
     from warpav.detection.training import train
 
-    if device != "cpu" and not (device.startswith("cuda") and torch.cuda.is_available()):
-        raise InputError(f"command line (--device): expected cpu, or cuda:0 where PyTorch finds a GPU, got {device!r}")
+    devices = ("cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count())))
+    if device not in devices:
+        raise InputError(
+            f"command line (--device): expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}"
+        )
     logging.basicConfig(level=logging.INFO, format="%(message)s")
+    picture_folder = _made_folders(out, pictures)
     file = train.train_detector(
         out,
-        pictures=_picture_folder(out, pictures),
+        pictures=picture_folder,
         device=device,
         processes=processes,
         step_count=steps,
@@ -116,7 +128,7 @@ def measure_detector(
         say: Shows a line.
 
     Raises:
-        InputError: The detector cannot be used, or a number is below its least.
+        InputError: The detector cannot be used, a number is below its least, or a folder cannot be written to.
     """
     for option, value in (("processes", processes), ("images", image_count)):
         if value is not None and value < 1:
@@ -125,7 +137,7 @@ def measure_detector(
         update={"detector": config.detector.model_copy(update={"confidence_min": LEAST_CONFIDENCE})}
     )
     detector = load_detector(found, every_road_user=True)
-    folder = _picture_folder(out, pictures)
+    folder = _made_folders(out, pictures)
     report: dict[str, dict[str, dict[str, Any]]] = {}
     for name, title in _SUBSETS.items():
         say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
@@ -134,7 +146,6 @@ def measure_detector(
             str(side_px): evaluate(detector, each.first(image_count))
             for side_px, each in load_pictures(folder / name).items()
         }
-    out.mkdir(parents=True, exist_ok=True)
     write_json(out / "evaluation.json", report)
     text = tables(report)
     (out / "evaluation.md").write_text(text, encoding="utf-8")
@@ -184,5 +195,22 @@ def _number(value: float | None) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
 
 
-def _picture_folder(out: Path, pictures: Path | None) -> Path:
-    return out / "pictures" if pictures is None else pictures
+def _made_folders(out: Path, pictures: Path | None) -> Path:
+    """Make both folders, and return that of the pictures.
+
+    Raises:
+        InputError: One of them cannot be written to.
+    """
+    folders = {"out": out, "pictures": out / "pictures" if pictures is None else pictures}
+    for option, folder in folders.items():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"command line (--{option}): expected a folder to write to, got {str(folder)!r} ({error.strerror})"
+            ) from None
+        if not os.access(folder, os.W_OK):
+            raise InputError(
+                f"command line (--{option}): expected a folder to write to, got {str(folder)!r}, which is read-only"
+            )
+    return folders["pictures"]

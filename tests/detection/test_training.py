@@ -18,6 +18,7 @@ from warpav.detection.training.loss import Truth, assign_cells, detection_loss, 
 from warpav.detection.training.network import TownNetwork
 from warpav.detection.training.train import DeviceData, Training, train_detector
 from warpav.detector_training import tables
+from warpav.errors import InputError
 
 SIDE_PX = 64
 
@@ -134,12 +135,31 @@ def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
     assert np.mean(losses[-3:]) < 0.95 * np.mean(losses[:3])
     training.save(tmp_path / "checkpoint.pt")
 
-    other = Training(torch.device("cpu"), step_count=1, seed=1)
+    other = Training(torch.device("cpu"), step_count=16, seed=1)
     other.load(tmp_path / "checkpoint.pt")
     assert (other.step, other.step_count) == (10, 16)
     for name, value in training.average.state_dict().items():
         torch.testing.assert_close(other.average.state_dict()[name], value)
     assert math.isfinite(float(sum(other.train_step(torch_data, 4))))
+
+
+@pytest.mark.parametrize(
+    ("steps", "content", "message"),
+    [
+        (17, None, "expected a training of 17 steps, got one of 16; train into another folder"),
+        (16, b"", "expected a checkpoint of this training, got another file"),
+        (16, b"PK nothing of the kind", "expected a checkpoint of this training, got another file"),
+    ],
+)
+def test_a_checkpoint_of_another_training_is_refused_before_pictures_are_made(tmp_path, steps, content, message):
+    file = tmp_path / "checkpoint.pt"
+    Training(torch.device("cpu"), step_count=16).save(file)
+    if content is not None:
+        file.write_bytes(content)
+    settings = {"device": "cpu", "processes": 1, "batch_size": 2, "seed": 0, "stop_after_minutes": math.inf}
+    with pytest.raises(InputError, match=message):
+        train_detector(tmp_path, pictures=tmp_path / "pictures", step_count=steps, **settings)
+    assert not (tmp_path / "pictures").exists()
 
 
 def test_the_exported_network_is_the_network(rng, tmp_path):

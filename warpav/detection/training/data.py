@@ -11,17 +11,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
+from warpav.errors import InputError
 from warpav.executor import run_tasks
 from warpav.geometry.mesh import Mesh
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene, Vehicle
+from warpav.warp_setup import load_warp
 
 
 @dataclass(frozen=True)
@@ -266,13 +269,26 @@ def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
 
 
 def load_pictures(folder: Path) -> dict[int, Pictures]:
-    """What `write_pictures` wrote, by the side of the image [px]; images stay on the disk until they are read."""
+    """What `write_pictures` wrote, by the side of the image [px]; images stay on the disk until they are read.
+
+    Raises:
+        InputError: A file is missing or is none that `write_pictures` wrote.
+    """
     pictures = {}
     for file in sorted(folder.glob("labels_*.npz")):
-        side_px = int(file.stem.removeprefix("labels_"))
-        with np.load(file) as arrays:
-            labels = Labels(**{field.name: arrays[field.name] for field in fields(Labels)})
-        pictures[side_px] = Pictures(np.load(folder / f"images_{side_px}.npy", mmap_mode="r"), labels)
+        side_text = file.stem.removeprefix("labels_")
+        try:
+            with np.load(file) as arrays:
+                labels = Labels(**{field.name: arrays[field.name] for field in fields(Labels)})
+            images_rgb = np.load(folder / f"images_{side_text}.npy", mmap_mode="r")
+            if images_rgb.shape != (len(labels.box_px), int(side_text), int(side_text), 3):
+                raise ValueError(f"images of shape {images_rgb.shape} for {len(labels.box_px)} labels")
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            raise InputError(
+                f"{file}: expected labels and images that warpav wrote, got others ({' '.join(str(error).split())}); "
+                "remove the folder, and they are made again"
+            ) from error
+        pictures[int(side_text)] = Pictures(images_rgb, labels)
     return dict(sorted(pictures.items()))
 
 
@@ -298,6 +314,7 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     """Render one town scene into its place in the folder's files and return its labels."""
     from warpav.scene.town import town_scene
 
+    load_warp()  # without its start-up messages, in every process
     subset = job.subset
     scene = reconstructed_scene(job.seed) if subset.is_reconstructed else town_scene(job.seed)
     pictures = render_scene(

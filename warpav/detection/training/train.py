@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, wri
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, detection_loss
 from warpav.detection.training.network import TownNetwork
+from warpav.errors import InputError
 
 # How often a batch is drawn from the pictures of each side [px].
 SIZE_PROBABILITY = {256: 0.55, 384: 0.25, 640: 0.2}
@@ -102,12 +104,24 @@ class Training:
         self.step_count = step_count
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint."""
-        state = torch.load(path, map_location=self.device, weights_only=True)
-        self.network.load_state_dict(state["network"])
-        self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step, self.step_count = state["step"], state["step_count"]
+        """Go on from a checkpoint.
+
+        Raises:
+            InputError: It is damaged, of another network, or of a schedule of another length.
+        """
+        hint = "train into another folder, or remove the file"
+        try:
+            state = torch.load(path, map_location=self.device, weights_only=True)
+            step, step_count = int(state["step"]), int(state["step_count"])
+            if step_count == self.step_count:
+                self.network.load_state_dict(state["network"])
+                self.average.load_state_dict(state["average"])
+                self.optimiser.load_state_dict(state["optimiser"])
+        except (RuntimeError, KeyError, TypeError, ValueError, OSError, EOFError, UnpicklingError) as error:
+            raise InputError(f"{path}: expected a checkpoint of this training, got another file; {hint}") from error
+        if step_count != self.step_count:
+            raise InputError(f"{path}: expected a training of {self.step_count} steps, got one of {step_count}; {hint}")
+        self.step = step
         # Random numbers go on in a stream of their own rather than repeat.
         self.random = np.random.default_rng([self.step])
         self.generator.manual_seed(self.step)
@@ -251,11 +265,10 @@ def train_detector(
         The ONNX file; None where the time was up before the schedule's end.
 
     Raises:
+        InputError: The checkpoint is of another training, or the pictures are damaged.
         RuntimeError: A scene cannot be rendered, the loss is not finite, or the ONNX file differs from the network.
     """
     names = ("train", "train_reconstructed")
-    for name in names:
-        write_pictures(SUBSETS[name], pictures / name, processes=processes)
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
     training = Training(torch.device(device), step_count=step_count, seed=seed)
@@ -263,6 +276,8 @@ def train_detector(
     if checkpoint.exists():
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
+    for name in names:
+        write_pictures(SUBSETS[name], pictures / name, processes=processes)
     if training.step < training.step_count:
         start_s = time.perf_counter()
         loaded = [load_pictures(pictures / name) for name in names]
