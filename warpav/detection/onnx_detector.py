@@ -15,7 +15,7 @@ import numpy as np
 
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.families import Letterbox, NetworkFile, Tensor, metadata_labels, recognise
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -332,13 +332,15 @@ class OnnxDetector:
             for label in (label.lower() for label in labels or ()):
                 if label not in index:
                     near = difflib.get_close_matches(label, index, 1, 0.6)
-                    raise InputError(
-                        f"detector.classes.{user}: expected labels of {self._path} ({_listed(self.names)}), got "
-                        f"{label!r}" + (f"; did you mean {near[0]}?" if near else "")
+                    raise OptionError(
+                        f"detector.classes.{user}",
+                        f"expected labels of {self._path} ({_listed(self.names)}), got "
+                        f"{label!r}" + (f"; did you mean {near[0]}?" if near else ""),
                     )
                 if named.setdefault(label, user) != user:
-                    raise InputError(
-                        f"detector.classes: expected {label!r} in one list, got it in {named[label]} and {user}"
+                    raise OptionError(
+                        "detector.classes",
+                        f"expected {label!r} in one list, got it in {named[label]} and {user}",
                     )
         found: dict[str, np.ndarray] = {}
         for user in ROAD_USERS:
@@ -370,12 +372,12 @@ def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
         try:
             given = tuple(line.strip() for line in Path(labels).read_text(encoding="utf-8").rstrip().splitlines())
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"detector.labels: expected a text file with one label a line, got {labels}: {error}"
+            raise OptionError(
+                "detector.labels", f"expected a text file with one label a line, got {labels}: {error}"
             ) from error
     if not given or "" in given:
-        raise InputError(
-            f"detector.labels: expected a label for every class, got {'none' if not given else 'an empty one'}"
+        raise OptionError(
+            "detector.labels", f"expected a label for every class, got {'none' if not given else 'an empty one'}"
         )
     return given
 
@@ -389,14 +391,17 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
 
     known = {name: full for name, full in PROVIDERS.items() if full in onnxruntime.get_available_providers()}
     if provider not in known:
-        raise InputError(
-            f"detector.provider: expected one of {', '.join(known)}, which onnxruntime offers here, got {provider!r}; "
-            "for a GPU install onnxruntime-gpu in place of onnxruntime"
+        raise OptionError(
+            "detector.provider",
+            f"expected one of {', '.join(known)}, which onnxruntime offers here, got {provider!r}; "
+            "for a GPU install onnxruntime-gpu in place of onnxruntime",
         )
     if not path.is_file():
         raise InputError(f"detector.model: no such file: {path}; give the path of an ONNX file, or builtin")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
+    # Threads that wait in a loop for the next layer would take the cores that render meanwhile.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     if threads is not None:
         options.intra_op_num_threads = threads
     try:
@@ -409,9 +414,10 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
             ) from error
         raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error
     if session.get_providers()[0] != known[provider]:
-        raise InputError(
-            f"detector.provider: expected the network to run on {provider}, but onnxruntime fell back to "
-            f"{session.get_providers()[0]}; check the GPU's driver and CUDA libraries, or set detector.provider=cpu"
+        raise OptionError(
+            "detector.provider",
+            f"expected the network to run on {provider}, but onnxruntime fell back to "
+            f"{session.get_providers()[0]}; check the GPU's driver and CUDA libraries, or set detector.provider=cpu",
         )
     return session
 
