@@ -80,6 +80,10 @@ def test_overrides_name_the_file_s_meaning(folder, capsys):
         (["text.onnx"], "text.onnx: not an ONNX file"),
         (["unnamed.onnx"], "unnamed.onnx: its layout could be one of"),
         (["mine.onnx", "detector.format=rtdetr"], "mine.onnx: detector.format=rtdetr: expected inputs images and orig"),
+        (
+            ["mine.onnx", "detector.classes.vehicle=[cra]"],
+            "command line (detector.classes.vehicle=[cra]): detector.classes.vehicle: expected labels of mine.onnx (",
+        ),
         (["broken.onnx"], "broken.onnx: output output0 holds numbers that are not finite"),
         (["trees.onnx"], "trees.onnx: none of its labels (oak, elm, ash) means a vehicle"),
         (["mine.onnx", "scenes.targets=[vehicle,cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),

@@ -166,7 +166,7 @@ def tables(report: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
         if not held:
             continue
         heads = [head for head, _, _ in held]
-        lines += [f"### {road_user.capitalize()}s", "", *_table("", heads, {
+        lines += [f"### {road_user.title()}s", "", *_table("", heads, {
             "images": [each["images"] for _, each, _ in held],
             **{text: [figures[name] for _, _, figures in held] for name, text in _FIGURES.items()},
         })]  # fmt: skip

@@ -196,18 +196,19 @@ def camera_model(config: Config) -> CameraModel:
 
 
 def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
-    """The detector of the configuration.
+    """The detector of the configuration, tried on a grey image of the configured camera.
 
     Args:
         config: Says which, and whom it is to find.
         every_road_user: Let it find whomever it has labels for, if vehicles are among those to be found.
 
     Raises:
-        InputError: Its file cannot be used.
+        InputError: Its file cannot be used, or gives something else than detections.
     """
+    from warpav.detection.families import GREY
     from warpav.detection.onnx_detector import OnnxDetector
 
-    return OnnxDetector(
+    detector = OnnxDetector(
         config.detector.model,
         confidence_min=config.detector.confidence_min,
         nms_iou_max=config.detector.nms_iou_max,
@@ -218,6 +219,9 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
         input_px=config.detector.input_px,
         provider=config.detector.provider,
     )
+    # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
+    detector.detect(np.full((1, config.camera.height_px, config.camera.width_px, 3), GREY, np.uint8))
+    return detector
 
 
 def detector_use(config: Config) -> DetectorUse:

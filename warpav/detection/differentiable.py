@@ -17,7 +17,7 @@ import warp as wp
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.torch_network import TorchNetwork, require_torch
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 from warpav.rig.camera import CameraModel
 
 STRIDE_PX = 32
@@ -106,9 +106,10 @@ class DifferentiableDetector:
             )
         if not detector.takes_tensor(camera.height_px, camera.width_px):
             rows, columns = detector.input_size_px(camera.height_px, camera.width_px)
-            raise InputError(
-                f"losses.detector_gradient: expected images of the network's own size, {columns} x {rows} px here, got "
-                f"{camera.width_px} x {camera.height_px}; set camera.width_px={columns} camera.height_px={rows}"
+            raise OptionError(
+                "losses.detector_gradient",
+                f"expected images of the network's own size, {columns} x {rows} px here, got "
+                f"{camera.width_px} x {camera.height_px}; set camera.width_px={columns} camera.height_px={rows}",
             )
         label_group = np.full(len(detector.names), -1)
         for user, labels in detector.road_users.items():
@@ -141,9 +142,10 @@ class DifferentiableDetector:
 
         _, height_px, width_px = image.shape
         if height_px % STRIDE_PX or width_px % STRIDE_PX:
-            raise InputError(
-                f"losses.detector_gradient: expected camera.width_px and camera.height_px to be multiples of "
-                f"{STRIDE_PX}, got {width_px} x {height_px}"
+            raise OptionError(
+                "losses.detector_gradient",
+                f"expected camera.width_px and camera.height_px to be multiples of "
+                f"{STRIDE_PX}, got {width_px} x {height_px}",
             )
         if len(box_px) == 0:
             still = wp.zeros_like(image) if weight is not None else None
@@ -231,8 +233,9 @@ def _torch_device(device: str) -> str:
     import torch  # pyright: ignore[reportMissingImports]
 
     if device != "cpu" and not torch.cuda.is_available():
-        raise InputError(
-            f"losses.detector_gradient: expected a PyTorch that can use {device}, got one without CUDA; "
-            "install PyTorch for your GPU (pytorch.org), or set device=cpu"
+        raise OptionError(
+            "losses.detector_gradient",
+            f"expected a PyTorch that can use {device}, got one without CUDA; "
+            "install PyTorch for your GPU (pytorch.org), or set device=cpu",
         )
     return device

@@ -35,7 +35,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 
 GREY = 114
 BACKGROUND = "__background__"
@@ -805,7 +805,7 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
     """
     by_name = {family.name: family for family in FAMILIES}
     if name != "auto" and name not in by_name:
-        raise InputError(f"detector.format: expected auto or one of {', '.join(by_name)}, got {name!r}")
+        raise OptionError("detector.format", f"expected auto or one of {', '.join(by_name)}, got {name!r}")
     if name != "auto":
         kind, reason = by_name[name], "detector.format says so"
         if not kind.fits(file):

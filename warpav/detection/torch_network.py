@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 
 MAX_ERROR = 1e-3
 _MIN_OPSET = 11
@@ -30,9 +30,10 @@ def require_torch() -> None:
         import onnx  # noqa: F401
         import torch  # noqa: F401  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise InputError(
-            f"losses.detector_gradient: expected PyTorch and onnx, got no package {error.name!r}; "
-            "pip install 'warpav[torch]', or set losses.detector_gradient=0"
+        raise OptionError(
+            "losses.detector_gradient",
+            f"expected PyTorch and onnx, got no package {error.name!r}; "
+            "pip install 'warpav[torch]', or set losses.detector_gradient=0",
         ) from error
 
 
