@@ -1,10 +1,13 @@
 """The ONNX adapter: the layout, the letterbox, suppression, labels and what it says about unfit files."""
 
 import ast
+import hashlib
 import os
+import re
 
 import cv2
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 from hypothesis import given, settings
@@ -12,6 +15,7 @@ from hypothesis import strategies as st
 
 from warpav.detection.matching import iou_matrix
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector, suppress
+from warpav.detection.training import CLASS_NAMES
 from warpav.errors import InputError
 
 
@@ -305,6 +309,17 @@ def test_street_photograph_has_the_known_boxes(asset_folder):
 def test_shipped_network_takes_any_batch_and_size():
     assert BUILTIN_MODEL_PATH.stat().st_size <= 8e6
     detector = OnnxDetector("builtin")
-    assert detector.names[:4] == ("car", "van", "lorry", "bus")
+    assert detector.names == CLASS_NAMES
     for shape in ((1, 256, 256, 3), (3, 100, 333, 3)):
         assert len(detector.detect(np.zeros(shape, np.uint8))) == shape[0]
+
+
+def test_the_shipped_file_is_the_one_that_the_model_card_tells_of():
+    card = (BUILTIN_MODEL_PATH.parent / "MODEL_CARD.md").read_text()
+    content = BUILTIN_MODEL_PATH.read_bytes()
+    assert re.search("SHA-256 `([0-9a-f]{64})`", card)[1] == hashlib.sha256(content).hexdigest()
+    assert len(content) <= 8e6
+    assert f"{len(content) / 1e6:.1f} MB" in card
+    assert f"opset {onnx.load(BUILTIN_MODEL_PATH).opset_import[0].version}" in card
+    assert OnnxDetector("builtin").names == CLASS_NAMES
+    assert all(f"`{name}`" in card for name in CLASS_NAMES)
