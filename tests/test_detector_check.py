@@ -6,6 +6,8 @@ import pytest
 
 from warpav import detector_check
 from warpav.cli import main
+from warpav.config import load_config
+from warpav.sources import detector_use, load_detector
 
 pytest.importorskip("onnx")
 
@@ -71,6 +73,15 @@ def test_overrides_name_the_file_s_meaning(folder, capsys):
     assert "labels      2 from detector.labels: car, person" in text
     assert "cyclist     person" in text
     assert "pedestrian  no label" in text
+
+
+def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder))
+    (folder / "labels.txt").write_text("tree\nvan\nperson\n")
+    assert main(["detector", "check", "~/mine.onnx", "detector.labels=~/labels.txt"]) == 0
+    assert "labels      3 from detector.labels: tree, van, person" in capsys.readouterr().out
+    config = load_config("quick", ["detector.model=~/mine.onnx"])
+    assert load_detector(config).file.path == detector_use(config).model == folder / "mine.onnx"
 
 
 @pytest.mark.parametrize(

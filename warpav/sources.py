@@ -229,7 +229,7 @@ def detector_use(config: Config) -> DetectorUse:
     from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
     from warpav.detection.probability import DetectorUse
 
-    model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model)
+    model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
     return DetectorUse(
         model,
         {

@@ -127,7 +127,7 @@ class OnnxDetector:
     ) -> None:
         if targets is not None and (not targets or not set(targets) <= set(ROAD_USERS)):
             raise ValueError(f"targets must be some of {ROAD_USERS}, got {targets}")
-        self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model)
+        self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model).expanduser()
         self._confidence_min = confidence_min
         self._nms_iou_max = nms_iou_max
         self._session = _open_session(self._path, threads, provider)
@@ -370,7 +370,7 @@ def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
         given = tuple(str(label).strip() for label in labels)
     else:
         try:
-            given = tuple(line.strip() for line in Path(labels).read_text(encoding="utf-8").rstrip().splitlines())
+            given = tuple(line.strip() for line in Path(labels).expanduser().read_text(encoding="utf-8").rstrip().splitlines())
         except (OSError, UnicodeDecodeError) as error:
             raise OptionError(
                 "detector.labels", f"expected a text file with one label a line, got {labels}: {error}"
