@@ -370,7 +370,8 @@ def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
         given = tuple(str(label).strip() for label in labels)
     else:
         try:
-            given = tuple(line.strip() for line in Path(labels).expanduser().read_text(encoding="utf-8").rstrip().splitlines())
+            text = Path(labels).expanduser().read_text(encoding="utf-8")
+            given = tuple(line.strip() for line in text.rstrip().splitlines())
         except (OSError, UnicodeDecodeError) as error:
             raise OptionError(
                 "detector.labels", f"expected a text file with one label a line, got {labels}: {error}"
