@@ -1,5 +1,6 @@
 """Every layout of ONNX detectors: recognised for a reason, fed as it wants, decoded to the boxes it means."""
 
+import json
 import re
 from typing import get_args
 
@@ -10,6 +11,7 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
+from warpav.cli import main
 from warpav.config import DetectorConfig
 from warpav.detection.families import COCO_80, COCO_91, FAMILIES, Letterbox, Placement
 from warpav.detection.onnx_detector import OnnxDetector
@@ -442,3 +444,20 @@ def test_letterboxes_pad_grey_where_they_should(placement, rows):
     is_image[rows] = True
     assert (canvas[0, is_image] == 255).all()
     assert (canvas[0, ~is_image] == 114).all()
+
+
+@pytest.mark.slow
+@EVERY
+def test_a_run_takes_every_family(tmp_path, name):
+    build, opened, _ = CASES[name]
+    file, out = write_network(tmp_path / "mine.onnx", name, **build), tmp_path / "run"
+    options = [f"detector.model={file}", f"run.out={out}", f"detector.format={opened.get('family', 'auto')}"]
+    if "labels" in opened:
+        options.append(f"detector.labels=[{', '.join(opened['labels'])}]")
+    small = [
+        "scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "run.iterations=1", "rig.cameras=2",
+        "camera.width_px=80", "camera.height_px=48", "baselines.random_samples=1", "optimiser.check_every=1",
+    ]  # fmt: skip
+    assert main(["optimise", *small, *options]) == 0
+    metrics = json.loads((out / "evaluation.json").read_text())["arms"]["optimised"]
+    assert metrics["false_alarms_per_frame"] > 0.0  # its boxes were read, and show nothing
