@@ -102,7 +102,7 @@ def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_direct
 
 def test_damaged_pictures_are_named(capsys, working_directory):
     folder = working_directory / "out/pictures/test"
-    folder.mkdir(parents=True)
+    data.write_pictures(data.SUBSETS["test"], folder, processes=1)
     for side_px in SIDES_PX:
         (folder / f"labels_{side_px}.npz").write_text("no labels")
     line = refused(capsys, "evaluate", "--out", "out")

@@ -33,6 +33,8 @@ _FIGURES = {
 }
 _TABLES = {
     "ap50_by_height_px": ("AP50 by the height of the visible box", "px"),
+    "ap50_by_visible_fraction": ("AP50 of the headline by the share of the object that nothing hides", ""),
+    "ap50_by_distance_m": ("AP50 of the headline by distance", "m"),
     "recall_by_visible_fraction": ("Recall by the share of the object that nothing hides", ""),
     "recall_by_distance_m": ("Recall by distance", "m"),
 }

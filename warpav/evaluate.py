@@ -104,7 +104,8 @@ class ArmMetrics:
         detection_confidence: Mean over detected objects of their best confidence.
         false_alarms_per_frame: Detections of sufficient confidence that are neither true positives nor ignored, in
             COCO's sense and at the least IoU of a match, by the number of images (scenes times cameras). Second boxes
-            on one object are among them, and so are boxes on the ego vehicle and on road users of another kind.
+            on one object are among them, and so are boxes on the ego vehicle and on road users of another kind. As in
+            COCO's scores, only the 100 most confident of an image and kind count.
         objective: Scaled training objective on the test scenes.
         constraint_violation: Excess over the bounds plus missing spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].

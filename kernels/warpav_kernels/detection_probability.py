@@ -201,7 +201,8 @@ def detection_probability_kernel(
     visible_share = visible_px / alone_px
     in_frame_share = in_frame_sr[v, k, 0] / whole_sr[v, k]
     aspect = wp.log((right - left + 1.0) / (bottom - top + 1.0))
-    border = wp.log(4.0 + soft_border_distance_px(left, right, top, bottom, width_px, height_px))
+    # extents that were carried on along their Jacobian may leave the image, where the logarithm would end
+    border = wp.log(wp.max(4.0 + soft_border_distance_px(left, right, top, bottom, width_px, height_px), 1.0))
     feature[v, k, VISIBLE_SIZE] = size
     feature[v, k, VISIBLE_SHARE] = visible_share
     feature[v, k, IN_FRAME_SHARE] = in_frame_share

@@ -218,6 +218,10 @@ def test_a_detector_is_judged_by_road_user():
     assert vehicles["ap50"] == pytest.approx(51 / 101, abs=1e-4)
     assert vehicles["false_alarms_per_image"] == 0.5
     assert vehicles["recall_by_distance_m"]["5-10"] == 1.0
+    # the false alarm is less confident than the one vehicle of this bin, and comes before the miss of the next
+    assert vehicles["ap50_by_distance_m"]["5-10"] == 1.0
+    assert vehicles["ap50_by_distance_m"]["10-20"] == 0.0
+    assert vehicles["ap50_by_visible_fraction"]["0.75-inf"] == 1.0
     assert vehicles["recall_by_distance_m"]["10-20"] == 0.0
     text = tables({"direct": {"64": report}})
     assert "| **AP50, headline** | 0.505 |" in text
@@ -288,6 +292,9 @@ def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
     assert train_detector(tmp_path, **settings, seed=0, stop_after_minutes=0.0) is None
     file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     assert OnnxDetector(file).names == CLASS_NAMES
+    monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_001, 2, False, few))
+    with pytest.raises(InputError, match="expected pictures of 2 scenes from seed 1000001 on"):
+        train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     read = data.load_pictures(tmp_path / "pictures" / "train")
     assert list(read) == [256, 384, 640]
     assert len(read[256].images_rgb) == 4

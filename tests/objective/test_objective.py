@@ -224,8 +224,9 @@ def test_looking_ahead_changes_nothing(device, count):
 def test_without_detected_area_nothing_is_detected(device):
     detector = FamiliarDetector(device)
     objective = objective_of(detector, device, detected_area=0.0)
-    objective.evaluate(POSE, assigned_scenes(device), gradient=True)
+    result = objective.evaluate(POSE, assigned_scenes(device), gradient=True)
     assert detector.calls == []
+    assert "detected_area" not in result.terms
 
 
 def test_what_the_detector_raises_arrives(device):

@@ -36,7 +36,8 @@ class Evaluation:
     Attributes:
         total: The Lagrangian.
         objective: Scaled sum of the objectives, without constraints.
-        terms: Every loss by name, unscaled.
+        terms: Every loss by name, unscaled; without the detected area where it has no scale, since then the detector is
+            not asked.
         gradient: Of the total to the mount poses, float32 [camera, 5]; None if it was not asked for.
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
         seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
@@ -179,17 +180,15 @@ class ThesisObjective:
             assert multiplier_array.grad is not None
             pose_gradient, multiplier_gradient = self._pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
             seconds["backward"] += time.perf_counter() - backward_started
-        constraints = constraint_loss.numpy()
+        names = (*self.settings.objectives, *CONSTRAINTS)
+        terms = dict(zip(names, [*objectives.tolist(), *constraint_loss.numpy().tolist()], strict=True))
+        if self.settings.detected_area == 0.0:
+            del terms["detected_area"]  # nobody has looked
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
             total=float(total.numpy()[0]),
             objective=float(np.dot(objectives, self.settings.objective_scale)),
-            terms={
-                name: float(value)
-                for name, value in zip(
-                    (*self.settings.objectives, *CONSTRAINTS), (*objectives, *constraints), strict=True
-                )
-            },
+            terms=terms,
             gradient=pose_gradient,
             multiplier_gradient=multiplier_gradient,
             seconds=seconds,
@@ -234,12 +233,10 @@ class ThesisObjective:
         asked: deque[tuple[list[_Looked], Callable[[], list[Detections]]]] = deque()
         losses: list[tuple[wp.array, list[float]]] = []
         for first in range(0, len(scenes), per_question):
-            if len(asked) * per_question >= slots:
+            while (len(asked) + 1) * per_question > slots:  # until their renderers are free
                 losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
             group = range(first, min(first + per_question, len(scenes)))
             asked.append(self._look([(scenes[k], k % slots) for k in group], seconds))
-            if len(asked) > 1:
-                losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
         while asked:
             losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
         return losses

@@ -21,6 +21,7 @@ from warpav.errors import InputError
 from warpav.executor import run_tasks
 from warpav.geometry.mesh import Mesh
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.recipe import recipe
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene, Vehicle
@@ -334,7 +335,7 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
 def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
     """Render town scenes and save their pictures: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
-    Nothing is done where they are there already.
+    Nothing is done where they are there already, made of the same scenes by the same code.
 
     Args:
         subset: The scenes.
@@ -343,8 +344,16 @@ def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
 
     Raises:
         RuntimeError: A scene could not be rendered.
+        InputError: The folder holds other pictures.
     """
-    if all((folder / f"labels_{side_px}.npz").is_file() for side_px in subset.views_per_scene):
+    made_with = recipe(subset, CLASS_NAMES, Path(__file__).read_bytes())
+    note = folder / "made_with.txt"
+    if note.is_file():
+        if note.read_text() != made_with:
+            raise InputError(
+                f"{folder}: expected pictures of {subset.scene_count} scenes from seed {subset.first_seed} on, made by "
+                "this version, got others; remove the folder, and they are made again"
+            )
         return
     folder.mkdir(parents=True, exist_ok=True)
     labels: dict[int, list[Labels]] = {}
@@ -373,3 +382,4 @@ def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
         np.savez(str(folder / f"labels_{side_px}.npz"), **arrays)
         count = int((arrays["class_index"] >= 0).sum())
         _logger.info("%s: %d images of %d px, %d objects", folder.name, len(arrays["box_px"]), side_px, count)
+    note.write_text(made_with)

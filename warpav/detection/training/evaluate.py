@@ -43,9 +43,15 @@ class _Judged:
     def height_px(self) -> np.ndarray:
         return self.pictures.labels.box_px[..., 3] - self.pictures.labels.box_px[..., 1]
 
-    def ap50(self, low_px: float = 0.0, high_px: float = np.inf) -> float | None:
-        """Average precision of objects whose boxes are so high."""
+    def ap50(self, chosen: np.ndarray | None = None, *, low_px: float = 0.0, high_px: float = np.inf) -> float | None:
+        """Average precision of the chosen objects (None: all), bool [image, object], with boxes so high.
+
+        Other objects need not be found. Detections that find nothing count against it unless their own height is out
+        of the range.
+        """
         counted = self.exists & (self.height_px >= low_px) & (self.height_px < high_px)
+        if chosen is not None:
+            counted &= chosen
         images = []
         for image, found in enumerate(self.detections):
             held = self.chosen[image]
@@ -81,28 +87,37 @@ class _Judged:
             free = free[waived.max(axis=1, initial=0.0) < 0.5]
             false_alarms += int((found.box_px[free, 3] - found.box_px[free, 1] >= HEADLINE_HEIGHT_PX).sum())
 
-        def recall_by(value: np.ndarray, edges: Sequence[float]) -> dict[str, float | None]:
-            recall = {}
-            for low, high in itertools.pairwise(edges):
-                counted = headline & (value >= low) & (value < high)
-                recall[f"{low:g}-{high:g}"] = _share(hit[counted].mean() if counted.any() else np.nan)
-            return recall
+        def within(value: np.ndarray, edges: Sequence[float]) -> dict[str, np.ndarray]:
+            return {f"{low:g}-{high:g}": (value >= low) & (value < high) for low, high in itertools.pairwise(edges)}
+
+        def recall(chosen: np.ndarray) -> float | None:
+            counted = headline & chosen
+            return _share(hit[counted].mean() if counted.any() else np.nan)
 
         hits = int(hit[headline].sum())
+        by_visible_fraction = within(labels.visible_fraction, VISIBLE_FRACTION_BINS)
+        by_distance_m = within(labels.distance_m, DISTANCE_BINS_M)
         return {
             "objects": int(self.exists.sum()),
             "objects_headline": int(headline.sum()),
             "ap50": self.ap50(),
-            "ap50_headline": self.ap50(HEADLINE_HEIGHT_PX),
+            "ap50_headline": self.ap50(low_px=HEADLINE_HEIGHT_PX),
             "ap50_by_height_px": {
-                f"{low:g}-{high:g}": self.ap50(low, high) for low, high in itertools.pairwise(HEIGHT_BINS_PX)
+                f"{low:g}-{high:g}": self.ap50(low_px=low, high_px=high)
+                for low, high in itertools.pairwise(HEIGHT_BINS_PX)
             },
-            "recall": _share(hits / max(1, headline.sum())),
-            "precision": _share(hits / max(1, hits + false_alarms)),
+            "ap50_by_visible_fraction": {
+                name: self.ap50(chosen, low_px=HEADLINE_HEIGHT_PX) for name, chosen in by_visible_fraction.items()
+            },
+            "ap50_by_distance_m": {
+                name: self.ap50(chosen, low_px=HEADLINE_HEIGHT_PX) for name, chosen in by_distance_m.items()
+            },
+            "recall": _share(hits / headline.sum() if headline.any() else np.nan),
+            "precision": _share(hits / (hits + false_alarms) if hits + false_alarms else np.nan),
             "false_alarms_per_image": _share(false_alarms / max(1, len(self.detections))),
             "right_label": _share(right_label[headline & hit].mean() if hits else np.nan),
-            "recall_by_visible_fraction": recall_by(labels.visible_fraction, VISIBLE_FRACTION_BINS),
-            "recall_by_distance_m": recall_by(labels.distance_m, DISTANCE_BINS_M),
+            "recall_by_visible_fraction": {name: recall(chosen) for name, chosen in by_visible_fraction.items()},
+            "recall_by_distance_m": {name: recall(chosen) for name, chosen in by_distance_m.items()},
         }
 
 
@@ -118,10 +133,11 @@ def evaluate(detector: Detector, pictures: Pictures) -> dict[str, object]:
 
     Returns:
         ``images``, and for every road user that the pictures hold and the detector knows: ``objects``; ``ap50`` of all
-        objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_by_height_px``; at confidence 0.25
-        and for the headline's objects ``recall``, ``precision``, ``false_alarms_per_image``, ``right_label`` (share of
-        the found ones), ``recall_by_visible_fraction``, ``recall_by_distance_m``. Shares are in 0..1, null where there
-        is nothing to count; bins are ``low-high``.
+        objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_by_height_px``; of the headline's
+        ``ap50_by_visible_fraction`` and ``ap50_by_distance_m``, where every false alarm counts in every bin, since it
+        has neither; at confidence 0.25 and for the headline's objects ``recall``, ``precision``,
+        ``false_alarms_per_image``, ``right_label`` (share of the found ones), ``recall_by_visible_fraction``,
+        ``recall_by_distance_m``. Shares are in 0..1, null where there is nothing to count; bins are ``low-high``.
     """
     detections: list[Detections] = []
     for start in range(0, len(pictures.images_rgb), _IMAGES_PER_CALL):
