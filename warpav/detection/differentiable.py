@@ -29,6 +29,8 @@ _MIN_SIZE_PX = 4.0
 # How sharply a candidate must agree with the true box to answer for the object.
 _AGREEMENT_POWER = 3.0
 PHASE_COUNT = 8
+_SOFTENING = (1.0, 4.0, 6.0, 4.0, 1.0)
+_GREY = 114.0 / 255.0
 _TINY = 1e-20
 
 
@@ -61,9 +63,11 @@ class DifferentiableDetector:
     L is 0 for a sure and exact answer and at most 1. The agreement is smooth where a candidate fits exactly, which the
     generalised IoU is not, and falls off with the square of the error, so that boxes that lie apart still attract.
 
-    A network of strides answers differently when the same picture is moved by a pixel. What a world in motion sees is
-    the mean over such moves, so L is the mean over ``phase_count`` of them: the picture and the boxes are moved by
-    k px to the right and (3 k + 1) mod n px down, k = 0 .. n - 1, its first column and row repeated.
+    A network of strides answers differently when the same picture is moved by a pixel, and its slope changes within
+    a part of one. What a world in motion sees is the mean over such moves, so L is the mean over ``phase_count`` = n of
+    them, of the picture softened by the filter 1 4 6 4 1 along rows and columns (standard deviation 1 px): picture and
+    boxes are moved by 5 k px to the right and 7 k px down, both modulo 2 n and between -n and n - 1, k = 0 .. n - 1.
+    What comes in is the grey of a letterbox; boxes end where the image does.
 
     Gradients, all by PyTorch's reverse mode: dL/dS = -1 / (2 (S + e) ln((1 + e) / e)) and dL/dD = 1/2; through S, D and
     w_j to q_j, p_j and b; through the network to the image. b enters by g_j and s alone.
@@ -90,7 +94,10 @@ class DifferentiableDetector:
         self._path = Path(path)
         self._network = TorchNetwork(path, device=_torch_device(device))
         self._label_group = np.asarray(label_group, np.int64)
-        self._phases_px = [(k, (3 * k + 1) % phase_count) for k in range(phase_count)]  # to the right, down
+        self._phases_px = [  # to the right, down
+            tuple((step * k + phase_count) % (2 * phase_count) - phase_count for step in (5, 7))
+            for k in range(phase_count)
+        ]
 
     @classmethod
     def of(cls, detector: OnnxDetector, camera: CameraModel, *, device: str) -> DifferentiableDetector:
@@ -156,12 +163,14 @@ class DifferentiableDetector:
         picture = wp.to_torch(image, requires_grad=False).detach().requires_grad_(weight is not None)
         truth_px = torch.from_numpy(np.asarray(box_px, np.float32)).to(picture.device)
         truth_px = truth_px.requires_grad_(weight is not None)
+        end_px = torch.tensor([width_px, height_px] * 2, dtype=torch.float32, device=picture.device)
         with torch.set_grad_enabled(weight is not None):
             parts, gradients = [], []
             for phase_px in self._phases_px:  # one after the other, so that memory does not grow with their number
-                raw = self._raw_output(_moved(picture, *phase_px))
-                move_px = torch.tensor([*phase_px, *phase_px], dtype=torch.float32, device=picture.device)
-                part = self._object_losses(raw, np.asarray(image_index), truth_px + move_px, np.asarray(group))
+                raw = self._raw_output(_moved(_softened(picture), *phase_px))
+                moved_px = truth_px + torch.tensor([*phase_px, *phase_px], dtype=torch.float32, device=picture.device)
+                moved_px = torch.minimum(moved_px.clamp(min=0.0), end_px)
+                part = self._object_losses(raw, np.asarray(image_index), moved_px, np.asarray(group))
                 parts.append(part.detach() / len(self._phases_px))
                 if weight is not None:
                     share = torch.from_numpy(np.asarray(weight, np.float32) / len(self._phases_px)).to(part.device)
@@ -213,14 +222,22 @@ class DifferentiableDetector:
         return 0.5 * (score_loss + disagreement)
 
 
-def _moved(picture: Any, right_px: int, down_px: int) -> Any:  # noqa: ANN401
-    """A picture [image, row, column, 3] moved by whole pixels, its first column and row repeated."""
+def _softened(picture: Any) -> Any:  # noqa: ANN401
+    """Planes [image, 3, row, column] of a picture [image, row, column, 3], softened; its border is repeated."""
     from torch.nn import functional  # pyright: ignore[reportMissingImports]
 
-    planes = picture.permute(0, 3, 1, 2)
-    if right_px or down_px:
-        planes = functional.pad(planes, (right_px, 0, down_px, 0), mode="replicate")
-    return planes[..., : picture.shape[1], : picture.shape[2]]
+    line = picture.new_tensor(_SOFTENING) / sum(_SOFTENING)
+    margin = len(_SOFTENING) // 2
+    planes = functional.pad(picture.permute(0, 3, 1, 2), [margin] * 4, mode="replicate")
+    return functional.conv2d(planes, line.outer(line).expand(3, 1, -1, -1), groups=3)
+
+
+def _moved(planes: Any, right_px: int, down_px: int) -> Any:  # noqa: ANN401
+    """Planes [image, 3, row, column] moved by whole pixels; what comes in is grey."""
+    from torch.nn import functional  # pyright: ignore[reportMissingImports]
+
+    # padding below 0 cuts off
+    return functional.pad(planes, (right_px, -right_px, down_px, -down_px), value=_GREY)
 
 
 def _torch_device(device: str) -> str:
