@@ -85,7 +85,7 @@ def train_detector(
             raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
     if not stop_after_minutes > 0.0:
         raise InputError(f"command line (--stop-after-minutes): expected more than 0, got {stop_after_minutes:g}")
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     from warpav.detection.training import train
 
