@@ -28,7 +28,8 @@ _TOLERANCE = 0.25
 _MIN_SIZE_PX = 4.0
 # How sharply a candidate must agree with the true box to answer for the object.
 _AGREEMENT_POWER = 3.0
-PHASE_COUNT = 8
+PHASE_COUNT = 16
+_REACH_PX = 8  # of the moves, to both sides
 _SOFTENING = (1.0, 4.0, 6.0, 4.0, 1.0)
 _GREY = 114.0 / 255.0
 _TINY = 1e-20
@@ -66,8 +67,8 @@ class DifferentiableDetector:
     A network of strides answers differently when the same picture is moved by a pixel, and its slope changes within
     a part of one. What a world in motion sees is the mean over such moves, so L is the mean over ``phase_count`` = n of
     them, of the picture softened by the filter 1 4 6 4 1 along rows and columns (standard deviation 1 px): picture and
-    boxes are moved by 5 k px to the right and 7 k px down, both modulo 2 n and between -n and n - 1, k = 0 .. n - 1.
-    What comes in is the grey of a letterbox; boxes end where the image does.
+    boxes are moved by k px to the right and 5 k px down, both modulo 16 and between -8 and 7, k = 0 .. n - 1. What
+    comes in is the grey of a letterbox; boxes end where the image does.
 
     Gradients, all by PyTorch's reverse mode: dL/dS = -1 / (2 (S + e) ln((1 + e) / e)) and dL/dD = 1/2; through S, D and
     w_j to q_j, p_j and b; through the network to the image. b enters by g_j and s alone.
@@ -77,7 +78,7 @@ class DifferentiableDetector:
             of the input, then scores in 0..1.
         label_group: Group of every label, -1 for none, int [label]; see `warpav.detection.detector.ROAD_USERS`.
         device: Warp device of the images.
-        phase_count: n, at least 1; the cost grows with it.
+        phase_count: n, 1 to 16; the cost grows with it.
 
     Raises:
         InputError: PyTorch is missing or cannot use the device, or the file cannot be differentiated.
@@ -95,8 +96,7 @@ class DifferentiableDetector:
         self._network = TorchNetwork(path, device=_torch_device(device))
         self._label_group = np.asarray(label_group, np.int64)
         self._phases_px = [  # to the right, down
-            tuple((step * k + phase_count) % (2 * phase_count) - phase_count for step in (5, 7))
-            for k in range(phase_count)
+            tuple((step * k + _REACH_PX) % (2 * _REACH_PX) - _REACH_PX for step in (1, 5)) for k in range(phase_count)
         ]
 
     @classmethod
