@@ -21,8 +21,10 @@ from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
 from warpav.objective.mount import mount_pose_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
-from warpav.optimise.baselines import highest_mount_pose, random_mount_pose, random_search
+from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.optimise.rivals import random_search
+from warpav.optimise.search import BudgetedValue, SearchSpace, run_search
 from warpav.optimise.segregation import Segregation, assign_vehicles, segregate
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
@@ -274,9 +276,16 @@ def compare(
     samples, rng = config.baselines.random_samples, problem.random_numbers(_RANDOM_ARM)
     chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
     display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
-    found = random_search(
-        problem.objective, [problem.train[k] for k in chosen], problem.segregation.yaw_rad, samples=samples, rng=rng
+    space = SearchSpace.over(
+        mount,
+        config.rig.cameras,
+        min_spacing_m=config.rig.min_spacing_m,
+        yaw_rad=problem.segregation.yaw_rad,
+        yaw_reach_rad=0.0,
     )
+    scenes = [problem.train[k] for k in chosen]
+    value = BudgetedValue.of(problem.objective, scenes, space, render_budget=samples * len(scenes))
+    found = run_search(random_search, value, rng)
     poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
     beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": None}
     arms = {}

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimise.test_gradient import MODEL, street_objective, street_scenes
+from tests.optimise.test_gradient import MODEL
 from warpav.errors import InputError
 from warpav.objective.constraints import constraint_violation_m
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimise.baselines import highest_mount_pose, random_mount_pose, random_search
+from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 
 
 def mount_on(surface):
@@ -66,15 +66,3 @@ def test_random_cameras_are_feasible_and_spread(rng):
     spread = poses[:, :, :2].reshape(-1, 2)
     np.testing.assert_allclose(spread.mean(axis=0), 0.5 * (low + high), atol=0.12)
     np.testing.assert_allclose(spread.std(axis=0), (high - low) / math.sqrt(12), rtol=0.15)
-
-
-def test_random_search_keeps_the_lowest_of_its_draws():
-    objective, scenes, yaw = street_objective(), street_scenes()[:1], np.array([0.0, math.pi])
-    result = random_search(objective, scenes, yaw, samples=6, rng=np.random.default_rng(3))
-    rng = np.random.default_rng(3)
-    draws = [random_mount_pose(objective.mount, yaw, min_spacing_m=0.2, rng=rng) for _ in range(6)]
-    values = [objective.evaluate(pose, scenes).objective for pose in draws]
-    assert len(set(values)) > 1
-    np.testing.assert_array_equal(result.mount_pose, draws[int(np.argmin(values))])
-    assert result.objective == min(values)
-    assert result.samples == 6

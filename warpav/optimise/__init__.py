@@ -1,1 +1,1 @@
-"""Floor 6: segregation, gradient descent with multipliers, baselines."""
+"""Floor 6: segregation, gradient descent with multipliers, baselines, and rival searches."""

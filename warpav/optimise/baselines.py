@@ -1,16 +1,13 @@
-"""Rigs to compare with: around the highest point, and the best of many random ones."""
+"""Rigs that need no search: around the highest point, and at random places."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.objective.constraints import cameras_do_not_fit, min_camera_distance_m, project_to_constraints
 from warpav.objective.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.objective.objective import AssignedScene, ThesisObjective
 
 RANDOM_TRIES = 1000
 
@@ -61,40 +58,3 @@ def random_mount_pose(
             pose[:, [X_M, Y_M]] = place
             return pose
     raise cameras_do_not_fit(len(yaw_rad), mount.surface, min_spacing_m)
-
-
-@dataclass(frozen=True)
-class RandomSearch:
-    """The best of many random rigs on a fixed set of scenes.
-
-    Attributes:
-        mount_pose: The winner, float64 [camera, 5].
-        objective: Its objective on the fixed scenes.
-        samples: How many rigs were tried.
-    """
-
-    mount_pose: np.ndarray
-    objective: float
-    samples: int
-
-
-def random_search(
-    objective: ThesisObjective,
-    scenes: Sequence[AssignedScene],
-    yaw_rad: np.ndarray,
-    *,
-    samples: int,
-    rng: np.random.Generator,
-) -> RandomSearch:
-    """Draw ``samples`` rigs like `random_mount_pose` and keep the one with the lowest objective on ``scenes``.
-
-    Every rig sees the same scenes, so that luck with the batch does not choose the winner.
-    """
-    best: RandomSearch | None = None
-    for _ in range(samples):
-        pose = random_mount_pose(objective.mount, yaw_rad, min_spacing_m=objective.settings.min_spacing_m, rng=rng)
-        value = objective.evaluate(pose, scenes).objective
-        if best is None or value < best.objective:
-            best = RandomSearch(pose, value, samples)
-    assert best is not None
-    return best
