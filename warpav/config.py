@@ -439,19 +439,44 @@ class LossConfig(Section):
 
     in_frame_rotation: float = Field(default=1.0, ge=0.0, description="weight of the in-frame rotation loss")
     detected_area: float = Field(default=10.0, ge=0.0, description="weight of the detected object area loss")
+    surface_blockage: float = Field(
+        default=0.0, ge=0.0, description="weight of the surface blockage loss: what the ego vehicle hides"
+    )
+    object_visibility: float = Field(
+        default=0.0, ge=0.0, description="weight of the object visibility loss: detected_area without a detector"
+    )
+    angular_coverage: float = Field(
+        default=0.0, ge=0.0, description="weight of the angular coverage loss: directions in no camera's view"
+    )
     detector_gradient: float = Field(
         default=0.0,
         ge=0.0,
         description="weight of the detection network's own loss, differentiated through it; needs warpav[torch]",
     )
     min_detected_area: float = Field(
-        default=0.5, gt=0.0, le=1.0, description="detected share of a vehicle's area from which more brings nothing"
+        default=0.5,
+        gt=0.0,
+        le=1.0,
+        description="detected (object_visibility: visible) share of a vehicle's area from which more brings nothing",
+    )
+    min_unblocked_area: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=1.0,
+        description="share of a vehicle's area that the ego vehicle leaves free, from which more brings nothing",
     )
     epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
 
     @model_validator(mode="after")
     def _check(self) -> LossConfig:
-        weights = ("in_frame_rotation", "detected_area", "detector_gradient")
+        weights = (
+            "in_frame_rotation",
+            "detected_area",
+            "surface_blockage",
+            "object_visibility",
+            "angular_coverage",
+            "detector_gradient",
+        )
         if not any(getattr(self, name) for name in weights):
             _mistake("expected at least one weight above 0, got only zeros", *weights)
         return self

@@ -141,8 +141,12 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         settings=LossSettings(
             in_frame_rotation=config.losses.in_frame_rotation,
             detected_area=config.losses.detected_area,
+            surface_blockage=config.losses.surface_blockage,
+            object_visibility=config.losses.object_visibility,
+            angular_coverage=config.losses.angular_coverage,
             detector_gradient=config.losses.detector_gradient,
             min_detected_area=config.losses.min_detected_area,
+            min_unblocked_area=config.losses.min_unblocked_area,
             reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
             epsilon=config.losses.epsilon,
             min_spacing_m=config.rig.min_spacing_m,

@@ -1,4 +1,4 @@
-"""Losses of the thesis that say how well a rig sees the vehicles of a scene: in-frame rotation and detected area.
+"""Losses of the thesis that say how well a rig sees the vehicles of a scene, those of its appendix IX included.
 
 A vehicle is assigned to one camera (-1: to none, and then it does not count). View ``camera * rotation_count + a`` is
 the camera turned by the rotational addition a; a = 0 is where it really looks.
@@ -9,9 +9,16 @@ import warp as wp
 from warpav_kernels.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav_kernels.mount_pose import YAW_RAD
 
-# the losses, in the order of their arrays
+# the losses, in the order of their arrays; the last is not of vehicles
 IN_FRAME_ROTATION = wp.constant(0)
 DETECTED_AREA = wp.constant(1)
+SURFACE_BLOCKAGE = wp.constant(2)
+OBJECT_VISIBILITY = wp.constant(3)
+ANGULAR_COVERAGE = wp.constant(4)
+VEHICLE_LOSS_COUNT = wp.constant(4)
+LOSS_COUNT = wp.constant(5)
+
+ALIGNED_RAD = wp.constant(1.0e-6)  # ranges whose ends are this close touch: neither overlap nor gap, no gradient
 
 # what is known of a vehicle's bearing
 NEVER_SEEN = wp.constant(0)
@@ -186,6 +193,15 @@ def sum_area_around_kernel(
     area_around[vehicle] = around
 
 
+@wp.func
+def visibility_shortfall(visibility: float, min_visibility: float) -> float:
+    """How much of the wanted visibility is missing, relative to it, 0..1; 0 where there is enough.
+
+    Equation: 15, 18 (as printed)
+    """
+    return wp.max(min_visibility - visibility, 0.0) / min_visibility
+
+
 @wp.kernel
 def detected_area_loss_kernel(
     # in
@@ -206,7 +222,7 @@ def detected_area_loss_kernel(
     gradient.
 
     Equation: 14 (same value: sum - (sum - S_dm) is S_dm)
-    Equation: 15, 16 (as printed)
+    Equation: 16 (as printed)
 
     Launch: ``dim=vehicle_count``; one thread per vehicle.
     Writes: ``vehicle_loss[DETECTED_AREA, vehicle]`` of every assigned vehicle once; the caller zeroes it.
@@ -222,7 +238,189 @@ def detected_area_loss_kernel(
     ahead = camera * rotation_count
     detected = soft_masked_area(measure[ahead, vehicle, BOX_AREA], measure[ahead, vehicle, VISIBLE_AREA], epsilon)
     visibility = detected / around  # Eq. 14
-    vehicle_loss[DETECTED_AREA, vehicle] = wp.max(min_visibility - visibility, 0.0) / min_visibility  # Eq. 15, 16
+    vehicle_loss[DETECTED_AREA, vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 15, 16
+
+
+@wp.kernel
+def object_visibility_loss_kernel(
+    # in
+    measure: wp.array3d[float],
+    area_around: wp.array[float],
+    assigned_camera: wp.array[wp.int32],
+    rotation_count: int,
+    min_visibility: float,
+    # out
+    vehicle_loss: wp.array2d[float],
+):
+    """Object-visibility loss of every assigned vehicle: the detected-area loss of a detector that misses nothing.
+
+    The visibility is the non-occluded silhouette where the camera really looks, over ``area_around``. A vehicle of
+    which its camera sees nothing in any direction counts 1 and gives no gradient.
+
+    Equation: 24 (same value: sum - (sum - S_bm) is S_bm, which is S_um at the rotational addition 0)
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle.
+    Writes: ``vehicle_loss[OBJECT_VISIBILITY, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    """
+    vehicle = wp.tid()
+    camera = assigned_camera[vehicle]
+    if camera < 0:
+        return
+    around = area_around[vehicle]
+    if around < 0.5:
+        vehicle_loss[OBJECT_VISIBILITY, vehicle] = 1.0
+        return
+    visibility = measure[camera * rotation_count, vehicle, VISIBLE_AREA] / around  # Eq. 24
+    vehicle_loss[OBJECT_VISIBILITY, vehicle] = visibility_shortfall(visibility, min_visibility)
+
+
+@wp.kernel(enable_backward=False)
+def find_clearest_cameras_kernel(
+    # in
+    measure: wp.array3d[float],
+    unblocked_area: wp.array3d[float],
+    assigned_camera: wp.array[wp.int32],
+    camera_count: int,
+    rotation_count: int,
+    # out
+    clearest_camera: wp.array[wp.int32],
+):
+    """The camera from which the ego vehicle hides the smallest share of a vehicle; of equal ones the first.
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle. Not taped.
+    Writes: every element of ``clearest_camera`` once; -1 where no camera has the vehicle in its frame, and where the
+    vehicle is not assigned.
+    """
+    vehicle = wp.tid()
+    clearest_camera[vehicle] = -1
+    if assigned_camera[vehicle] < 0:
+        return
+    best = float(-1.0)
+    for camera in range(camera_count):
+        alone = measure[camera * rotation_count, vehicle, AMODAL_AREA]
+        if alone > 0.0:
+            visibility = unblocked_area[camera * rotation_count, vehicle, 0] / alone
+            if visibility > best:
+                best = visibility
+                clearest_camera[vehicle] = camera
+
+
+@wp.kernel
+def surface_blockage_loss_kernel(
+    # in
+    measure: wp.array3d[float],
+    unblocked_area: wp.array3d[float],
+    assigned_camera: wp.array[wp.int32],
+    clearest_camera: wp.array[wp.int32],
+    rotation_count: int,
+    min_visibility: float,
+    # out
+    vehicle_loss: wp.array2d[float],
+):
+    """Surface-blockage loss of every assigned vehicle: how much of it the ego vehicle hides, where it hides least.
+
+    ``unblocked_area`` is the vehicle alone outside the ego vehicle's silhouette. A vehicle in no camera's frame counts
+    1 and gives no gradient: turning away from a blocked vehicle must not pay.
+
+    Equation: 17 (same value: the pixels of m + e without those of e are those of m outside e)
+
+    Launch: ``dim=vehicle_count``; one thread per vehicle.
+    Writes: ``vehicle_loss[SURFACE_BLOCKAGE, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    """
+    vehicle = wp.tid()
+    if assigned_camera[vehicle] < 0:
+        return
+    camera = clearest_camera[vehicle]
+    if camera < 0:
+        vehicle_loss[SURFACE_BLOCKAGE, vehicle] = 1.0
+        return
+    ahead = camera * rotation_count
+    visibility = unblocked_area[ahead, vehicle, 0] / measure[ahead, vehicle, AMODAL_AREA]  # Eq. 17
+    vehicle_loss[SURFACE_BLOCKAGE, vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 18
+
+
+@wp.func
+def turn_count(yaw_rad: float) -> int:
+    """Whole turns below a yaw."""
+    return int(wp.floor(yaw_rad / (2.0 * wp.pi)))
+
+
+@wp.kernel(enable_backward=False)
+def find_next_cameras_kernel(
+    # in
+    mount_pose: wp.array2d[float],
+    # out
+    next_camera: wp.array[wp.int32],
+    next_turns: wp.array[wp.int32],
+):
+    """Sort the cameras round the circle: the next to the left of each, and the turns to add to reach its yaw.
+
+    Cameras of equal yaw follow each other by number, and the last is followed by the first, a turn further.
+
+    Launch: ``dim=camera_count``; one thread per camera. Not taped.
+    Writes: every element of ``next_camera`` and ``next_turns`` once.
+    """
+    camera = wp.tid()
+    yaw_rad = mount_pose[camera, YAW_RAD]
+    own = yaw_rad - float(turn_count(yaw_rad)) * 2.0 * wp.pi
+    nearest = float(1.0e9)
+    found = int(camera)
+    turns = int(0)
+    for other in range(mount_pose.shape[0]):
+        other_yaw_rad = mount_pose[other, YAW_RAD]
+        place = other_yaw_rad - float(turn_count(other_yaw_rad)) * 2.0 * wp.pi
+        further = int(0)
+        if place < own or (place == own and other <= camera):
+            place += 2.0 * wp.pi
+            further = 1
+        if place < nearest:
+            nearest = place
+            found = other
+            turns = turn_count(yaw_rad) - turn_count(other_yaw_rad) + further
+    next_camera[camera] = found
+    next_turns[camera] = turns
+
+
+@wp.func
+def covered_rad(gap_rad: float, fov_rad: float) -> float:
+    """What a range of width ``fov_rad`` adds to the union if the next one starts ``gap_rad`` further.
+
+    Equation: 21, 22 (same value: all ranges are equally wide, so each covers up to its end or to the next one's start)
+    """
+    if gap_rad < fov_rad - ALIGNED_RAD:
+        return gap_rad
+    return fov_rad
+
+
+@wp.kernel
+def angular_coverage_loss_kernel(
+    # in
+    mount_pose: wp.array2d[float],
+    next_camera: wp.array[wp.int32],
+    next_turns: wp.array[wp.int32],
+    fov_rad: float,
+    # out
+    loss: wp.array[float],
+):
+    """Angular-coverage loss of a rig: the share of the angle that it could cover, beyond one camera's, and does not.
+
+    A rig that cannot cover more than one of its cameras does costs 0 (the thesis divides 0 by 0).
+
+    Equation: 20, 23 (as printed)
+
+    Launch: ``dim=1``; cameras are few, and one thread sums them in a fixed order.
+    Writes: ``loss[ANGULAR_COVERAGE]`` once.
+    """
+    camera_count = mount_pose.shape[0]
+    most_rad = wp.min(float(camera_count) * fov_rad, 2.0 * wp.pi)  # Eq. 20
+    spare_rad = most_rad - fov_rad
+    total = float(0.0)
+    if spare_rad > ALIGNED_RAD:
+        for camera in range(camera_count):
+            further_rad = float(next_turns[camera]) * 2.0 * wp.pi
+            gap_rad = mount_pose[next_camera[camera], YAW_RAD] - mount_pose[camera, YAW_RAD] + further_rad
+            total += (most_rad / float(camera_count) - covered_rad(gap_rad, fov_rad)) / spare_rad  # Eq. 23
+    loss[ANGULAR_COVERAGE] = total
 
 
 @wp.kernel
@@ -233,12 +431,12 @@ def mean_vehicle_loss_kernel(
     # out
     loss: wp.array[float],
 ):
-    """Mean of every loss over the assigned vehicles, summed in a fixed order.
+    """Mean of every loss of vehicles over the assigned ones, summed in a fixed order.
 
-    Equation: 13, 16 (as printed)
+    Equation: 13, 16, 19 (as printed)
 
-    Launch: ``dim=number of losses``; one thread per loss; vehicles that are not assigned hold 0.
-    Writes: every element of ``loss`` once.
+    Launch: ``dim=number of losses of vehicles``; one thread per loss; vehicles that are not assigned hold 0.
+    Writes: as many first elements of ``loss`` once.
     """
     i = wp.tid()
     total = float(0.0)

@@ -100,6 +100,23 @@ def detected_area_loss(new):
     return VEHICLES, inputs, [new(np.zeros((2, VEHICLES)))]
 
 
+def object_visibility_loss(new):
+    inputs = [measures(new), new(size=VEHICLES, low=4.0, high=6.0), new.integers(ASSIGNED), ROTATIONS, 0.8]
+    return VEHICLES, inputs, [new(np.zeros((4, VEHICLES)))]
+
+
+def surface_blockage_loss(new):
+    unblocked = new(size=(CAMERAS * ROTATIONS, VEHICLES, 1), low=0.1, high=0.4)
+    inputs = [measures(new), unblocked, new.integers(ASSIGNED), new.integers([0, -1, 1]), ROTATIONS, 1.0]
+    return VEHICLES, inputs, [new(np.zeros((4, VEHICLES)))]
+
+
+def angular_coverage_loss(new):
+    # of three ranges of 1.5 rad one ends before the next, two overlap
+    pose = new(np.c_[np.zeros((3, 2)), [3.0, 0.2, -1.0], np.zeros((3, 2))])
+    return 1, [pose, new.integers([2, 0, 1]), new.integers([1, 0, 0]), 1.5], [new(np.zeros(5))]
+
+
 def mean_vehicle_loss(new):
     return 2, [new(size=(2, VEHICLES)), 2], [new(np.zeros(2))]
 
@@ -151,6 +168,9 @@ CASES = {
     placement_losses.in_frame_rotation_loss_kernel: in_frame_rotation_loss,
     placement_losses.sum_area_around_kernel: sum_area_around,
     placement_losses.detected_area_loss_kernel: detected_area_loss,
+    placement_losses.object_visibility_loss_kernel: object_visibility_loss,
+    placement_losses.surface_blockage_loss_kernel: surface_blockage_loss,
+    placement_losses.angular_coverage_loss_kernel: angular_coverage_loss,
     placement_losses.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
     detection_probability.detection_probability_kernel: probability_of_detection,

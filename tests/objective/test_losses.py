@@ -12,7 +12,7 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.oracle import thesis
 from warpav.objective.constraints import constraint_losses_of
-from warpav.objective.losses import LossSettings, Reference, lagrangian_of, placement_losses_of
+from warpav.objective.losses import OBJECTIVES, LossSettings, Reference, lagrangian_of, placement_losses_of
 from warpav.objective.mount import CameraMount
 from warpav.render.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.rig.camera import CameraModel
@@ -113,24 +113,41 @@ def test_cameras_at_one_place_cost_one_and_give_a_finite_gradient(device):
 
 
 def placement_losses(
-    value, assigned, pose, device, *, model=MODEL, per_shift=None, per_spin=None, weight=(1.0, 0.0), **settings
+    value,
+    assigned,
+    pose,
+    device,
+    *,
+    model=MODEL,
+    per_shift=None,
+    per_spin=None,
+    unblocked=None,
+    weight=(1.0, 0.0),
+    **settings,
 ):
-    """Both losses for measures [view, vehicle, measure], and the gradient of their weighted sum to the pose."""
+    """Losses for measures [view, vehicle, measure], and the gradient of their weighted sum to the pose.
+
+    ``unblocked`` holds values [view, vehicle] and Jacobians to shift and spin [view, vehicle, 3].
+    """
     mount = CameraMount(SURFACE, camera=model, height_offset_m=0.25, device=device)
     array = wp.array(np.asarray(pose, np.float32), dtype=float, device=device, requires_grad=True)
     assigned = np.asarray(assigned, np.int32)
     tape = wp.Tape()
     with tape:
         views = mount.place(array)
-    zero = np.zeros((*value.shape, 3), np.float32)
-    measures = Measures(
-        wp.array(value.astype(np.float32), dtype=float, device=device),
-        wp.array(zero if per_shift is None else per_shift, dtype=wp.vec3, device=device),
-        wp.array(zero if per_spin is None else per_spin, dtype=wp.vec3, device=device),
-        wp.zeros(value.shape, dtype=float, device=device),
-        wp.clone(views.position_ego_m, requires_grad=False),
-        wp.clone(views.camera_from_ego, requires_grad=False),
-    )
+
+    def measured(value, per_shift, per_spin):
+        zero = np.zeros((*value.shape, 3))
+        return Measures(
+            wp.array(value.astype(np.float32), dtype=float, device=device),
+            wp.array((zero if per_shift is None else per_shift).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array((zero if per_spin is None else per_spin).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.zeros(value.shape, dtype=float, device=device),
+            wp.clone(views.position_ego_m, requires_grad=False),
+            wp.clone(views.camera_from_ego, requires_grad=False),
+        )
+
+    measures = measured(value, per_shift, per_spin)
     with tape:
         loss = placement_losses_of(
             mount,
@@ -139,8 +156,10 @@ def placement_losses(
             wp.array(assigned, dtype=wp.int32, device=device),
             assigned_count=int((assigned >= 0).sum()),
             settings=LossSettings(**settings),
+            unblocked=None if unblocked is None else measured(*(numbers[:, :, None] for numbers in unblocked)),
         )
-    tape.backward(grads={loss: wp.array(np.array(weight, np.float32), dtype=float, device=device)})
+    weight = np.pad(np.array(weight, np.float32), (0, len(OBJECTIVES) - len(weight)))
+    tape.backward(grads={loss: wp.array(weight, dtype=float, device=device)})
     return loss.numpy(), array.grad.numpy()
 
 
@@ -254,8 +273,13 @@ def test_in_frame_rotation_loss_is_the_mean_over_assigned_vehicles(device, rng):
 
 def test_a_scene_without_assigned_vehicles_costs_nothing(device):
     value = measures_of(band(10, 5)[None, None])
-    loss, gradient = placement_losses(value, [-1], np.zeros((1, 5)), device, weight=(1.0, 1.0))
-    np.testing.assert_array_equal(loss, [0.0, 0.0])
+    settings = {
+        "surface_blockage": 1.0,
+        "object_visibility": 1.0,
+        "unblocked": [np.zeros((4, 1))] + [np.zeros((4, 1, 3))] * 2,
+    }
+    loss, gradient = placement_losses(value, [-1], np.zeros((1, 5)), device, weight=(1.0,) * 4, **settings)
+    np.testing.assert_array_equal(loss, 0.0)
     assert not gradient.any()
 
 
@@ -380,9 +404,18 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
     value[..., LEFT] = WIDTH
     jacobian = rng.normal(size=(4, 1, MEASURE_COUNT, 3)).astype(np.float32)
     loss, gradient = placement_losses(
-        value, [0], np.zeros((1, 5)), device, per_shift=jacobian, per_spin=jacobian, weight=(1.0, 1.0)
+        value,
+        [0],
+        np.zeros((1, 5)),
+        device,
+        per_shift=jacobian,
+        per_spin=jacobian,
+        unblocked=[np.zeros((4, 1)), *rng.normal(size=(2, 4, 1, 3))],
+        weight=(1.0,) * 4,
+        surface_blockage=1.0,
+        object_visibility=1.0,
     )
-    np.testing.assert_array_equal(loss, [1.0, 1.0])
+    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0])
     assert not gradient.any()
 
 

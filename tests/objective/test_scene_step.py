@@ -13,7 +13,7 @@ from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
-SEED = np.array([1.0, 10.0], np.float32)
+SEED = np.array([1.0, 10.0, 3.0, 2.0, 1.5], np.float32)
 
 
 class Steps:
@@ -22,7 +22,11 @@ class Steps:
     def __init__(self, device, *, recorded, occlusion=Occlusion.EXACT, car_count=10, renderer=None):
         mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
         self.renderer = renderer or Renderer(
-            [MODEL] * (2 * mount.rotation_count), occlusion=occlusion, device=device, thread_count=1
+            [MODEL] * (2 * mount.rotation_count),
+            occlusion=occlusion,
+            device=device,
+            thread_count=1,
+            ego_blockage=True,
         )
         self.pose = wp.zeros(POSE.shape, dtype=float, device=device, requires_grad=True)
         scene = packed_street(device, car_count, 1)
@@ -33,7 +37,14 @@ class Steps:
             pose=self.pose,
             seed=wp.array(SEED, dtype=float, device=device),
             ahead_view=[0, mount.rotation_count],
-            settings=LossSettings(epsilon=0.05, reference=Reference.ALONE),
+            settings=LossSettings(
+                epsilon=0.05,
+                reference=Reference.ALONE,
+                surface_blockage=1.0,
+                object_visibility=1.0,
+                angular_coverage=1.0,
+                min_unblocked_area=1.0,
+            ),
             recorded=recorded,
         )
         self.box_px = np.tile(np.float32([20.0, 30.0, 100.0, 90.0]), (2, car_count, 1))

@@ -126,6 +126,58 @@ def detected_area_loss(vehicles, min_visibility, epsilon):
     return sum(losses) / len(losses)
 
 
+def surface_blockage_loss(vehicles, min_visibility):
+    """Eqs. 17 to 19 over (silhouettes of the vehicle alone, of the ego vehicle), each [camera, row, column].
+
+    A vehicle in no camera's frame counts 1.
+    """
+    losses = []
+    for alone, ego in vehicles:
+        visibilities = []
+        for i in range(len(alone)):
+            both = alone[i] | ego[i]
+            if alone[i].any():
+                visibilities.append((both.sum() - ego[i].sum()) / alone[i].sum())
+        if not visibilities:
+            losses.append(1.0)
+            continue
+        short = min_visibility - max(visibilities)
+        losses.append(0.0 if short < 0 else abs(short) / min_visibility)
+    return sum(losses) / len(losses)
+
+
+def angular_coverage_loss(yaw_rad, fov_rad):
+    """Eqs. 20 to 23 by the steps of the text: sort, start from 0, split at 2 pi, add what is new of each range."""
+    most = min(len(yaw_rad) * fov_rad, 2 * math.pi)
+    if most - fov_rad < 1e-9:
+        return 0.0
+    starts = sorted((yaw - fov_rad / 2) % (2 * math.pi) for yaw in yaw_rad)
+    ranges = []
+    for start in (start - starts[0] for start in starts):
+        end = start + fov_rad
+        ranges += [(start, end)] if end <= 2 * math.pi else [(start, 2 * math.pi), (0.0, end - 2 * math.pi)]
+    union, reached = 0.0, 0.0
+    for start, end in sorted(ranges):
+        union += max(end - max(start, reached), 0.0)
+        reached = max(reached, end)
+    return (most - union) / (most - fov_rad)
+
+
+def object_visibility_loss(vehicles, min_visibility):
+    """Eq. 24 with Eqs. 15 and 16 over non-occluded silhouettes [rotation, row, column]; one without pixels counts 1."""
+    losses = []
+    for silhouettes in vehicles:
+        whole = silhouettes.sum()
+        if whole == 0:
+            losses.append(1.0)
+            continue
+        lost = whole - silhouettes[0].sum()
+        visibility = (whole - lost) / whole
+        short = min_visibility - visibility
+        losses.append(0.0 if short < 0 else abs(short) / min_visibility)
+    return sum(losses) / len(losses)
+
+
 class AdamW:
     """Loshchilov and Hutter, algorithm 2, in double precision."""
 

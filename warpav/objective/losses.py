@@ -12,7 +12,8 @@ from warpav.render.renderer import AMODAL_AREA, VISIBLE_AREA, Measures
 from warpav_kernels import lagrangian, placement_losses
 
 # order of the objective losses in their array
-OBJECTIVES = ("in_frame_rotation", "detected_area")
+OBJECTIVES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")
+ALWAYS_MEASURED = ("in_frame_rotation",)  # the others only where they have a scale
 DETECTOR_GRADIENT = "detector_gradient"  # the loss that comes from the detection network itself, where it takes part
 
 
@@ -29,9 +30,13 @@ class LossSettings:
 
     Attributes:
         in_frame_rotation: Scale of the in-frame rotation loss, at least 0.
-        detected_area: Scale of the detected-area loss, at least 0.
-        detector_gradient: Scale of the detection network's own loss, at least 0; 0 leaves it out altogether.
-        min_detected_area: Visibility below which a vehicle costs something, in (0, 1].
+        detected_area: Scale of the detected-area loss, at least 0; 0 leaves it out altogether, as with all below.
+        surface_blockage: Scale of the surface-blockage loss (appendix IX), at least 0.
+        object_visibility: Scale of the object-visibility loss (appendix IX), at least 0.
+        angular_coverage: Scale of the angular-coverage loss (appendix IX), at least 0.
+        detector_gradient: Scale of the detection network's own loss, at least 0.
+        min_detected_area: Detected or visible share of a vehicle below which it costs something, in (0, 1].
+        min_unblocked_area: Share of it that the ego vehicle leaves free below which it costs something, in (0, 1].
         reference: What the detected area is compared with.
         epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
         min_spacing_m: Least distance between two camera centres [m], positive.
@@ -40,27 +45,36 @@ class LossSettings:
 
     in_frame_rotation: float = 1.0
     detected_area: float = 10.0
+    surface_blockage: float = 0.0
+    object_visibility: float = 0.0
+    angular_coverage: float = 0.0
     detector_gradient: float = 0.0
     min_detected_area: float = 0.5
+    min_unblocked_area: float = 0.5
     reference: Reference = Reference.NON_OCCLUDED
     epsilon: float = 1e-5
     min_spacing_m: float = 0.2
     multiplier_damping: float = 0.0
 
     @property
-    def placement_scale(self) -> tuple[float, float]:
+    def placement_scale(self) -> tuple[float, ...]:
         """Scales in the order of `OBJECTIVES`."""
-        return self.in_frame_rotation, self.detected_area
+        return tuple(getattr(self, name) for name in OBJECTIVES)
 
     @property
     def objectives(self) -> tuple[str, ...]:
-        """Names of the objectives that are looked at: `OBJECTIVES`, then `DETECTOR_GRADIENT` where it takes part."""
+        """Names of the objectives: `OBJECTIVES`, then `DETECTOR_GRADIENT` where it takes part."""
         return (*OBJECTIVES, DETECTOR_GRADIENT) if self.detector_gradient > 0.0 else OBJECTIVES
 
     @property
     def objective_scale(self) -> tuple[float, ...]:
         """Scales in the order of `objectives`."""
-        return (*self.placement_scale, self.detector_gradient)[: len(self.objectives)]
+        return tuple(getattr(self, name) for name in self.objectives)
+
+    @property
+    def measured_objectives(self) -> tuple[str, ...]:
+        """Names of the objectives whose values are known: those with a scale, and `ALWAYS_MEASURED`."""
+        return tuple(name for name in self.objectives if getattr(self, name) > 0.0 or name in ALWAYS_MEASURED)
 
     @property
     def constraint_scale(self) -> float:
@@ -81,8 +95,9 @@ def placement_losses_of(
     *,
     assigned_count: int,
     settings: LossSettings,
+    unblocked: Measures | None = None,
 ) -> wp.array:
-    """One scene's in-frame rotation and detected-area loss, recorded on the active tape.
+    """One scene's losses, recorded on the active tape.
 
     Args:
         mount: Knows the rotational additions and the lens.
@@ -91,16 +106,25 @@ def placement_losses_of(
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
         assigned_count: Number of vehicles that have a camera; a scene without any costs nothing.
         settings: Parameters of the losses.
+        unblocked: `Renderer.unblocked_area` in these views; the surface-blockage loss needs it.
 
     Returns:
-        float [2] in the order of `OBJECTIVES`.
+        float [objective] in the order of `OBJECTIVES`; 0 where a loss is left out.
+
+    Raises:
+        ValueError: ``unblocked`` is needed and not there.
     """
+    if settings.surface_blockage > 0.0 and unblocked is None:
+        raise ValueError("settings.surface_blockage needs the unblocked areas")
     device = rendered.value.device
     loss = wp.zeros(len(OBJECTIVES), dtype=float, device=device, requires_grad=True)
+    if settings.angular_coverage > 0.0:
+        _add_angular_coverage(mount, views.mount_pose, loss)
     if assigned_count == 0:
         return loss
     vehicle_count = assigned_camera.shape[0]
-    vehicle_loss = wp.zeros((len(OBJECTIVES), vehicle_count), dtype=float, device=device, requires_grad=True)
+    shape = (int(placement_losses.VEHICLE_LOSS_COUNT), vehicle_count)
+    vehicle_loss = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
     bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
     sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
     wp.launch(
@@ -149,14 +173,90 @@ def placement_losses_of(
         outputs=[vehicle_loss],
         device=device,
     )
+    if settings.object_visibility > 0.0:
+        wp.launch(
+            placement_losses.object_visibility_loss_kernel,
+            dim=vehicle_count,
+            inputs=[measure, area_around, assigned_camera, mount.rotation_count, settings.min_detected_area],
+            outputs=[vehicle_loss],
+            device=device,
+        )
+    if unblocked is not None and settings.surface_blockage > 0.0:
+        _add_surface_blockage(mount, views, rendered, measure, unblocked, assigned_camera, settings, vehicle_loss)
     wp.launch(
         placement_losses.mean_vehicle_loss_kernel,
-        dim=len(OBJECTIVES),
+        dim=shape[0],
         inputs=[vehicle_loss, assigned_count],
         outputs=[loss],
         device=device,
     )
     return loss
+
+
+def _add_surface_blockage(
+    mount: CameraMount,
+    views: PlacedViews,
+    rendered: Measures,
+    measure: wp.array,
+    unblocked: Measures,
+    assigned_camera: wp.array,
+    settings: LossSettings,
+    vehicle_loss: wp.array,
+) -> None:
+    device = measure.device
+    vehicle_count = assigned_camera.shape[0]
+    clearest_camera = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
+    wp.launch(
+        placement_losses.find_clearest_cameras_kernel,
+        dim=vehicle_count,
+        inputs=[
+            rendered.value,
+            unblocked.value,
+            assigned_camera,
+            views.mount_pose.shape[0],
+            mount.rotation_count,
+        ],
+        outputs=[clearest_camera],
+        device=device,
+        record_tape=False,
+    )
+    unblocked_area = unblocked.on_tape(views.position_ego_m, views.camera_from_ego)
+    wp.launch(
+        placement_losses.surface_blockage_loss_kernel,
+        dim=vehicle_count,
+        inputs=[
+            measure,
+            unblocked_area,
+            assigned_camera,
+            clearest_camera,
+            mount.rotation_count,
+            settings.min_unblocked_area,
+        ],
+        outputs=[vehicle_loss],
+        device=device,
+    )
+
+
+def _add_angular_coverage(mount: CameraMount, mount_pose: wp.array, loss: wp.array) -> None:
+    device = mount_pose.device
+    camera_count = mount_pose.shape[0]
+    next_camera = wp.zeros(camera_count, dtype=wp.int32, device=device)
+    next_turns = wp.zeros(camera_count, dtype=wp.int32, device=device)
+    wp.launch(
+        placement_losses.find_next_cameras_kernel,
+        dim=camera_count,
+        inputs=[mount_pose],
+        outputs=[next_camera, next_turns],
+        device=device,
+        record_tape=False,
+    )
+    wp.launch(
+        placement_losses.angular_coverage_loss_kernel,
+        dim=1,
+        inputs=[mount_pose, next_camera, next_turns, mount.camera.fov_rad],
+        outputs=[loss],
+        device=device,
+    )
 
 
 def lagrangian_of(

@@ -36,8 +36,7 @@ class Evaluation:
     Attributes:
         total: The Lagrangian.
         objective: Scaled sum of the objectives, without constraints.
-        terms: Every loss by name, unscaled; without the detected area where it has no scale, since then the detector is
-            not asked.
+        terms: Every loss by name, unscaled; without those that have no scale and would have to be measured first.
         gradient: Of the total to the mount poses, float32 [camera, 5]; None if it was not asked for.
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
         seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
@@ -68,7 +67,7 @@ class _Looked:
 
 
 class ThesisObjective:
-    """In-frame rotation and detected area under the bounds and spacing constraints (thesis section III.C)."""
+    """The thesis's losses (section III.C and appendix IX) under the bounds and spacing constraints."""
 
     def __init__(
         self,
@@ -119,6 +118,7 @@ class ThesisObjective:
                 supersampling=supersampling,
                 occlusion=occlusion,
                 device=mount.device,
+                ego_blockage=settings.surface_blockage > 0.0,
             )
             for _ in range(self._renderer_count())
         ]
@@ -180,10 +180,9 @@ class ThesisObjective:
             assert multiplier_array.grad is not None
             pose_gradient, multiplier_gradient = self._pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
             seconds["backward"] += time.perf_counter() - backward_started
-        names = (*self.settings.objectives, *CONSTRAINTS)
-        terms = dict(zip(names, [*objectives.tolist(), *constraint_loss.numpy().tolist()], strict=True))
-        if self.settings.detected_area == 0.0:
-            del terms["detected_area"]  # nobody has looked
+        values = dict(zip(self.settings.objectives, objectives.tolist(), strict=True))
+        terms = {name: values[name] for name in self.settings.measured_objectives}
+        terms |= dict(zip(CONSTRAINTS, constraint_loss.numpy().tolist(), strict=True))
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
             total=float(total.numpy()[0]),
@@ -336,6 +335,7 @@ class ThesisObjective:
             wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
             assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
             settings=self.settings,
+            unblocked=renderer.unblocked_area(scene) if self.settings.surface_blockage > 0.0 else None,
         )
         losses = list(loss.numpy())
         if self.differentiable_detector is not None:

@@ -154,6 +154,7 @@ class SceneStep:
             self._assigned_camera,
             assigned_count=self._assigned_count,
             settings=self._settings,
+            unblocked=self._renderer.unblocked_area(self.scene) if self._settings.surface_blockage > 0.0 else None,
         )
         return loss, measures
 

@@ -229,6 +229,7 @@ class Renderer:
         occlusion: Occlusion = Occlusion.EXACT,
         device: str = "cpu",
         thread_count: int | None = None,
+        ego_blockage: bool = False,
     ) -> None:
         """Buffers for the given views.
 
@@ -238,6 +239,7 @@ class Renderer:
             occlusion: What hides a vehicle in `measure` and `visible_masks`.
             device: Warp device.
             thread_count: Threads over views on the CPU; None takes the number of cores, at most 8.
+            ego_blockage: Whether `unblocked_area` will be asked for.
 
         Raises:
             ValueError: No views, views of different sizes, supersampling that is no whole number from 1 on, or views of
@@ -251,6 +253,7 @@ class Renderer:
         self.width_px, self.height_px = models[0].width_px, models[0].height_px
         self.supersampling = supersampling
         self.occlusion = occlusion
+        self.ego_blockage = ego_blockage
         self.device = wp.get_device(device)
         guard = int(view.GUARD)
         self._width = self.width_px * supersampling + 2 * guard
@@ -275,12 +278,15 @@ class Renderer:
         self._needed_samples = self._zeros(1, wp.int64)
         self._strip = self._zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self._strip_count = self._zeros(1, wp.int32)
+        if ego_blockage:
+            self._ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
         self._held: Held | None = None
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
         self._layers = layers.Layers()
         self._hiding = outline.Hiding()
+        self._ego_hiding = outline.Hiding()  # what the ego vehicle's silhouette alone hides
         self._reserve_samples(0)
         self._lanes = (1, 1) if self.device.is_cpu else CUDA_MEASURE_LANES
         self._flow_lanes = FLOW_LANES if self.device.is_cpu else CUDA_FLOW_LANES
@@ -332,8 +338,9 @@ class Renderer:
         room = sample_count + sample_count // 4
         self._layers.inverse_depth_bits = self._zeros(room, wp.int32)
         self._layers.reach_key = self._zeros((4, room), wp.int64)
-        self._hiding.bits = self._zeros(room, wp.int32)
-        self._hiding.source = self._zeros(room, wp.int32)
+        for hiding, size in ((self._hiding, room), (self._ego_hiding, room if self.ego_blockage else 0)):
+            hiding.bits = self._zeros(size, wp.int32)
+            hiding.source = self._zeros(size, wp.int32)
         self._capacity = room
         self.generation += 1
 
@@ -387,11 +394,11 @@ class Renderer:
             ],
             outputs=[self._view],
         )  # fmt: skip
-        # the ego vehicle, the last layer, hides vehicles by its silhouette only in the pairwise occlusion
+        # the ego vehicle is the last layer; exact occlusion does not need its silhouette
         layer_count = scene.vehicle_count
         if content is Content.IMAGES:
             layer_count = 0
-        elif content is Content.ALL and self.occlusion is Occlusion.PAIRWISE:
+        elif content is Content.ALL and (self.occlusion is Occlusion.PAIRWISE or self.ego_blockage):
             layer_count = scene.layer_count
         self._place_layers(scene, layer_count)
         self._held = Held(scene, content, self._layers.rectangle, self._layers.offset)
@@ -521,22 +528,28 @@ class Renderer:
             return
         is_hidden_by = self._kept("order", (self.view_count, scene.vehicle_count, scene.vehicle_count), wp.int32)
         is_hidden_by.zero_()
-
-        def launch(first: int, count: int) -> None:
-            self._launch(
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
                 hide.order_overlapping_layers_kernel,
                 (count, scene.vehicle_count, scene.vehicle_count),
                 inputs=[self._layers, scene.vehicle_count, first],
                 outputs=[is_hidden_by],
-            )
-            self._launch(
+            ),
+        )
+        self._hide_by_layers(scene, is_hidden_by, self._hiding)
+
+    def _hide_by_layers(self, scene: DeviceScene, is_hidden_by: wp.array, hiding: Any) -> None:  # noqa: ANN401 (a struct)
+        """Hide vehicles by the silhouettes of the vehicles that ``is_hidden_by`` names, and of the ego vehicle."""
+        self._over_views(
+            self.view_count,
+            lambda first, count: self._launch(
                 hide.hide_by_ordered_layers_kernel,
                 (count, scene.vehicle_count),
                 inputs=[self._layers, is_hidden_by, scene.ego_layer, first],
-                outputs=hiding,
-            )
-
-        self._over_views(self.view_count, launch)
+                outputs=[hiding.bits, hiding.source],
+            ),
+        )
 
     def measure(self, scene: DeviceScene, box_px: wp.array | None = None, *, into: Measures | None = None) -> Measures:
         """Areas and extents of every vehicle in every view, with Jacobians to the views' poses and focal lengths.
@@ -608,8 +621,41 @@ class Renderer:
             raise ValueError(f"weight_image must hold float32, got {weight_image.dtype.__name__}")
         if weight_image.ndim == 2:
             weight_image = weight_image.reshape((1, *size))
-        result = self._measures(scene, 1, into)
         kind = int(outline.VISIBLE if visible else outline.ALONE)
+        return self._weighted_area(scene, weight_image, kind, self._hiding, into)
+
+    def unblocked_area(self, scene: DeviceScene, *, into: Measures | None = None) -> Measures:
+        """Area of every vehicle alone outside the ego vehicle's silhouette, in every view, with Jacobians.
+
+        The ego vehicle counts as nearest everywhere, and nothing else hides, whatever hides vehicles in `measure`.
+
+        Args:
+            scene: The scene of the last `render`.
+            into: An earlier result to write over; None: fresh arrays.
+
+        Returns:
+            Measures with one element on the last axis [px^2].
+
+        Raises:
+            ValueError: Another scene, a render without vehicles and images, or a renderer without ``ego_blockage``.
+        """
+        self._require(scene, Content.ALL)
+        if not self.ego_blockage:
+            raise ValueError("unblocked_area needs a renderer that was made with ego_blockage=True")
+        self._ego_hiding.bits.zero_()
+        nobody = self._kept("no order", (self.view_count, scene.vehicle_count, scene.vehicle_count), wp.int32)
+        self._hide_by_layers(scene, nobody, self._ego_hiding)
+        return self._weighted_area(scene, self._ones, int(outline.VISIBLE), self._ego_hiding, into)
+
+    def _weighted_area(
+        self,
+        scene: DeviceScene,
+        weight_image: wp.array,
+        kind: int,
+        hiding: Any,  # noqa: ANN401 (a struct)
+        into: Measures | None,
+    ) -> Measures:
+        result = self._measures(scene, 1, into)
         rows, columns = self._lanes
         flow = self._kept("weighted flow", (self.view_count, scene.vehicle_count, 1, rows * columns), measure.Flow)
         self._over_views(
@@ -618,7 +664,7 @@ class Renderer:
                 measure.measure_weighted_area_kernel,
                 (count, scene.vehicle_count, rows * columns),
                 inputs=[
-                    self._view, scene.triangles, self._layers, self._hiding, weight_image, kind, self._width,
+                    self._view, scene.triangles, self._layers, hiding, weight_image, kind, self._width,
                     self._height, self.supersampling, first, rows, columns,
                 ],
                 outputs=[flow],
