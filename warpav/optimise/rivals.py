@@ -20,7 +20,7 @@ from warpav.optimise.baselines import highest_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.search import BudgetedValue, BudgetSpentError
 
-FIRST_STEP = 0.25
+FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
 SEEN_SHARE = 0.9
