@@ -114,6 +114,34 @@ def test_gradient_matches_differences_of_a_supersampled_objective(device, occlus
     assert np.linalg.norm(ours - truth) <= 0.08 * np.linalg.norm(truth)
 
 
+# each camera looks over the roof from its far side
+FAR_SIDE = np.array([[0.3, 0.1, 0.15, 0, 0], [1.1, -0.6, 1.65, 0, 0], [2.0, 0.2, 3.35, 0, 0]], np.float32)
+
+
+# worst seen .061: steps of 3 cm see the curvature; the formulas of test_closed_form_losses.py are the sharper judge
+@pytest.mark.equation(17, 18, 19, 24)
+@pytest.mark.parametrize(("name", "pose"), [("surface_blockage", FAR_SIDE), ("object_visibility", POSE)])
+@pytest.mark.parametrize("occlusion", [Occlusion.PAIRWISE, pytest.param(Occlusion.EXACT, marks=pytest.mark.slow)])
+def test_gradient_of_a_cut_loss_matches_differences_of_a_supersampled_one(device, rng, name, pose, occlusion):
+    settings = {"in_frame_rotation": 0.0, "detected_area": 0.0, name: 1.0, "occlusion": occlusion}
+    settings |= {"min_detected_area": 1.0, "min_unblocked_area": 1.0}
+    scenes = assigned_scenes(device)[1:]
+    result = objective_of(SilentDetector(), device, **settings).evaluate(pose, scenes, gradient=True)
+    assert set(result.terms) == {"in_frame_rotation", name, "out_of_bounds", "camera_spacing"}
+    assert result.objective == result.terms[name]
+    assert 0.05 < result.terms[name] < 0.95
+    fine = objective_of(SilentDetector(), device, supersampling=4, **settings)
+    ours, truth = [], []
+    for direction in rng.normal(size=(4, 3, 3)):
+        step = np.zeros(pose.shape, np.float32)
+        step[:, [X_M, Y_M, YAW_RAD]] = 0.03 * WEIGHT * direction / np.linalg.norm(direction)
+        values = [fine.evaluate(pose + sign * step, scenes).terms[name] for sign in (1.0, -1.0)]
+        truth.append(0.5 * (values[0] - values[1]))
+        ours.append((result.gradient * step).sum())
+    ours, truth = np.array(ours), np.array(truth)
+    assert np.linalg.norm(ours - truth) <= 0.08 * np.linalg.norm(truth)
+
+
 def test_value_is_the_mean_of_the_printed_losses(device):
     detector = FamiliarDetector(device)
     objective = objective_of(detector, device, epsilon=1e-3)

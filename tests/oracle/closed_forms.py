@@ -53,36 +53,80 @@ def convex_area(corner_ego_m, edges, ego_from_camera, model, window_px=None):
         model: Size, field of view and near plane of a pinhole camera.
         window_px: None: the image.
     """
-    q = in_camera(corner_ego_m, ego_from_camera)
     window_px = (0.0, 0.0, model.width_px, model.height_px) if window_px is None else window_px
-    tangents = [np.broadcast_to(-ego_from_camera[axis, :3], q.shape) for axis in range(3)]
-    tangents += [np.cross(axis, q) for axis in np.eye(3)]
-    tangents.append(np.zeros(q.shape))
-    values = [
-        _area_in_window(
-            q + 1j * STEP * tangent, edges, focal_px(model) * (1.0 + 1j * STEP * (i == 6)), model, window_px
+    return _with_derivative(
+        lambda moved, focal: _area(_in_window(_outline(moved(corner_ego_m), edges, focal, model), window_px)),
+        ego_from_camera,
+        model,
+    )
+
+
+def unblocked_area(body, blocking, ego_from_camera, model):
+    """Area [px^2] and derivative of the part of a convex body that another one's silhouette leaves free.
+
+    Args:
+        body: Corners [corner, 3] and pairs of corners that a straight edge joins, [edge, 2].
+        blocking: The same of the other body, which counts as nearer everywhere.
+        ego_from_camera: Pose.
+        model: Size, field of view and near plane of a pinhole camera.
+    """
+    image_px = (0.0, 0.0, model.width_px, model.height_px)
+
+    def free(moved, focal):
+        own, other = (
+            _in_window(_outline(moved(corner_ego_m), edges, focal, model), image_px)
+            for corner_ego_m, edges in (body, blocking)
         )
-        for i, tangent in enumerate(tangents)
-    ]
+        common = own
+        for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
+            if len(common) >= 3:
+                # the outline runs so that its inside lies on the left in axes (column, row)
+                common = _clipped(common, (b[0] - a[0]) * (common[:, 1] - a[1]) - (b[1] - a[1]) * (common[:, 0] - a[0]))
+        return _area(own) - (_area(common) if len(other) >= 3 else 0j)
+
+    return _with_derivative(free, ego_from_camera, model)
+
+
+def _with_derivative(area, ego_from_camera, model):
+    """A complex area of (points of the ego frame to the camera's, focal length), and its derivative."""
+    values = []
+    for i in range(7):
+
+        def moved(point_ego_m, i=i):
+            q = in_camera(point_ego_m, ego_from_camera)
+            if i < 3:
+                return q - 1j * STEP * ego_from_camera[i, :3]
+            return q + 1j * STEP * (np.cross(np.eye(3)[i - 3], q) if i < 6 else 0.0)
+
+        values.append(area(moved, focal_px(model) * (1.0 + 1j * STEP * (i == 6))))
     return values[0].real, np.array([value.imag for value in values]) / STEP
 
 
-def _area_in_window(q, edges, focal, model, window_px):
-    """The area in complex numbers; decisions are taken by the real parts."""
+def _outline(q, edges, focal, model):
+    """The outline in the image in complex numbers, cut by the near plane; decisions are taken by the real parts."""
     kept = [point for point in q if point[2].real >= model.near_m]
     for a, b in q[edges]:
         if (a[2].real >= model.near_m) != (b[2].real >= model.near_m):
             kept.append(a + (model.near_m - a[2]) / (b[2] - a[2]) * (b - a))
     if len(kept) < 3:
-        return 0j
+        return np.zeros((0, 2), complex)
     point = np.array(kept)
     u, v = focal * point[:, :2].T / point[:, 2] + 0.5 * np.array([[model.width_px], [model.height_px]])
-    polygon = np.c_[u, v][ConvexHull(np.c_[u.real, v.real]).vertices]
+    return np.c_[u, v][ConvexHull(np.c_[u.real, v.real]).vertices]
+
+
+def _in_window(polygon, window_px):
+    """The part of a convex outline in a window (left, top, right, bottom)."""
     left, top, right, bottom = window_px
     for axis, bound, sign in ((0, left, 1), (1, top, 1), (0, right, -1), (1, bottom, -1)):
-        polygon = _clipped(polygon, sign * (polygon[:, axis] - bound))
-        if len(polygon) < 3:
-            return 0j
+        if len(polygon):
+            polygon = _clipped(polygon, sign * (polygon[:, axis] - bound))
+    return polygon
+
+
+def _area(polygon):
+    if len(polygon) < 3:
+        return 0j
     u, v = polygon.T
     return 0.5 * np.sum(u * np.roll(v, -1) - v * np.roll(u, -1))
 
@@ -96,4 +140,4 @@ def _clipped(polygon, distance):
             kept.append(polygon[i])
         if (distance[i].real >= 0) != (distance[j].real >= 0):
             kept.append(polygon[i] + distance[i] / (distance[i] - distance[j]) * (polygon[j] - polygon[i]))
-    return np.array(kept)
+    return np.array(kept).reshape(-1, 2)
