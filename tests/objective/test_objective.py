@@ -249,6 +249,24 @@ def test_looking_ahead_changes_nothing(device, count):
     np.testing.assert_array_equal(ours.gradient, expected.gradient)
 
 
+def test_gradients_of_single_losses_add_up_to_that_of_the_objective(device):
+    scales = {"in_frame_rotation": 1.5, "detected_area": 10.0, "surface_blockage": 3.0, "angular_coverage": 0.7}
+    objective = objective_of(FamiliarDetector(device), device, min_unblocked_area=1.0, **scales)
+    pose = FAR_SIDE.copy()
+    pose[1, :2] = pose[0, :2] + [0.05, 0.02]  # too close
+    pose[2, X_M] = 2.25  # out of bounds
+    scenes = assigned_scenes(device)
+    single = objective.gradients(pose, scenes)
+    assert set(single) == {*scales, "out_of_bounds", "camera_spacing"}
+    assert all(gradient.any() for gradient in single.values())
+    multiplier = np.array([0.3, 0.2], np.float32)
+    whole = objective.evaluate(pose, scenes, multiplier=multiplier, gradient=True).gradient
+    scales["out_of_bounds"], scales["camera_spacing"] = 10.0 * 4 * multiplier
+    expected = sum(scales[name] * gradient for name, gradient in single.items())
+    np.testing.assert_allclose(whole, expected, atol=2e-5 * np.abs(expected).max())
+    assert not objective_of(SilentDetector(), device, detected_area=0.0).gradients(POSE, scenes)["camera_spacing"].any()
+
+
 def test_without_detected_area_nothing_is_detected(device):
     detector = FamiliarDetector(device)
     objective = objective_of(detector, device, detected_area=0.0)

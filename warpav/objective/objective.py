@@ -165,13 +165,7 @@ class ThesisObjective:
         objective_loss = wp.array(objectives.astype(np.float32), dtype=float, device=self.device)
         tape = wp.Tape()
         with tape:
-            views = self.mount.place(self._pose)
-            constraint_loss = constraint_losses_of(
-                views,
-                self.mount.surface,
-                min_spacing_m=self.settings.min_spacing_m,
-                rotation_count=self.mount.rotation_count,
-            )
+            constraint_loss = self._constraint_loss()
             total = lagrangian_of(objective_loss, constraint_loss, multiplier_array, self.settings)
         pose_gradient = multiplier_gradient = None
         if gradient:
@@ -191,6 +185,51 @@ class ThesisObjective:
             gradient=pose_gradient,
             multiplier_gradient=multiplier_gradient,
             seconds=seconds,
+        )
+
+    def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
+        """Gradient of every loss by itself, unscaled, to the mount poses; float32 [camera, 5] by name.
+
+        Of the objectives those of ``settings.measured_objectives`` whose gradient comes through the placement losses,
+        each the mean over the scenes; then the constraints.
+
+        Args:
+            mount_pose: As in `evaluate`.
+            scenes: The batch.
+        """
+        self._pose.assign(np.asarray(mount_pose, np.float32))
+        pose_gradient = self._pose.grad
+        assert pose_gradient is not None
+        names = [name for name in OBJECTIVES if name in self.settings.measured_objectives]
+        while True:
+            result = {name: np.zeros((self.camera_count, MOUNT_POSE_SIZE), np.float32) for name in names}
+            for scene in scenes:
+                [looked], answers = self._look([(scene, 0)], dict.fromkeys(("render", "detect"), 0.0))
+                self._match(looked, answers())
+                for name in names:
+                    self._seed.assign(np.array([name == each for each in OBJECTIVES], np.float32) / len(scenes))
+                    pose_gradient.zero_()
+                    looked.step.learn()
+                    result[name] += pose_gradient.numpy()
+            if not self._renderers[0].grew():
+                break
+        for k, name in enumerate(CONSTRAINTS):
+            pose_gradient.zero_()
+            tape = wp.Tape()
+            with tape:
+                constraint_loss = self._constraint_loss()
+            seed = np.eye(len(CONSTRAINTS), dtype=np.float32)[k]
+            tape.backward(grads={constraint_loss: wp.array(seed, dtype=float, device=self.device)})
+            result[name] = np.array(pose_gradient.numpy(), np.float32)
+        return result
+
+    def _constraint_loss(self) -> wp.array:
+        """The constraint losses of the present poses, recorded on the active tape; float [constraint]."""
+        return constraint_losses_of(
+            self.mount.place(self._pose),
+            self.mount.surface,
+            min_spacing_m=self.settings.min_spacing_m,
+            rotation_count=self.mount.rotation_count,
         )
 
     def _renderer_count(self) -> int:
@@ -285,11 +324,7 @@ class ThesisObjective:
         losses = []
         for each in looked:
             start = time.perf_counter()
-            detections = [Detections.none()] * self.camera_count
-            for camera in each.camera:
-                detections[camera] = next(found)
-            match = each.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
-            each.step.set_boxes(matched_boxes_px(match, detections))
+            self._match(each, [next(found) for _ in each.camera])
             matched = time.perf_counter()
             loss = each.step.learn() if gradient else each.step.judge()
             more = []
@@ -302,6 +337,14 @@ class ThesisObjective:
             seconds["detect"] += matched - start
             seconds["backward"] += time.perf_counter() - matched
         return losses
+
+    def _match(self, looked: _Looked, found: Sequence[Detections]) -> None:
+        """Hand the boxes that match a vehicle to the scene's step; ``found`` in the order of ``looked.camera``."""
+        detections = [Detections.none()] * self.camera_count
+        for camera, each in zip(looked.camera, found, strict=True):
+            detections[camera] = each
+        match = looked.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
+        looked.step.set_boxes(matched_boxes_px(match, detections))
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.

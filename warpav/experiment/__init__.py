@@ -1,0 +1,1 @@
+"""Experiments: the thesis's tables again, and our own."""
