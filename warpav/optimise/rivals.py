@@ -106,7 +106,8 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
     Args:
         value: Where to look.
         rng: Random numbers; NumPy's global ones are left alone.
-        start: Where the first search starts, float [camera, 5]; None, and after a restart: at a random rig.
+        start: Where the first search starts, float [camera, 5]; None, and after a restart: at the best of as many
+            random rigs as a generation has, since where nothing is seen nothing can be learnt.
 
     Raises:
         OptionError: The package ``cma`` is not installed.
@@ -120,8 +121,9 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
         raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
     population = 4 + int(3.0 * math.log(space.size))
     while value.values_left:
-        first = space.unit_of(space.random(rng) if start is None else start)
-        start = None
+        if start is None:
+            start = _best_of(population, value, rng)
+        first, start = space.unit_of(start), None
         options = {
             "popsize": population,
             "seed": math.nan,  # leaves NumPy's global numbers alone
@@ -141,6 +143,12 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
                 moved.append(float(np.mean(step**2)))
             evolution.tell(samples, _with_penalty(np.array(found), np.array(moved)).tolist())
         population *= 2
+
+
+def _best_of(count: int, value: BudgetedValue, rng: np.random.Generator) -> np.ndarray:
+    """The best of some random rigs, float64 [camera, 5]."""
+    poses = [value.space.random(rng) for _ in range(count)]
+    return poses[int(np.argmin([value(pose) for pose in poses]))]
 
 
 def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray:
