@@ -62,6 +62,8 @@ def test_thesis_configuration_holds_the_appendix():
     assert (config.run.iterations, config.run.batch_size, config.rig.cameras) == (100, 4, 4)
     assert (config.rig.height_offset_m, config.rig.min_spacing_m) == (0.25, 0.2)
     assert (config.losses.epsilon, config.losses.min_detected_area) == (1e-5, 0.5)
+    cut = config.losses.surface_blockage, config.losses.angular_coverage, config.losses.object_visibility
+    assert cut == (0.0, 0.0, 0.0)
     assert (config.detector.confidence_min, config.detector.iou_min) == (0.1, 0.5)
     assert optimiser.learning_rate_position_m == 0.25
     assert math.radians(optimiser.learning_rate_yaw_deg) == pytest.approx(0.25, rel=1e-9)

@@ -40,7 +40,7 @@ class Steps:
                 self.renderer,
                 AssignedScene(scene, (np.arange(vehicles) % cameras).astype(np.int32)),
                 pose=self.pose,
-                seed=wp.array([1.0, 10.0], dtype=float, device=device),
+                seed=wp.array(LossSettings().placement_scale, dtype=float, device=device),
                 ahead_view=[camera * mount.rotation_count for camera in range(cameras)],
                 settings=LossSettings(),
             )
