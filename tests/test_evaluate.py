@@ -1,4 +1,4 @@
-"""Metrics of a rig on a case whose answers are known, and their paired differences."""
+"""Metrics of a rig on a case whose answers are known."""
 
 import dataclasses
 import math
@@ -11,12 +11,10 @@ from tests.render.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.evaluate import (
     PAIRED_METRICS,
-    ArmMetrics,
     GroupRecall,
     assign_to_nearest_cameras,
     common_model,
     evaluate_rig,
-    paired_differences,
 )
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import CameraMount, views_of_rig
@@ -239,59 +237,3 @@ def test_rounding_does_not_pair_anew(scenes):
     for rounding in (-1e-7, 0.0, 1e-7):
         rig = rig_of(yaw=(math.radians(50.0) + rounding, math.radians(90.0) - rounding))
         assert assign_to_nearest_cameras(scenes, orientation, rig)[0].assigned_camera.tolist() == [0, 1, -1]
-
-
-def arm(**per_scene):
-    """Metrics of which only the lists per scene matter."""
-    scene_count = len(next(iter(per_scene.values())))
-    lists = {name: per_scene.get(name, [None] * scene_count) for name in PAIRED_METRICS}
-    fields = {field.name: None for field in dataclasses.fields(ArmMetrics)}
-    return ArmMetrics(**{**fields, "per_scene": lists})
-
-
-def test_paired_differences_have_a_sensible_interval(rng):
-    other = rng.normal(size=40)
-    difference = rng.normal(0.3, 0.5, 40)
-    result = paired_differences(arm(objective=list(other + difference)), arm(objective=list(other)))["objective"]
-    assert result["mean"] == pytest.approx(difference.mean())
-    assert result["scenes"] == 40
-    # close to Student's interval for numbers that are nearly normal
-    half = 2.02 * difference.std(ddof=1) / math.sqrt(40)
-    assert result["low"] == pytest.approx(difference.mean() - half, abs=0.25 * half)
-    assert result["high"] == pytest.approx(difference.mean() + half, abs=0.25 * half)
-    again = paired_differences(arm(objective=list(other + difference)), arm(objective=list(other)))["objective"]
-    assert again == result
-    swapped = paired_differences(arm(objective=list(other)), arm(objective=list(other + difference)))["objective"]
-    assert swapped["mean"] == pytest.approx(-result["mean"])
-
-
-def test_the_scene_by_scene_difference_counts_not_the_spread_of_scenes(rng):
-    other = rng.normal(0.0, 100.0, 20)
-    result = paired_differences(arm(objective=list(other + 1.0 + rng.normal(0, 0.01, 20))), arm(objective=list(other)))[
-        "objective"
-    ]
-    assert 0.99 < result["low"] < result["mean"] < result["high"] < 1.01
-
-
-def test_intervals_cover_the_true_mean_about_as_often_as_they_say():
-    rng = np.random.default_rng(8)
-    covered = 0
-    for seed in range(60):
-        difference = rng.normal(0.2, 1.0, 30)
-        result = paired_differences(arm(objective=list(difference)), arm(objective=[0.0] * 30), seed=seed)["objective"]
-        covered += result["low"] <= 0.2 <= result["high"]
-    assert 51 <= covered <= 60
-
-
-def test_equal_differences_give_that_number():
-    result = paired_differences(arm(objective=[1.5, 2.5, 3.5]), arm(objective=[1.0, 2.0, 3.0]))["objective"]
-    assert result == {"mean": 0.5, "low": 0.5, "high": 0.5, "scenes": 3}
-
-
-def test_scenes_without_a_number_on_either_side_are_left_out():
-    result = paired_differences(arm(objective=[1.0, None, 3.0, 4.0]), arm(objective=[0.0, 0.0, None, 2.0]))
-    assert result["objective"]["scenes"] == 2
-    assert result["objective"]["mean"] == pytest.approx(1.5)
-    assert result["ap50_pooled"] == {"mean": None, "low": None, "high": None, "scenes": 0}
-    single = paired_differences(arm(objective=[1.0]), arm(objective=[0.5]))["objective"]
-    assert single == {"mean": 0.5, "low": None, "high": None, "scenes": 1}

@@ -388,9 +388,9 @@ def optimise(task):
     return evaluation["arms"], evaluation["paired"], timeless, (Path(folder) / "rig_best.yaml").read_text()
 
 
-def runs(folder, **options):
+def runs(where, **options):
     """Two runs, by their seeds."""
-    outcomes = list(run_tasks(optimise, [(seed, str(folder / str(seed))) for seed in range(2)], **options))
+    outcomes = list(run_tasks(optimise, [(seed, str(where / str(seed))) for seed in range(2)], **options))
     assert [outcome.error for outcome in outcomes] == [None, None]
     return {outcome.task[0]: outcome.result for outcome in outcomes}
 

@@ -10,7 +10,8 @@ from tests.driving_scene import SKY, ConstantDetector, car, ego_mesh, vehicle
 from tests.render.test_renderer import FAR_AWAY
 from tests.test_evaluate import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from warpav.detection.observe import observe
-from warpav.evaluate import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig, paired_differences
+from warpav.evaluate import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig
+from warpav.experiment.statistics import paired_differences
 from warpav.objective.mount import views_of_rig
 from warpav.objective.objective import AssignedScene
 from warpav.render.device_scene import DeviceScene

@@ -1,4 +1,4 @@
-"""How good a rig is on test scenes: the metrics of thesis section IV, COCO's, the rig's recall, paired differences."""
+"""How good a rig is on test scenes: the metrics of thesis section IV, COCO's, the rig's recall."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ PAIRED_METRICS = (
     "false_alarms_per_frame",
     "objective",
 )
-BOOTSTRAP_RESAMPLES = 9999
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
 """Bins of the distance from the middle of the ego vehicle to the middle of an object's box, seen from above [m]; a
@@ -396,43 +395,6 @@ def _recall_by(
         by: {name: GroupRecall.of(visible[group], detected[group]) for name, group in flags.items()}
         for by, flags in groups.items()
     }
-
-
-def paired_differences(
-    optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0
-) -> dict[str, dict[str, float | int | None]]:
-    """Mean difference optimised - other, scene by scene, with a 95 % interval (bootstrap over scenes, BCa).
-
-    Args:
-        optimised: Metrics of the optimised rig.
-        other: Metrics of another rig on the same scenes.
-        seed: Of the resampling.
-
-    Returns:
-        For every metric of `PAIRED_METRICS`: ``mean``, ``low``, ``high`` (None where fewer than two scenes have both
-        numbers) and ``scenes``, the number of scenes that do. Where all differences are equal, the interval is that
-        one number.
-    """
-    from scipy.stats import bootstrap
-
-    result: dict[str, dict[str, float | int | None]] = {}
-    for name in PAIRED_METRICS:
-        pairs = [
-            (a, b)
-            for a, b in zip(optimised.per_scene[name], other.per_scene[name], strict=True)
-            if a is not None and b is not None
-        ]
-        difference = np.array([a - b for a, b in pairs])
-        low = high = None
-        if len(difference) >= 2:
-            low = high = float(difference[0])
-            if np.ptp(difference) > 0.0:
-                interval = bootstrap(
-                    (difference,), np.mean, n_resamples=BOOTSTRAP_RESAMPLES, rng=np.random.default_rng(seed)
-                ).confidence_interval
-                low, high = _number(interval.low), _number(interval.high)
-        result[name] = {"mean": _mean(difference), "low": low, "high": high, "scenes": len(difference)}
-    return result
 
 
 def _number(value: float) -> float | None:

@@ -15,7 +15,8 @@ from warpav.config import Config
 from warpav.console import show_verdict
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.errors import InputError, OptionError
-from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig, paired_differences
+from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig
+from warpav.experiment.statistics import paired_differences
 from warpav.gallery import draw_run
 from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
