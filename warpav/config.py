@@ -212,6 +212,9 @@ class SceneConfig(Section):
         "folder reads scene_<seed>.glb files",
     )
     train_seeds: Seeds = Field(default=tuple(range(30)), description="scenes that the optimiser sees")
+    validation_seeds: Seeds | None = Field(
+        default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
+    )
     test_seeds: Seeds = Field(default=tuple(range(1000, 1010)), description="scenes that only the evaluation sees")
     folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None,
@@ -235,13 +238,14 @@ class SceneConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> SceneConfig:
-        both = sorted(set(self.train_seeds) & set(self.test_seeds))
-        if both:
-            _mistake(
-                f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
-                "test_seeds",
-                "train_seeds",
-            )
+        for name in ("train_seeds", "validation_seeds"):
+            both = sorted(set(getattr(self, name) or ()) & set(self.test_seeds))
+            if both:
+                _mistake(
+                    f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
+                    "test_seeds",
+                    name,
+                )
         if self.source == "folder":
             if self.folder is None:
                 _mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
@@ -437,8 +441,11 @@ class SegregationConfig(Section):
 class LossConfig(Section):
     """Weights of the objectives, and the numbers inside them."""
 
-    in_frame_rotation: float = Field(default=1.0, ge=0.0, description="weight of the in-frame rotation loss")
-    detected_area: float = Field(default=10.0, ge=0.0, description="weight of the detected object area loss")
+    missed: float = Field(
+        default=0.0, ge=0.0, description="weight of the share of road users that no camera is expected to detect"
+    )
+    in_frame_rotation: float = Field(default=0.0, ge=0.0, description="weight of the in-frame rotation loss")
+    detected_area: float = Field(default=0.0, ge=0.0, description="weight of the detected object area loss")
     surface_blockage: float = Field(
         default=0.0, ge=0.0, description="weight of the surface blockage loss: what the ego vehicle hides"
     )
@@ -466,10 +473,20 @@ class LossConfig(Section):
         description="share of a vehicle's area that the ego vehicle leaves free, from which more brings nothing",
     )
     epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
+    window_softness_deg: Degrees = Field(
+        default=10.0, gt=0.0, le=90.0, description="missed: softness of a field of view over the panorama"
+    )
+    detector_share: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=1.0,
+        description="missed: how much of a probability is what the detector really found, at the end of a run",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> LossConfig:
         weights = (
+            "missed",
             "in_frame_rotation",
             "detected_area",
             "surface_blockage",
@@ -508,7 +525,22 @@ class OptimiserConfig(Section):
         default=0.0, ge=0.0, description="damping of the multipliers; 0 is the plain method"
     )
     keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
-    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all training scenes")
+    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
+    panorama_until: float = Field(
+        default=0.3,
+        ge=0.0,
+        le=1.0,
+        description="missed: share of the run over which what lies outside the images ceases to pull",
+    )
+    detector_from: float = Field(
+        default=0.7, ge=0.0, le=1.0, description="missed: share of the run from which the detector has a say"
+    )
+    starts: int = Field(
+        default=1, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
+    )
+    patience: int | None = Field(
+        default=None, ge=1, description="looks without a better rig after which the run ends; null: it never does"
+    )
 
 
 class BaselineConfig(Section):
@@ -516,6 +548,10 @@ class BaselineConfig(Section):
 
     random_samples: int = Field(default=100, ge=1, le=1_000_000, description="random rigs of which the best is taken")
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
+
+
+METHOD_LOSSES = {"thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0}, "default": {"missed": 1.0}}
+"""Weights of the losses where the configuration says nothing, by method."""
 
 
 class Config(Section):
@@ -527,8 +563,8 @@ class Config(Section):
     )
     method: Literal["thesis", "default"] = Field(
         default="default",
-        description="thesis: losses as printed; default: detected area against the vehicle alone, so that being hidden "
-        "costs something",
+        description="thesis: the losses and constraints as printed; default: the share of road users that the rig is "
+        "expected to miss, cameras on roof and bonnet alone",
     )
     scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
     capture: CaptureConfig = Field(default=CaptureConfig(), description="images of scenes")
@@ -540,10 +576,23 @@ class Config(Section):
     segregation: SegregationConfig = Field(
         default=SegregationConfig(), description="which camera answers for which vehicle"
     )
-    losses: LossConfig = Field(default=LossConfig(), description="the objectives")
+    losses: LossConfig = Field(
+        default=LossConfig(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
+    )
     visibility: VisibilityConfig = Field(default=VisibilityConfig(), description="what hides a vehicle")
     optimiser: OptimiserConfig = Field(default=OptimiserConfig(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_losses_of_method(cls, data: object) -> object:
+        if not isinstance(data, dict):
+            return data
+        method = data.get("method", cls.model_fields["method"].default)
+        losses = data.get("losses", {})
+        if not isinstance(method, str) or method not in METHOD_LOSSES or not isinstance(losses, dict):
+            return data  # refused in a moment, with its place
+        return {**data, "losses": {**METHOD_LOSSES[method], **losses}}
 
     @model_validator(mode="after")
     def _check(self) -> Config:

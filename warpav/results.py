@@ -306,6 +306,7 @@ def environment(config: Config, device: str) -> dict[str, Any]:
         "seeds": {
             "run": config.run.seed,
             "train": list(config.scenes.train_seeds),
+            "validation": list(config.scenes.validation_seeds or ()),
             "test": list(config.scenes.test_seeds),
         },
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),

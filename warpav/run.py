@@ -14,6 +14,8 @@ import numpy as np
 from warpav.config import Config
 from warpav.console import show_verdict
 from warpav.detection.differentiable import DifferentiableDetector
+from warpav.detection.probability import DetectionProbability, stored_file
+from warpav.detector_fit import fit_detector
 from warpav.errors import InputError, OptionError
 from warpav.evaluate import ArmMetrics, assign_to_nearest_cameras, evaluate_rig
 from warpav.experiment.statistics import paired_differences
@@ -39,6 +41,7 @@ from warpav.sources import (
     camera_mount,
     check_rig_source,
     checked_device,
+    detector_use,
     device_name,
     find_rig,
     load_detector,
@@ -63,6 +66,7 @@ class Problem:
         objective: The training objective; it knows the mount surface and the detector.
         segregation: Orientations that share the vehicles among the cameras.
         train: Training scenes, each vehicle assigned to an orientation.
+        validation: Scenes on which the rigs of a run are compared, likewise; the training scenes if there are none.
         test: Test scenes, likewise.
         ego: The vehicle that carries the cameras.
         shown: The first test scene, for pictures.
@@ -72,6 +76,7 @@ class Problem:
     objective: ThesisObjective
     segregation: Segregation
     train: list[AssignedScene]
+    validation: list[AssignedScene]
     test: list[AssignedScene]
     ego: Mesh
     shown: Scene
@@ -104,8 +109,9 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     differentiable = None
     if config.losses.detector_gradient > 0.0:
         differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
-    train_count = len(config.scenes.train_seeds)
-    seeds = (*config.scenes.train_seeds, *config.scenes.test_seeds)
+    probability = load_probability(config, display) if config.losses.missed > 0.0 else None
+    train_count, validation_seeds = len(config.scenes.train_seeds), config.scenes.validation_seeds or ()
+    seeds = (*config.scenes.train_seeds, *validation_seeds, *config.scenes.test_seeds)
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
@@ -113,7 +119,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
         ego = scene.ego if ego is None else ego
         if not _is_same_vehicle(scene.ego, ego):
             raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
-        shown = scene if k == train_count else shown
+        shown = scene if k == train_count + len(validation_seeds) else shown
         packed.append(DeviceScene.pack(scene, device=device))
         if config.scenes.mirror and k < train_count:
             mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
@@ -145,6 +151,7 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
             surface_blockage=config.losses.surface_blockage,
             object_visibility=config.losses.object_visibility,
             angular_coverage=config.losses.angular_coverage,
+            missed=config.losses.missed,
             detector_gradient=config.losses.detector_gradient,
             min_detected_area=config.losses.min_detected_area,
             min_unblocked_area=config.losses.min_unblocked_area,
@@ -152,14 +159,40 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
             epsilon=config.losses.epsilon,
             min_spacing_m=config.rig.min_spacing_m,
             multiplier_damping=config.optimiser.multiplier_damping,
+            window_softness_rad=math.radians(config.losses.window_softness_deg),
+            detector_share=config.losses.detector_share,
         ),
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
+        probability=probability,
         differentiable_detector=differentiable,
     )
-    return Problem(config, objective, segregation, assigned[:train_count], assigned[train_count:], ego, shown)
+    train, held_out = assigned[:train_count], assigned[train_count:]
+    validation, test = held_out[: len(validation_seeds)], held_out[len(validation_seeds) :]
+    return Problem(config, objective, segregation, train, validation or train, test, ego, shown)
+
+
+def load_probability(config: Config, display: RunDisplay) -> DetectionProbability:
+    """The model of detection probability of the configured detector and its surroundings; fitted now if there is none.
+
+    Raises:
+        InputError: It cannot be fitted or read, or was fitted on scenes that the result is judged by.
+    """
+    use = detector_use(config)
+    if stored_file(use) is None:
+        display.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
+        fit_detector(
+            config,
+            words=["warpav", "detector", "fit"],
+            fit_seeds=None,
+            held_out_seeds=None,
+            out=None,
+            again=False,
+            display=display,
+        )
+    return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
 
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], display: RunDisplay) -> None:
@@ -211,8 +244,14 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     mount = problem.objective.mount
     start = start_pose(problem, start_rig)
     began_as = None if config.rig.start == "random" else mount.rig(start)
-    train = problem.assigned(problem.train, began_as)
-    descent = Descent(problem.objective, train, optimiser_settings(config), start, problem.random_numbers(_BATCHES))
+    descent = Descent(
+        problem.objective,
+        problem.assigned(problem.train, began_as),
+        optimiser_settings(config),
+        start,
+        problem.random_numbers(_BATCHES),
+        validation=problem.assigned(problem.validation, began_as),
+    )
 
     folder = RunFolder.create(config, name=name, device=device_name(config.device))
     display.say(f"run folder: {folder.path}")
@@ -391,4 +430,7 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         multiplier_weight_decay=optimiser.multiplier_weight_decay,
         keep=optimiser.keep,
         check_every=optimiser.check_every,
+        panorama_until=optimiser.panorama_until,
+        detector_from=optimiser.detector_from,
+        patience=optimiser.patience,
     )

@@ -235,7 +235,9 @@ def detector_use(config: Config) -> DetectorUse:
         {
             "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
             "camera": config.camera.model_dump(mode="json"),
-            "scenes": config.scenes.model_dump(mode="json", exclude={"train_seeds", "test_seeds", "mirror"}),
+            "scenes": config.scenes.model_dump(
+                mode="json", exclude={"train_seeds", "validation_seeds", "test_seeds", "mirror"}
+            ),
             "rig.height_offset_m": config.rig.height_offset_m,
             "visibility.occlusion": config.visibility.occlusion,
         },

@@ -16,6 +16,7 @@ from warpav_kernels import (
     lagrangian,
     linearise,
     measure,
+    missed_loss,
     mount_pose,
     placement_losses,
 )
@@ -159,6 +160,29 @@ def probability_of_detection(new):
     return pairs, inputs, outputs
 
 
+def sum_over_panorama(new):
+    inputs = [new(size=(CAMERAS * ROTATIONS, VEHICLES, 1)), ROTATIONS]
+    return (CAMERAS, VEHICLES), inputs, [new(np.zeros((CAMERAS, VEHICLES)))]
+
+
+def camera_probability(new):
+    pairs = (CAMERAS, VEHICLES)
+    best_view = new.integers([[0, 1, 0], [3, 2, 3]])
+    inputs = [new(size=(CAMERAS * ROTATIONS, VEHICLES), low=0.1, high=0.9), best_view]
+    inputs += [new(size=pairs, low=0.1, high=0.5), new(size=pairs, low=0.5, high=0.9), new([0.4]), ROTATIONS]
+    return pairs, inputs, [new(np.zeros(pairs))]
+
+
+def log_missed(new):
+    pairs = (CAMERAS, VEHICLES)
+    inputs = [new(size=pairs, low=0.1, high=0.9), new(size=pairs, low=0.1, high=0.9), new([0.4])]
+    return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
+
+
+def missed(new):
+    return 1, [new(size=VEHICLES, low=-2.0, high=0.0), 1], [new(np.zeros(2))]
+
+
 CASES = {
     linearise.linearise_measures_kernel: linearise_measures,
     linearise.linearise_window_kernel: linearise_window,
@@ -174,6 +198,10 @@ CASES = {
     placement_losses.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
     detection_probability.detection_probability_kernel: probability_of_detection,
+    missed_loss.sum_over_panorama_kernel: sum_over_panorama,
+    missed_loss.camera_probability_kernel: camera_probability,
+    missed_loss.log_missed_kernel: log_missed,
+    missed_loss.missed_loss_kernel: missed,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,
     benchmark.place_level_cameras_kernel: place_level_cameras,
     benchmark.sum_target_areas_kernel: sum_target_areas,

@@ -334,11 +334,11 @@ def test_angular_coverage_matches_the_text_step_by_step(data):
 
 @pytest.mark.equation(1)
 def test_constraints_are_scaled_like_the_largest_objective():
-    scales = dict(zip(OBJECTIVES, (1.0, 2.0, 7.0, 3.0, 0.0), strict=True))
+    scales = dict(zip(OBJECTIVES, (1.0, 2.0, 7.0, 3.0, 0.0, 0.5), strict=True))
     settings = LossSettings(**scales)
-    assert settings.placement_scale == (1.0, 2.0, 7.0, 3.0, 0.0)
+    assert settings.placement_scale == (1.0, 2.0, 7.0, 3.0, 0.0, 0.5)
     assert settings.constraint_scale == 7.0
-    assert settings.objective_count == 4
+    assert settings.objective_count == 5
     assert "angular_coverage" not in settings.measured_objectives
     assert LossSettings().measured_objectives == ("in_frame_rotation", "detected_area")
 

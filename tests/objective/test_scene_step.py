@@ -13,7 +13,7 @@ from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
-SEED = np.array([1.0, 10.0, 3.0, 2.0, 1.5], np.float32)
+SEED = np.array([1.0, 10.0, 3.0, 2.0, 1.5, 0.0], np.float32)
 
 
 class Steps:

@@ -28,9 +28,6 @@ from warpav_kernels import detection_probability as kernels
 SCHEMA = 1
 FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
-# Wider than any view, so that what counts is all that is in it.
-_ALL_DIRECTIONS_RAD = 50.0
-
 
 @dataclass(frozen=True)
 class Feature:
@@ -80,20 +77,26 @@ class Appearance:
     height_px: int
 
     @classmethod
-    def of(cls, renderer: Renderer, scene: DeviceScene, *, image: wp.array | None = None) -> Appearance:
+    def of(
+        cls,
+        renderer: Renderer,
+        scene: DeviceScene,
+        *,
+        measures: Measures | None = None,
+        image: wp.array | None = None,
+    ) -> Appearance:
         """Measure the last render; nothing is taped.
 
         Args:
             renderer: Has rendered ``scene`` with all content.
             scene: The scene.
+            measures: Of this render, from `Renderer.measure`; None: they are taken here.
             image: Its colours in all views, 0..1, vec3 [view, row, column]; None: they are drawn here.
         """
         device = renderer.device
-        window = [[0.0, 0.0, _ALL_DIRECTIONS_RAD, _ALL_DIRECTIONS_RAD]] * renderer.view_count
-        measures = renderer.measure(scene)
-        in_frame = renderer.window_area(
-            scene, wp.array(window, dtype=wp.vec4, device=device), softness_rad=1.0, visible=False
-        )
+        if measures is None:
+            measures = renderer.measure(scene)
+        in_frame = renderer.window_area(scene, visible=False)
         if image is None:
             image = renderer.rgb(scene)
         _, object_index = renderer.depth_and_object(scene)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -12,8 +13,15 @@ from warpav.render.renderer import AMODAL_AREA, VISIBLE_AREA, Measures
 from warpav_kernels import lagrangian, placement_losses
 
 # order of the objective losses in their array
-OBJECTIVES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")
-ALWAYS_MEASURED = ("in_frame_rotation",)  # the others only where they have a scale
+OBJECTIVES = (
+    "in_frame_rotation",
+    "detected_area",
+    "surface_blockage",
+    "object_visibility",
+    "angular_coverage",
+    "missed",
+)
+MISSED = OBJECTIVES.index("missed")
 DETECTOR_GRADIENT = "detector_gradient"  # the loss that comes from the detection network itself, where it takes part
 
 
@@ -34,6 +42,7 @@ class LossSettings:
         surface_blockage: Scale of the surface-blockage loss (appendix IX), at least 0.
         object_visibility: Scale of the object-visibility loss (appendix IX), at least 0.
         angular_coverage: Scale of the angular-coverage loss (appendix IX), at least 0.
+        missed: Scale of the expected share of objects that the rig misses, at least 0; no loss of the thesis.
         detector_gradient: Scale of the detection network's own loss, at least 0.
         min_detected_area: Detected or visible share of a vehicle below which it costs something, in (0, 1].
         min_unblocked_area: Share of it that the ego vehicle leaves free below which it costs something, in (0, 1].
@@ -41,6 +50,8 @@ class LossSettings:
         epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
         min_spacing_m: Least distance between two camera centres [m], positive.
         multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
+        window_softness_rad: Of the fields of view over the panorama, with ``missed`` [rad], positive.
+        detector_share: How much of ``missed`` is what the detector really finds, in [0, 1); the rest is its model.
     """
 
     in_frame_rotation: float = 1.0
@@ -48,6 +59,7 @@ class LossSettings:
     surface_blockage: float = 0.0
     object_visibility: float = 0.0
     angular_coverage: float = 0.0
+    missed: float = 0.0
     detector_gradient: float = 0.0
     min_detected_area: float = 0.5
     min_unblocked_area: float = 0.5
@@ -55,6 +67,13 @@ class LossSettings:
     epsilon: float = 1e-5
     min_spacing_m: float = 0.2
     multiplier_damping: float = 0.0
+    window_softness_rad: float = math.radians(10.0)
+    detector_share: float = 0.0
+
+    @property
+    def needs_panorama(self) -> bool:
+        """Whether a loss of the thesis takes part, all of which look round from every camera."""
+        return any(getattr(self, name) > 0.0 for name in OBJECTIVES if name != "missed")
 
     @property
     def placement_scale(self) -> tuple[float, ...]:
@@ -73,8 +92,9 @@ class LossSettings:
 
     @property
     def measured_objectives(self) -> tuple[str, ...]:
-        """Names of the objectives whose values are known: those with a scale, and `ALWAYS_MEASURED`."""
-        return tuple(name for name in self.objectives if getattr(self, name) > 0.0 or name in ALWAYS_MEASURED)
+        """Names of the objectives whose values are known: those with a scale, and what comes with them."""
+        with_others = ("in_frame_rotation",) if self.needs_panorama else ()
+        return tuple(name for name in self.objectives if getattr(self, name) > 0.0 or name in with_others)
 
     @property
     def constraint_scale(self) -> float:
@@ -97,7 +117,7 @@ def placement_losses_of(
     settings: LossSettings,
     unblocked: Measures | None = None,
 ) -> wp.array:
-    """One scene's losses, recorded on the active tape.
+    """One scene's losses of the thesis, recorded on the active tape.
 
     Args:
         mount: Knows the rotational additions and the lens.
@@ -109,7 +129,8 @@ def placement_losses_of(
         unblocked: `Renderer.unblocked_area` in these views; the surface-blockage loss needs it.
 
     Returns:
-        float [objective] in the order of `OBJECTIVES`; 0 where a loss is left out.
+        float [objective] in the order of `OBJECTIVES`; 0 where a loss is left out, and for ``missed``, which is not
+        the thesis's.
 
     Raises:
         ValueError: ``unblocked`` is needed and not there.

@@ -53,10 +53,16 @@ class CameraMount:
         self.rotation_count, self.rotation_step_rad = rotational_additions(camera.fov_rad)
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
 
-    def place(self, mount_pose: wp.array) -> PlacedViews:
-        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose`` [camera, 5]."""
+    def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
+        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose`` [camera, 5].
+
+        Args:
+            mount_pose: x, y [m], yaw, pitch, roll [rad] of every camera, float [camera, 5].
+            rotation_count: Views of every camera; None: all rotational additions.
+        """
         camera_count = mount_pose.shape[0]
-        view_count = camera_count * self.rotation_count
+        rotation_count = self.rotation_count if rotation_count is None else rotation_count
+        view_count = camera_count * rotation_count
         position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
         camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
         wp.launch(
@@ -68,7 +74,7 @@ class CameraMount:
                 wp.vec2(*self.surface.origin_m),
                 self.surface.cell_m,
                 self.height_offset_m,
-                self.rotation_count,
+                rotation_count,
                 self.rotation_step_rad,
             ],
             outputs=[position_ego_m, camera_from_ego],

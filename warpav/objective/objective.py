@@ -1,4 +1,4 @@
-"""The training objective of the thesis: losses of a rig on a batch of scenes, and their gradient."""
+"""The training objective: losses of a rig on a batch of scenes, and their gradient."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from warpav.detection.detector import Detections, Detector
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.in_loop import DetectorInLoop, Picture
 from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
+from warpav.detection.probability import DetectionProbability
 from warpav.objective.constraints import CONSTRAINTS, constraint_losses_of
 from warpav.objective.detector_loss import detector_loss_of
-from warpav.objective.losses import OBJECTIVES, LossSettings, lagrangian_of, placement_losses_of
+from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, lagrangian_of
+from warpav.objective.missed import Stage, StageOnDevice
 from warpav.objective.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
-from warpav.objective.scene_step import AssignedScene, SceneStep
+from warpav.objective.scene_step import AssignedScene, SceneStep, losses_of_look
 from warpav.render.renderer import Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
 
@@ -57,13 +59,38 @@ class _Looked:
 
     Attributes:
         step: Its step; the step's renderer holds the render.
-        sight: What the cameras see of its vehicles.
+        sight: What the cameras see of its vehicles; None where no loss asks for it.
         camera: Cameras whose images go to the detector.
     """
 
     step: SceneStep
-    sight: Sight
+    sight: Sight | None
     camera: list[int]
+
+
+class _Views:
+    """The views of a rig that losses look at: renderers, each of which can hold a scene, and the steps on them.
+
+    Attributes:
+        rotation_count: Views of every camera.
+        ahead: The view of each camera in which it really looks.
+        renderers: One for each scene that is held at a time.
+    """
+
+    def __init__(self, rotation_count: int, camera_count: int, renderers: list[Renderer]) -> None:
+        self.rotation_count = rotation_count
+        self.ahead = [camera * rotation_count for camera in range(camera_count)]
+        self.renderers = renderers
+        self._steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
+
+    def step(
+        self, assigned: AssignedScene, slot: int, make: Callable[[AssignedScene, Renderer], SceneStep]
+    ) -> SceneStep:
+        """The step of a scene on one of the renderers, with what it has recorded."""
+        steps = self._steps.setdefault(assigned, {})
+        if slot not in steps:
+            steps[slot] = make(assigned, self.renderers[slot])
+        return steps[slot]
 
 
 class ThesisObjective:
@@ -80,6 +107,7 @@ class ThesisObjective:
         iou_min: float = 0.5,
         occlusion: Occlusion = Occlusion.PAIRWISE,
         supersampling: int = 1,
+        probability: DetectionProbability | None = None,
         differentiable_detector: DifferentiableDetector | None = None,
     ) -> None:
         """Objective for rigs of ``camera_count`` cameras of the mount's model.
@@ -93,15 +121,19 @@ class ThesisObjective:
             iou_min: Least intersection over union of a true positive.
             occlusion: What hides a vehicle.
             supersampling: Samples per pixel along each axis.
+            probability: Of detection, for the loss ``missed``; needed where its scale is not 0.
             differentiable_detector: The network of the loss ``detector_gradient``; needed where its scale is not 0.
 
         Raises:
-            ValueError: It is needed and not there.
+            ValueError: One of them is needed and not there.
         """
         if settings.detector_gradient > 0.0 and differentiable_detector is None:
             raise ValueError("settings.detector_gradient needs a differentiable_detector")
+        if settings.missed > 0.0 and probability is None:
+            raise ValueError("settings.missed needs the probability of detection")
         self.mount = mount
         self.differentiable_detector = differentiable_detector if settings.detector_gradient > 0.0 else None
+        self.probability = probability if settings.missed > 0.0 else None
         self.detector = detector
         self.settings = settings
         self.camera_count = camera_count
@@ -110,21 +142,21 @@ class ThesisObjective:
         self.occlusion = occlusion
         self.supersampling = supersampling
         self.device = mount.device
-        self.ahead_view = [camera * mount.rotation_count for camera in range(camera_count)]
         self._loop = DetectorInLoop(detector)
-        self._renderers = [
-            Renderer(
-                [mount.camera] * (camera_count * mount.rotation_count),
-                supersampling=supersampling,
-                occlusion=occlusion,
-                device=mount.device,
-                ego_blockage=settings.surface_blockage > 0.0,
-            )
-            for _ in range(self._renderer_count())
-        ]
+        self._views: dict[int, _Views] = {}
         self._pose = wp.zeros((camera_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device, requires_grad=True)
         self._seed = wp.zeros(len(OBJECTIVES), dtype=float, device=mount.device)
-        self._steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
+        self._stage = StageOnDevice(mount.device)
+
+    @property
+    def ahead_view(self) -> list[int]:
+        """The view of each camera, among those of `observe_rig`, in which it really looks."""
+        return self._views_for(self.last_stage).ahead
+
+    @property
+    def last_stage(self) -> Stage:
+        """The stage at the end of an optimisation, in which rigs are compared."""
+        return Stage(detector_share=self.settings.detector_share)
 
     def evaluate(
         self,
@@ -133,26 +165,34 @@ class ThesisObjective:
         *,
         multiplier: np.ndarray | None = None,
         gradient: bool = False,
+        stage: Stage | None = None,
     ) -> Evaluation:
-        """Losses of cameras on the mount surface, the mean over scenes; scenes are summed in the order given.
+        """Losses of cameras on the mount surface on some scenes; scenes are summed in the order given.
+
+        The losses of the thesis are means over scenes, ``missed`` is the mean over all their objects.
 
         Args:
             mount_pose: x, y [m], yaw, pitch, roll [rad] of every camera, float [camera, 5].
             scenes: The batch.
             multiplier: Lagrange multipliers, float [constraint]; None: 0.
             gradient: Whether to differentiate.
+            stage: How far along the optimisation is, for ``missed``; None: the last one.
         """
         started = time.perf_counter()
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
+        stage = stage or self.last_stage
         self._pose.assign(np.asarray(mount_pose, np.float32))
+        self._stage.set(stage)
         # the mean over scenes is linear, so every scene can send its share of the gradient back at once
-        self._seed.assign(np.array(self.settings.placement_scale, np.float32) / len(scenes))
+        share = self._shares(scenes)
+        self._seed.assign((np.array(self.settings.placement_scale) * share[: len(OBJECTIVES)]).astype(np.float32))
+        views = self._views_for(stage)
         while True:
             assert self._pose.grad is not None
             self._pose.grad.zero_()
-            losses = self._losses(scenes, seconds, gradient=gradient)
-            objectives = np.array([[*loss.numpy(), *more] for loss, more in losses], np.float64).mean(axis=0)
-            grown = [renderer.grew() for renderer in self._renderers]
+            losses = self._losses(views, scenes, stage, seconds, gradient=gradient)
+            objectives = share * np.array([[*loss.numpy(), *more] for loss, more in losses], np.float64).sum(axis=0)
+            grown = [renderer.grew() for renderer in views.renderers]
             if not any(grown):
                 break
 
@@ -187,6 +227,12 @@ class ThesisObjective:
             seconds=seconds,
         )
 
+    def _shares(self, scenes: Sequence[AssignedScene]) -> np.ndarray:
+        """What each scene's losses weigh in the batch, float64 [objective]."""
+        share = np.full(len(self.settings.objectives), 1.0 / len(scenes))
+        share[MISSED] = 1.0 / max(sum(assigned.scene.vehicle_count for assigned in scenes), 1)
+        return share
+
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
         """Gradient of every loss by itself, unscaled, to the mount poses; float32 [camera, 5] by name.
 
@@ -198,20 +244,24 @@ class ThesisObjective:
             scenes: The batch.
         """
         self._pose.assign(np.asarray(mount_pose, np.float32))
+        self._stage.set(self.last_stage)
+        views = self._views_for(self.last_stage)
         pose_gradient = self._pose.grad
         assert pose_gradient is not None
         names = [name for name in OBJECTIVES if name in self.settings.measured_objectives]
+        share = self._shares(scenes)[: len(OBJECTIVES)]
         while True:
             result = {name: np.zeros((self.camera_count, MOUNT_POSE_SIZE), np.float32) for name in names}
             for scene in scenes:
-                [looked], answers = self._look([(scene, 0)], dict.fromkeys(("render", "detect"), 0.0))
+                seconds = {"render": 0.0, "detect": 0.0}
+                [looked], answers = self._look(views, [(scene, 0)], self.last_stage, seconds)
                 self._match(looked, answers())
                 for name in names:
-                    self._seed.assign(np.array([name == each for each in OBJECTIVES], np.float32) / len(scenes))
+                    self._seed.assign(np.where([name == each for each in OBJECTIVES], share, 0.0).astype(np.float32))
                     pose_gradient.zero_()
                     looked.step.learn()
                     result[name] += pose_gradient.numpy()
-            if not self._renderers[0].grew():
+            if not views.renderers[0].grew():
                 break
         for k, name in enumerate(CONSTRAINTS):
             pose_gradient.zero_()
@@ -232,41 +282,44 @@ class ThesisObjective:
             rotation_count=self.mount.rotation_count,
         )
 
-    def _renderer_count(self) -> int:
+    def _views_for(self, stage: Stage) -> _Views:
+        """The views that the losses look at in a stage: of every camera all rotational additions, or the one ahead."""
+        look_round = self.settings.needs_panorama or stage.panorama_share > 0.0
+        rotation_count = self.mount.rotation_count if look_round else 1
+        if rotation_count not in self._views:
+            renderers = [
+                Renderer(
+                    [self.mount.camera] * (self.camera_count * rotation_count),
+                    supersampling=self.supersampling,
+                    occlusion=self.occlusion,
+                    device=self.device,
+                    ego_blockage=self.settings.surface_blockage > 0.0,
+                )
+                for _ in range(self._renderer_count(rotation_count))
+            ]
+            self._views[rotation_count] = _Views(rotation_count, self.camera_count, renderers)
+        return self._views[rotation_count]
+
+    def _renderer_count(self, rotation_count: int) -> int:
         """Scenes whose renders are held at once.
 
         While the detector looks at some, the next are rendered. On a GPU rendering takes less time than it would save.
         """
         camera = self.mount.camera
-        pixels = self.camera_count * self.mount.rotation_count * camera.width_px * camera.height_px
+        pixels = self.camera_count * rotation_count * camera.width_px * camera.height_px
         if wp.get_device(self.device).is_cuda or pixels * self.supersampling**2 > _HELD_SAMPLES_MAX:
             return 1
         return 2 * _SCENES_PER_QUESTION
 
-    def _step_of(self, assigned: AssignedScene, slot: int) -> SceneStep:
-        """The step of a scene on one of the renderers, with what it has recorded."""
-        steps = self._steps.setdefault(assigned, {})
-        if slot not in steps:
-            steps[slot] = SceneStep(
-                self.mount,
-                self._renderers[slot],
-                assigned,
-                pose=self._pose,
-                seed=self._seed,
-                ahead_view=self.ahead_view,
-                settings=self.settings,
-            )
-        return steps[slot]
-
     def _losses(
-        self, scenes: Sequence[AssignedScene], seconds: dict[str, float], *, gradient: bool
+        self, views: _Views, scenes: Sequence[AssignedScene], stage: Stage, seconds: dict[str, float], *, gradient: bool
     ) -> list[tuple[wp.array, list[float]]]:
         """Placement losses of every scene, and the detection network's own where it takes part.
 
         The detector looks at the images of some scenes while the next scenes are rendered; scenes are finished, and
         their gradients added, in the order given.
         """
-        slots = len(self._renderers)
+        slots = len(views.renderers)
         per_question = max(1, slots // 2)
         asked: deque[tuple[list[_Looked], Callable[[], list[Detections]]]] = deque()
         losses: list[tuple[wp.array, list[float]]] = []
@@ -274,30 +327,27 @@ class ThesisObjective:
             while (len(asked) + 1) * per_question > slots:  # until their renderers are free
                 losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
             group = range(first, min(first + per_question, len(scenes)))
-            asked.append(self._look([(scenes[k], k % slots) for k in group], seconds))
+            asked.append(self._look(views, [(scenes[k], k % slots) for k in group], stage, seconds))
         while asked:
             losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
         return losses
 
     def _look(
-        self, scenes: Sequence[tuple[AssignedScene, int]], seconds: dict[str, float]
+        self, views: _Views, scenes: Sequence[tuple[AssignedScene, int]], stage: Stage, seconds: dict[str, float]
     ) -> tuple[list[_Looked], Callable[[], list[Detections]]]:
-        """Render scenes, each on its renderer, and ask the detector about the images that can matter.
-
-        Only a camera's own vehicles count, so only cameras are asked about that see one of theirs.
-        """
+        """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
         looked, pictures = [], []
         started = time.perf_counter()
         pose = self._pose.numpy()
+        asks = self.settings.detected_area > 0.0 or (self.settings.missed > 0.0 and stage.detector_share > 0.0)
         for assigned, slot in scenes:
-            step = self._step_of(assigned, slot)
+            step = self._step_of(views, assigned, slot)
             step.look()
-            sight = see(self._renderers[slot], step.scene, ahead_view=self.ahead_view)
-            cameras: list[int] = []
-            if self.settings.detected_area > 0.0:
-                is_seen = np.isfinite(sight.truth_box_px[..., 0])
-                mine = assigned.assigned_camera == np.arange(self.camera_count)[:, None]
-                cameras = [int(camera) for camera in np.nonzero((is_seen & mine).any(axis=1))[0]]
+            sight, cameras = None, []
+            if asks or self.differentiable_detector is not None:
+                sight = see(views.renderers[slot], step.scene, ahead_view=views.ahead)
+            if sight is not None and asks:
+                cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
             pictures += [
                 Picture(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1]) for camera in cameras
@@ -307,6 +357,32 @@ class ThesisObjective:
         seconds["render"] += rendered - started
         seconds["detect"] += time.perf_counter() - rendered
         return looked, answers
+
+    def _cameras_that_matter(self, sight: Sight, assigned: AssignedScene, stage: Stage) -> list[int]:
+        """Cameras that see enough of an object that some loss asks them for."""
+        is_seen = np.isfinite(sight.truth_box_px[..., 0])
+        if not (self.settings.missed > 0.0 and stage.detector_share > 0.0):
+            # the thesis asks each camera for its own objects only
+            is_seen &= assigned.assigned_camera == np.arange(self.camera_count)[:, None]
+        return [int(camera) for camera in np.nonzero(is_seen.any(axis=1))[0]]
+
+    def _step_of(self, views: _Views, assigned: AssignedScene, slot: int) -> SceneStep:
+        """The step of a scene on one of the renderers."""
+
+        def make(assigned: AssignedScene, renderer: Renderer) -> SceneStep:
+            return SceneStep(
+                self.mount,
+                renderer,
+                assigned,
+                pose=self._pose,
+                seed=self._seed,
+                ahead_view=views.ahead,
+                settings=self.settings,
+                probability=self.probability,
+                stage=self._stage,
+            )
+
+        return views.step(assigned, slot, make)
 
     def _finish(
         self,
@@ -328,7 +404,7 @@ class ThesisObjective:
             matched = time.perf_counter()
             loss = each.step.learn() if gradient else each.step.judge()
             more = []
-            if self.differentiable_detector is not None:
+            if self.differentiable_detector is not None and each.sight is not None:
                 weight = share * self.settings.detector_gradient if gradient else None
                 more.append(
                     each.step.detector_loss(self.differentiable_detector, each.sight.truth_box_px, weight=weight)
@@ -339,12 +415,15 @@ class ThesisObjective:
         return losses
 
     def _match(self, looked: _Looked, found: Sequence[Detections]) -> None:
-        """Hand the boxes that match a vehicle to the scene's step; ``found`` in the order of ``looked.camera``."""
+        """Hand what matches a vehicle to the scene's step; ``found`` in the order of ``looked.camera``."""
+        if looked.sight is None:
+            return
         detections = [Detections.none()] * self.camera_count
         for camera, each in zip(looked.camera, found, strict=True):
             detections[camera] = each
         match = looked.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
         looked.step.set_boxes(matched_boxes_px(match, detections))
+        looked.step.set_detected(match >= 0)
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.
@@ -352,33 +431,40 @@ class ThesisObjective:
         Returns:
             The detections, the measures of all views, and the scaled objective of this scene alone.
         """
+        looks = self._views_for(self.last_stage)
+        self._stage.set(self.last_stage)
         views = views_of_rig(
             rig,
-            rotation_count=self.mount.rotation_count,
+            rotation_count=looks.rotation_count,
             rotation_step_rad=self.mount.rotation_step_rad,
             device=self.device,
         )
-        scene, renderer = assigned.scene, self._renderers[0]
+        scene, renderer = assigned.scene, looks.renderers[0]
         renderer.render(scene, views.position_ego_m, views.camera_from_ego)
         observation = observe(
             renderer,
             scene,
             self.detector,
-            ahead_view=self.ahead_view,
+            ahead_view=looks.ahead,
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
-        box_px[self.ahead_view] = observation.matched_box_px()
+        box_px[looks.ahead] = observation.matched_box_px()
         measures = renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
-        loss = placement_losses_of(
+        loss = losses_of_look(
             self.mount,
+            renderer,
+            scene,
             views,
             measures,
             wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
             assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
             settings=self.settings,
-            unblocked=renderer.unblocked_area(scene) if self.settings.surface_blockage > 0.0 else None,
+            probability=self.probability,
+            detected=wp.array((observation.match >= 0).astype(np.float32), dtype=float, device=self.device),
+            stage=self._stage,
+            image=observation.image,
         )
         losses = list(loss.numpy())
         if self.differentiable_detector is not None:
@@ -391,7 +477,8 @@ class ThesisObjective:
                     self.differentiable_detector,
                     truth_box_px=observation.truth_box_px,
                     assigned_camera=assigned.assigned_camera,
-                    ahead_view=self.ahead_view,
+                    ahead_view=looks.ahead,
                 )
             )
-        return observation, measures, float(np.dot(losses, self.settings.objective_scale))
+        scaled = np.array(losses, np.float64) * self._shares([assigned]) * self.settings.objective_scale
+        return observation, measures, float(scaled.sum())

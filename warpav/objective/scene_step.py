@@ -9,9 +9,11 @@ import numpy as np
 import warp as wp
 
 from warpav.detection.differentiable import DifferentiableDetector
+from warpav.detection.probability import DetectionProbability
 from warpav.objective.detector_loss import detector_loss_of
-from warpav.objective.losses import LossSettings, placement_losses_of
-from warpav.objective.mount import CameraMount
+from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, placement_losses_of
+from warpav.objective.missed import ProbabilityLook, StageOnDevice, add_missed_loss, windows_over_panorama
+from warpav.objective.mount import CameraMount, PlacedViews
 from warpav.objective.recording import Recording
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Measures, Renderer
@@ -28,6 +30,78 @@ class AssignedScene:
 
     scene: DeviceScene
     assigned_camera: np.ndarray
+
+
+def losses_of_look(
+    mount: CameraMount,
+    renderer: Renderer,
+    scene: DeviceScene,
+    views: PlacedViews,
+    measures: Measures,
+    assigned_camera: wp.array,
+    *,
+    assigned_count: int,
+    settings: LossSettings,
+    probability: DetectionProbability | None,
+    detected: wp.array,
+    stage: StageOnDevice,
+    image: wp.array,
+    window_rad: wp.array | None = None,
+) -> wp.array:
+    """All losses of the last look at a scene but the detection network's own, recorded on the active tape.
+
+    Args:
+        mount: Knows the rotational additions and the lens.
+        renderer: Has rendered ``scene`` from ``views`` last.
+        scene: The scene.
+        views: The views; gradients flow to their poses and yaw.
+        measures: Of this render.
+        assigned_camera: Camera of every vehicle, -1 for none, int [vehicle]; for the thesis's losses.
+        assigned_count: Number of vehicles that have a camera.
+        settings: Parameters of the losses.
+        probability: Of detection; the loss ``missed`` needs it.
+        detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
+        stage: How far along the optimisation is.
+        image: What the cameras see ahead, vec3 [camera, row, column].
+        window_rad: See `windows_over_panorama`; None where every camera has one view.
+
+    Returns:
+        float [objective] in the order of `OBJECTIVES`, 0 where a loss is left out. Those of the thesis are means over
+        the scene's assigned vehicles, ``missed`` is the sum over all of them.
+    """
+    if settings.needs_panorama:
+        loss = placement_losses_of(
+            mount,
+            views,
+            measures,
+            assigned_camera,
+            assigned_count=assigned_count,
+            settings=settings,
+            unblocked=renderer.unblocked_area(scene) if settings.surface_blockage > 0.0 else None,
+        )
+    else:
+        loss = wp.zeros(len(OBJECTIVES), dtype=float, device=measures.value.device, requires_grad=True)
+    if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
+        camera_count = detected.shape[0]
+        look = ProbabilityLook.of(
+            renderer,
+            scene,
+            measures,
+            image if renderer.view_count == camera_count else None,
+            window_rad=window_rad,
+            softness_rad=settings.window_softness_rad,
+        )
+        add_missed_loss(
+            probability,
+            look,
+            views,
+            detected,
+            stage,
+            rotation_count=renderer.view_count // camera_count,
+            place=MISSED,
+            loss=loss,
+        )
+    return loss
 
 
 class SceneStep:
@@ -52,24 +126,49 @@ class SceneStep:
         seed: wp.array,
         ahead_view: Sequence[int],
         settings: LossSettings,
+        probability: DetectionProbability | None = None,
+        stage: StageOnDevice | None = None,
         recorded: bool | None = None,
     ) -> None:
         """Prepare the step.
 
         Args:
             mount: Places the cameras.
-            renderer: Renders all views; shared by the steps of all scenes.
+            renderer: Renders all views; shared by the steps of all scenes. Every camera has as many of its views: all
+                rotational additions, or only that in which it really looks.
             assigned: The scene.
             pose: Mount poses, float [camera, 5], with a gradient, to which `learn` adds.
             seed: Weight of each placement loss in that gradient, float [loss].
             ahead_view: The view of each camera in which it looks straight ahead.
             settings: Parameters of the losses.
+            probability: Of detection; the loss ``missed`` needs it.
+            stage: How far along the optimisation is; None: at its end, without the detector.
             recorded: Whether to record the launches; None: on a GPU.
+
+        Raises:
+            ValueError: A loss needs ``probability``, or views that are not there.
         """
+        if settings.missed > 0.0 and probability is None:
+            raise ValueError("settings.missed needs the probability of detection")
         self.scene = scene = assigned.scene
         device = renderer.device
         self._mount, self._renderer, self._settings = mount, renderer, settings
         self._pose, self._seed, self._ahead_view = pose, seed, list(ahead_view)
+        camera_count = pose.shape[0]
+        self._rotation_count = renderer.view_count // camera_count
+        if settings.needs_panorama and self._rotation_count != mount.rotation_count:
+            raise ValueError(f"the losses need {mount.rotation_count} views of every camera")
+        self._probability, self._stage = probability, stage or StageOnDevice(str(device))
+        self._detected = wp.zeros((camera_count, scene.vehicle_count), dtype=float, device=device)
+        self._window_rad = None
+        if self._rotation_count > 1:
+            self._window_rad = windows_over_panorama(
+                mount.camera,
+                camera_count=camera_count,
+                rotation_count=self._rotation_count,
+                rotation_step_rad=mount.rotation_step_rad,
+                device=str(device),
+            )
         self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
         self._camera_of_vehicle = assigned.assigned_camera
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
@@ -88,6 +187,10 @@ class SceneStep:
         box_px = np.zeros((*self._box_px.shape, 4), np.float32)
         box_px[self._ahead_view] = ahead_box_px
         self._box_px.assign(box_px)
+
+    def set_detected(self, is_detected: np.ndarray) -> None:
+        """Which camera's detector found which object, bool [camera, vehicle]."""
+        self._detected.assign(np.asarray(is_detected, np.float32))
 
     def learn(self) -> wp.array:
         """The losses of the last look, float [loss]; their gradient is added to the poses'."""
@@ -109,7 +212,7 @@ class SceneStep:
         self._learn()
 
     def _look(self) -> None:
-        views = self._mount.place(self._pose)
+        views = self._views()
         self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego)
         self.image = self._renderer.rgb(self.scene, self._ahead_view)
 
@@ -128,10 +231,10 @@ class SceneStep:
         tape = None if weight is None else wp.Tape()
         measures = self._judged_measures if tape is None else self._learned_measures
         if tape is None:
-            views = self._mount.place(self._pose)
+            views = self._views()
         else:
             with tape:
-                views = self._mount.place(self._pose)
+                views = self._views()
         return detector_loss_of(
             self._renderer,
             self.scene,
@@ -145,16 +248,25 @@ class SceneStep:
             weight=0.0 if weight is None else weight,
         )
 
+    def _views(self) -> PlacedViews:
+        return self._mount.place(self._pose, self._rotation_count)
+
     def _loss(self) -> tuple[wp.array, Measures]:
         measures = self._renderer.measure(self.scene, self._box_px)
-        loss = placement_losses_of(
+        loss = losses_of_look(
             self._mount,
-            self._mount.place(self._pose),
+            self._renderer,
+            self.scene,
+            self._views(),
             measures,
             self._assigned_camera,
             assigned_count=self._assigned_count,
             settings=self._settings,
-            unblocked=self._renderer.unblocked_area(self.scene) if self._settings.surface_blockage > 0.0 else None,
+            probability=self._probability,
+            detected=self._detected,
+            stage=self._stage,
+            image=self.image,
+            window_rad=self._window_rad,
         )
         return loss, measures
 

@@ -12,9 +12,10 @@ import warp as wp
 
 from warpav.errors import InputError
 from warpav.objective.constraints import CONSTRAINTS, min_camera_distance_m, project_to_constraints
+from warpav.objective.missed import Stage
 from warpav.objective.mount import PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
-from warpav.optimise.segregation import BatchChooser
+from warpav.optimise.segregation import BatchChooser, ShuffledBatches
 from warpav_kernels import update
 
 
@@ -31,8 +32,11 @@ class OptimiserSettings:
         weight_decay: Pull of AdamW towards 0.
         multiplier_learning_rate: Step of the multipliers.
         multiplier_weight_decay: Pull of the multipliers towards 0.
-        keep: ``last``, or ``best`` on all training scenes.
-        check_every: Iterations between two looks at all training scenes, with ``keep`` best.
+        keep: ``last``, or ``best`` on all validation scenes.
+        check_every: Iterations between two looks at all validation scenes, with ``keep`` best.
+        panorama_until: Share of the run over which what lies outside the images ceases to pull, 0..1.
+        detector_from: Share of the run from which the detector has a say in the loss ``missed``, 0..1.
+        patience: Looks without a better rig after which the run ends; None: it never does.
     """
 
     iterations: int = 100
@@ -45,6 +49,9 @@ class OptimiserSettings:
     multiplier_weight_decay: float = 1e-3
     keep: str = "last"
     check_every: int = 10
+    panorama_until: float = 0.0
+    detector_from: float = 0.0
+    patience: int | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class IterationRecord:
         yaw_deg: Yaw before the step [deg], [camera].
         seconds: Wall time: render, detect, backward, total [s].
         min_camera_distance_m: Smallest distance between two cameras [m].
-        training_objective: Objective of the feasible poses on all training scenes, None where it was not looked at.
+        training_objective: Objective of the feasible poses on all validation scenes, None where it was not looked at.
         best_training_objective: The lowest of them so far, None before the first look.
     """
 
@@ -129,7 +136,7 @@ class AdamW:
 
 @dataclass
 class Candidate:
-    """A rig that satisfies the constraints, and its objective on all training scenes."""
+    """A rig that satisfies the constraints, and its objective on all validation scenes."""
 
     mount_pose: np.ndarray
     training_objective: float
@@ -146,7 +153,8 @@ class Descent:
         settings: How to step.
         start: Mount poses to start from, float [camera, 5].
         rng: Chooses the batches.
-        candidates: Rigs that were looked at on all training scenes, in order.
+        validation: Scenes on which rigs are compared; None: the training scenes.
+        candidates: Rigs that were looked at on all validation scenes, in order.
     """
 
     objective: ThesisObjective
@@ -154,6 +162,7 @@ class Descent:
     settings: OptimiserSettings
     start: np.ndarray
     rng: np.random.Generator
+    validation: Sequence[AssignedScene] | None = None
     candidates: list[Candidate] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -163,7 +172,8 @@ class Descent:
         self._multiplier = AdamW(
             np.zeros(len(CONSTRAINTS), np.float32), weight_decay=self.settings.multiplier_weight_decay, device=device
         )
-        self._batches = BatchChooser(self.scenes, len(self.start), self.rng)
+        is_informed = self.objective.settings.needs_panorama
+        self._batches = (BatchChooser if is_informed else ShuffledBatches)(self.scenes, len(self.start), self.rng)
         rate = np.zeros_like(self.start, dtype=np.float32)
         rate[:, [X_M, Y_M]] = self.settings.learning_rate_position_m
         rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
@@ -179,7 +189,7 @@ class Descent:
         look = self._look() if self._is_time_to_look() else None
         pose, multiplier = self._pose.value, self._multiplier.value
         batch = [self.scenes[k] for k in self._batches.choose(self.settings.batch_size)]
-        result = self.objective.evaluate(pose, batch, multiplier=multiplier, gradient=True)
+        result = self.objective.evaluate(pose, batch, multiplier=multiplier, gradient=True, stage=self._stage())
         gradient, multiplier_gradient = result.gradient, result.multiplier_gradient
         assert gradient is not None
         assert multiplier_gradient is not None
@@ -226,15 +236,36 @@ class Descent:
             self.objective.mount.surface,
             min_spacing_m=self.objective.settings.min_spacing_m,
         )
-        objective = self.objective.evaluate(pose, self.scenes).objective
+        objective = self.objective.evaluate(pose, self.validation or self.scenes).objective
         candidate = Candidate(pose, objective, self.iteration)
         self.candidates.append(candidate)
         return candidate
 
+    @property
+    def verdict(self) -> str | None:
+        """Why there is no use in going on, in words; None while there is."""
+        patience = self.settings.patience
+        if patience is None or not self.candidates:
+            return None
+        looks = len(self.candidates) - 1 - self.candidates.index(self.best)
+        if looks < patience:
+            return None
+        return f"no better rig in {looks} looks at the validation scenes since iteration {self.best.iteration}"
+
+    @property
+    def _progress(self) -> float:
+        return self.iteration / max(self.settings.iterations - 1, 1)
+
+    def _stage(self) -> Stage:
+        last = self.objective.last_stage
+        faded = self._progress / self.settings.panorama_until if self.settings.panorama_until > 0.0 else 1.0
+        is_late = self._progress >= self.settings.detector_from
+        return Stage(max(1.0 - faded, 0.0), last.detector_share if is_late else 0.0)
+
     def _schedule(self) -> float:
         if self.settings.schedule == "constant":
             return 1.0
-        progress = self.iteration / max(self.settings.iterations - 1, 1)
+        progress = self._progress
         return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * progress))
 
     def _record(

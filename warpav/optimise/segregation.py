@@ -149,3 +149,21 @@ class BatchChooser:
         while len(cameras) < batch_size:
             cameras.append(self._cameras[self._rng.integers(len(self._cameras))])
         return [int(self._rng.choice(self._scenes_of_camera[camera])) for camera in cameras]
+
+
+class ShuffledBatches:
+    """Batches that go through all scenes in random order before any comes again."""
+
+    def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
+        """Chooser over ``scenes``; which camera answers for what does not matter."""
+        del camera_count
+        self._count = len(scenes)
+        self._rng = rng
+        self._waiting: list[int] = []
+
+    def choose(self, batch_size: int) -> list[int]:
+        """Indices of the scenes of the next batch."""
+        while len(self._waiting) < batch_size:
+            self._waiting += [int(k) for k in self._rng.permutation(self._count)]
+        batch, self._waiting = self._waiting[:batch_size], self._waiting[batch_size:]
+        return batch

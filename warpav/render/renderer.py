@@ -58,6 +58,9 @@ CUDA_STRIPS = 1 << 18  # room in their queue
 
 # Warp's arrays have strides of 32 bits, in bytes; see `_reserve_samples` and `rgb`.
 MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
+WIDE_RAD = 50.0
+"""Half the size of a window that holds all directions, whatever its softness."""
+
 MAX_VIEW_SAMPLES = 2**27
 
 
@@ -280,6 +283,9 @@ class Renderer:
         self._strip_count = self._zeros(1, wp.int32)
         if ego_blockage:
             self._ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
+        self._all_directions = wp.full(
+            self.view_count, wp.vec4(0.0, 0.0, WIDE_RAD, WIDE_RAD), dtype=wp.vec4, device=self.device
+        )
         self._held: Held | None = None
         self._has_key = False
         self._buffers: dict[tuple[str, tuple[int, ...]], wp.array] = {}
@@ -676,9 +682,9 @@ class Renderer:
     def window_area(
         self,
         scene: DeviceScene,
-        window_rad: wp.array,
+        window_rad: wp.array | None = None,
         *,
-        softness_rad: float,
+        softness_rad: float = 1.0,
         visible: bool,
         into: WindowMeasures | None = None,
     ) -> WindowMeasures:
@@ -694,7 +700,8 @@ class Renderer:
         Args:
             scene: The scene of the last `render`.
             window_rad: Per view in its own axes: azimuth of the window's centre, counted like yaw from the optical axis
-                to the left; its elevation, upwards; half width; half height [rad], vec4 [view].
+                to the left; its elevation, upwards; half width; half height [rad], vec4 [view]. None: all directions,
+                so that everything in the image counts.
             softness_rad: t, positive.
             visible: Whether to leave out what other surfaces hide; else each vehicle counts as if it stood alone.
             into: An earlier result to write over; None: fresh arrays.
@@ -703,6 +710,8 @@ class Renderer:
             ValueError: There is not one window per view, or ``softness_rad`` is not positive.
         """
         self._require(scene, Content.ALL if visible else Content.VEHICLES)
+        if window_rad is None:
+            window_rad = self._all_directions
         if window_rad.shape != (self.view_count,):
             raise ValueError(
                 f"window_rad must have one window for each of {self.view_count} views, got {window_rad.shape}"

@@ -1,0 +1,186 @@
+"""The expected number of objects that a rig misses: what the default method lowers.
+
+Every camera finds an object with the probability that `DetectionProbability` gives for what its image shows of it;
+the rig misses what all its cameras miss. Early in an optimisation a panorama from every camera's place lets objects
+outside the images pull, late in it the detector itself has a say; `Stage` says how much of each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import warp as wp
+
+from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.objective.mount import PlacedViews
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Measures, Renderer, WindowMeasures
+from warpav.rig.camera import CameraModel
+from warpav_kernels import missed_loss
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How far along an optimisation is.
+
+    Attributes:
+        panorama_share: How much of a camera's probability is what it would find if it turned to the object, weighted
+            by the object's share in the soft window of its field of view, in [0, 1]; 0 looks at its image alone.
+        detector_share: How much of it is what the detector really found, in [0, 1).
+    """
+
+    panorama_share: float = 0.0
+    detector_share: float = 0.0
+
+
+class StageOnDevice:
+    """The numbers of a `Stage` in arrays that recorded launches read."""
+
+    def __init__(self, device: str) -> None:
+        """Both shares 0."""
+        self.panorama_share = wp.zeros(1, dtype=float, device=device)
+        self.detector_share = wp.zeros(1, dtype=float, device=device)
+
+    def set(self, stage: Stage) -> None:
+        """Take over the numbers."""
+        self.panorama_share.fill_(stage.panorama_share)
+        self.detector_share.fill_(stage.detector_share)
+
+
+@dataclass(frozen=True)
+class ProbabilityLook:
+    """What a render shows that the loss needs; the renderer's buffers are free again.
+
+    Attributes:
+        appearance: Of every object in every view.
+        in_window: Visible solid angle inside the soft window of the camera's field of view, in every view of its
+            panorama; None where each camera has one view.
+        visible: Visible solid angle in every view; likewise.
+    """
+
+    appearance: Appearance
+    in_window: WindowMeasures | None
+    visible: WindowMeasures | None
+
+    @classmethod
+    def of(
+        cls,
+        renderer: Renderer,
+        scene: DeviceScene,
+        measures: Measures,
+        image: wp.array | None,
+        *,
+        window_rad: wp.array | None,
+        softness_rad: float,
+    ) -> ProbabilityLook:
+        """Measure the last render; nothing is taped.
+
+        Args:
+            renderer: Has rendered ``scene`` with all content in all views.
+            scene: The scene.
+            measures: Of this render, from `Renderer.measure`.
+            image: Its colours in all views, vec3 [view, row, column]; None: they are drawn here.
+            window_rad: Fields of view over the panoramas, from `windows_over_panorama`; None where each camera has one
+                view.
+            softness_rad: Of the windows' edges [rad].
+        """
+        appearance = Appearance.of(renderer, scene, measures=measures, image=image)
+        if window_rad is None:
+            return cls(appearance, None, None)
+        in_window = renderer.window_area(scene, window_rad, softness_rad=softness_rad, visible=True)
+        return cls(appearance, in_window, renderer.window_area(scene, visible=True))
+
+
+def windows_over_panorama(
+    camera: CameraModel, *, camera_count: int, rotation_count: int, rotation_step_rad: float, device: str
+) -> wp.array:
+    """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
+
+    Args:
+        camera: The model of all cameras; its field of view becomes a rectangle of azimuth and elevation.
+        camera_count: Number of cameras.
+        rotation_count: Views of every camera.
+        rotation_step_rad: Angle between them, to the left [rad].
+        device: Warp device.
+
+    Returns:
+        vec4 [view]; the axis of view a lies a steps to the left of the camera's.
+    """
+    half_width = 0.5 * camera.fov_rad
+    half_height = math.atan(math.tan(half_width) * camera.height_px / camera.width_px)
+    of_camera = [
+        [math.remainder(-a * rotation_step_rad, 2.0 * math.pi), 0.0, half_width, half_height]
+        for a in range(rotation_count)
+    ]
+    return wp.array(of_camera * camera_count, dtype=wp.vec4, device=device)
+
+
+def add_missed_loss(
+    model: DetectionProbability,
+    look: ProbabilityLook,
+    views: PlacedViews,
+    detected: wp.array,
+    stage: StageOnDevice,
+    *,
+    rotation_count: int,
+    place: int,
+    loss: wp.array,
+) -> wp.array:
+    """The expected number of missed objects, recorded on the active tape.
+
+    Args:
+        model: Probability of detection in a view.
+        look: What the views show.
+        views: The views; gradients flow to their poses.
+        detected: Which camera's detector really found which object, 0 or 1, float [camera, object].
+        stage: Shares of the panorama and of the detector.
+        rotation_count: Views of every camera.
+        place: Where to write.
+        loss: float [loss]; the element at ``place`` is written.
+
+    Returns:
+        Probability that each camera finds each object, float [camera, object].
+    """
+    device = loss.device
+    position, rotation = views.position_ego_m, views.camera_from_ego
+    probability = model.on_tape(look.appearance, position, rotation).probability
+    shape = detected.shape
+    best_view = wp.zeros(shape, dtype=wp.int32, device=device)
+    in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+    around_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+    if look.in_window is not None and look.visible is not None:
+        wp.launch(
+            missed_loss.find_best_views_kernel,
+            dim=shape,
+            inputs=[probability, rotation_count],
+            outputs=[best_view],
+            device=device,
+            record_tape=False,
+        )
+        for solid_angle, total in ((look.in_window, in_window_sr), (look.visible, around_sr)):
+            wp.launch(
+                missed_loss.sum_over_panorama_kernel,
+                dim=shape,
+                inputs=[solid_angle.on_tape(position, rotation), rotation_count],
+                outputs=[total],
+                device=device,
+            )
+    found = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+    wp.launch(
+        missed_loss.camera_probability_kernel,
+        dim=shape,
+        inputs=[probability, best_view, in_window_sr, around_sr, stage.panorama_share, rotation_count],
+        outputs=[found],
+        device=device,
+    )
+    log_missed = wp.zeros(shape[1], dtype=float, device=device, requires_grad=True)
+    wp.launch(
+        missed_loss.log_missed_kernel,
+        dim=shape[1],
+        inputs=[found, detected, stage.detector_share],
+        outputs=[log_missed],
+        device=device,
+    )
+    wp.launch(missed_loss.missed_loss_kernel, dim=1, inputs=[log_missed, place], outputs=[loss], device=device)
+    return found
