@@ -1,0 +1,168 @@
+"""The expected share of missed road users: its value from probabilities, its gradient against finer renders."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
+from warpav.detection.probability import CONTRAST, FEATURE_COUNT, Appearance, DetectionProbability
+from warpav.objective.losses import LossSettings
+from warpav.objective.missed import Stage
+from warpav.objective.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.render.renderer import Occlusion, Renderer
+from warpav.rig.camera import CameraModel
+
+MODEL = CameraModel(128, 128)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0]], np.float32)
+KNOTS = 7
+TRUTH_SAMPLES = 6
+
+
+def probability_model(rng):
+    """Curves that rise with what helps; colours do not matter, for their differences are no part of the gradient."""
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
+    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / (KNOTS - 1)
+    rise = np.array([6.0, 2.0, 1.0, 1.5, 0.5, 0.0])
+    coefficient = rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + rng.normal(0.0, 0.1, (FEATURE_COUNT, KNOTS))
+    coefficient[CONTRAST] = 0.0
+    return DetectionProbability(start, step, coefficient, 0.4)
+
+
+class Fixed(ConstantDetector):
+    """A detector whose answers are counted."""
+
+
+def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, **settings):
+    scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
+    return ThesisObjective(
+        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device),
+        detector or ConstantDetector.silent(cameras),
+        camera_count=cameras,
+        settings=LossSettings(**scales),
+        occlusion=Occlusion.EXACT,
+        supersampling=supersampling,
+        probability=model or probability_model(np.random.default_rng(3)),
+    )
+
+
+def scenes_of(device="cpu", *counts):
+    return [
+        AssignedScene(packed_street(device, count, seed), np.full(count, -1, np.int32))
+        for seed, count in enumerate(counts or (10,))
+    ]
+
+
+def probabilities(objective, pose, scene, model):
+    """Of every camera and vehicle where the camera really looks, from features as they are."""
+    poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
+    renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
+    position, rotation = on_device(poses, objective.device)
+    renderer.render(scene, position, rotation)
+    return model.on_tape(Appearance.of(renderer, scene), position, rotation).probability.numpy().astype(float)
+
+
+def test_value_is_the_mean_of_products_over_all_objects_of_all_scenes(device, rng):
+    model = probability_model(rng)
+    objective, scenes = objective_of(device, model=model), scenes_of(device, 10, 4)
+    missed = [np.prod(1.0 - probabilities(objective, POSE, each.scene, model), axis=0) for each in scenes]
+    result = objective.evaluate(POSE, scenes)
+    assert result.terms["missed"] == pytest.approx(np.concatenate(missed).mean(), rel=1e-5)
+    assert result.objective == pytest.approx(result.terms["missed"], rel=1e-6)
+    assert set(result.terms) == {"missed", "out_of_bounds", "camera_spacing"}
+    # whatever the scale, and whoever answers for a vehicle
+    double = objective_of(device, model=model, missed=2.0)
+    assigned = [AssignedScene(each.scene, np.zeros_like(each.assigned_camera)) for each in scenes]
+    assert double.evaluate(POSE, assigned).objective == pytest.approx(2.0 * result.objective, rel=1e-6)
+
+
+def test_the_detector_corrects_the_probabilities(device, rng):
+    model = probability_model(rng)
+    boxes = [np.array([[0.0, 0.0, 128.0, 128.0]])] * 2
+    detector = ConstantDetector(boxes, [np.array([0.9])] * 2)
+    objective = objective_of(device, model=model, detector=detector, detector_share=0.5)
+    [scene] = scenes_of(device, 10)
+    observation, _, _ = objective.observe_rig(objective.mount.rig(POSE), scene)
+    found = (observation.match >= 0).astype(float)
+    p = 0.5 * probabilities(objective, POSE, scene.scene, model) + 0.5 * found
+    assert objective.evaluate(POSE, [scene]).terms["missed"] == pytest.approx(np.prod(1.0 - p, axis=0).mean(), rel=1e-5)
+    without = objective.evaluate(POSE, [scene], stage=Stage()).terms["missed"]
+    assert without == pytest.approx(
+        np.prod(1.0 - probabilities(objective, POSE, scene.scene, model), axis=0).mean(), rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
+def test_gradient_matches_differences_of_finer_renders(device, stage):
+    scenes = scenes_of(device, 10, 8)
+    ours = objective_of(device, supersampling=2).evaluate(POSE, scenes, gradient=True, stage=stage)
+    fine = objective_of(device, supersampling=TRUTH_SAMPLES)
+    truth = np.zeros_like(POSE)
+    for camera in range(2):
+        for number, step in ((X_M, 0.06), (Y_M, 0.06), (YAW_RAD, 0.012), (PITCH_RAD, 0.012)):
+            values = []
+            for sign in (1.0, -1.0):
+                pose = POSE.copy()
+                pose[camera, number] += sign * step
+                values.append(fine.evaluate(pose, scenes, stage=stage).terms["missed"])
+            truth[camera, number] = (values[0] - values[1]) / (2.0 * step)
+    scale = np.array([1.0, 1.0, 0.2, 0.2, 0.0])
+    a, b = (ours.gradient * scale).ravel(), (truth * scale).ravel()
+    cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+    error = np.linalg.norm(a - b) / np.linalg.norm(b)
+    print(stage, cosine, error, ours.gradient.round(3), truth.round(3))
+    assert cosine > 0.99
+
+
+def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):
+    objective = objective_of(device, cameras=1)
+    [scene] = scenes_of(device, 1)
+    middle = np.asarray(scene.scene.upright_box.centre_ego_m.numpy()[0][:2], float)
+    place = np.array([1.0, 0.0])
+    bearing = math.atan2(*(middle - place)[::-1])
+    pose = np.array([[*place, bearing + math.radians(75.0), 0.0, 0.0]], np.float32)
+    end = objective.evaluate(pose, [scene], gradient=True, stage=Stage())
+    assert end.terms["missed"] == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(end.gradient).max() < 1e-3
+    early = objective.evaluate(pose, [scene], gradient=True, stage=Stage(1.0))
+    assert early.terms["missed"] < 1.0
+    assert early.gradient[0, YAW_RAD] > 0.02  # a turn to the right finds it
+    turned = pose.copy()
+    turned[0, YAW_RAD] = bearing
+    seen = objective.evaluate(turned, [scene], stage=Stage())
+    assert seen.terms["missed"] < 0.5
+
+
+def test_repeats_bit_by_bit_and_gradient_is_optional(device):
+    objective, scenes = objective_of(device), scenes_of(device, 10, 4, 7)
+    for stage in (Stage(), Stage(0.7)):
+        first = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
+        again = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
+        np.testing.assert_array_equal(again.gradient, first.gradient)
+        assert objective.evaluate(POSE, scenes, stage=stage).terms == first.terms == again.terms
+
+
+def test_a_rig_from_elsewhere_has_the_same_value(device):
+    objective, [scene] = objective_of(device), scenes_of(device, 10)
+    _, _, value = objective.observe_rig(objective.mount.rig(POSE), scene)
+    assert value == pytest.approx(objective.evaluate(POSE, [scene]).objective, rel=1e-4)
+
+
+def test_a_scene_without_road_users_misses_none(device):
+    objective, scenes = objective_of(device), scenes_of(device, 10, 0)
+    both = objective.evaluate(POSE, scenes, gradient=True)
+    alone = objective.evaluate(POSE, scenes[:1], gradient=True)
+    assert both.terms["missed"] == pytest.approx(alone.terms["missed"])
+    np.testing.assert_allclose(both.gradient, alone.gradient, rtol=1e-5, atol=1e-7)
+    assert objective.evaluate(POSE, scenes[1:]).terms["missed"] == 0.0
+
+
+def test_a_model_is_needed():
+    with pytest.raises(ValueError, match="needs the probability of detection"):
+        ThesisObjective(
+            CameraMount(roof(), camera=MODEL, height_offset_m=0.25),
+            ConstantDetector.silent(2),
+            camera_count=2,
+            settings=LossSettings(missed=1.0),
+        )
