@@ -360,7 +360,19 @@ class MountConfig(Section):
         default=0.8,
         gt=0.0,
         le=1.0,
-        description="least vertical part of the unit normal of a surface that can carry a camera",
+        description="least vertical part of the unit normal of what the height map is made of",
+    )
+    min_zone_normal: float = Field(
+        default=0.9,
+        gt=0.0,
+        le=1.0,
+        description="the same of what can carry a camera; a windscreen cannot (method: default)",
+    )
+    margin_m: Metres = Field(
+        default=0.02,
+        ge=0.0,
+        le=1.0,
+        description="least distance of a camera's centre to the border of the mountable zone (method: default)",
     )
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
@@ -517,12 +529,17 @@ class OptimiserConfig(Section):
     )
     schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
     weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
-    multiplier_learning_rate: float = Field(default=0.25, ge=0.0, le=100.0, description="AdamW step of a multiplier")
-    multiplier_weight_decay: float = Field(
-        default=1e-3, ge=0.0, le=1.0, description="pull of the multipliers towards zero"
+    multiplier_learning_rate: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=100.0,
+        description="step of a multiplier, AdamW's (thesis) or of plain ascent (default); null: the method's",
     )
-    multiplier_damping: float = Field(
-        default=0.0, ge=0.0, description="damping of the multipliers; 0 is the plain method"
+    multiplier_weight_decay: float = Field(
+        default=1e-3, ge=0.0, le=1.0, description="pull of the multipliers towards zero (method: thesis)"
+    )
+    multiplier_damping: float | None = Field(
+        default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
     )
     keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
     check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")

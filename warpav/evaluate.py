@@ -19,7 +19,7 @@ from warpav.detection.average_precision import (
 )
 from warpav.detection.detector import ROAD_USERS, Detector
 from warpav.detection.observe import Observation, observe
-from warpav.objective.constraints import constraint_violation_m, min_camera_distance_m
+from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.mount import CameraMount, views_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.device_scene import DeviceScene
@@ -106,7 +106,7 @@ class ArmMetrics:
             on one object are among them, and so are boxes on the ego vehicle and on road users of another kind. As in
             COCO's scores, only the 100 most confident of an image and kind count.
         objective: Scaled training objective on the test scenes.
-        constraint_violation: Excess over the bounds plus missing spacing [m].
+        constraint_violation: Excess over the borders of where cameras may stand, plus missing spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].
         objects: Number of objects in the test scenes.
         frames: Number of images.
@@ -292,7 +292,7 @@ def evaluate_rig(
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
         objective=_mean(np.array(losses)),
-        constraint_violation=constraint_violation_m(rig, mount.surface, min_spacing_m=objective.settings.min_spacing_m),
+        constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         objects=whole.objects,
         frames=boxes.false_alarms.size,

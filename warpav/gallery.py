@@ -276,7 +276,7 @@ def draw_run(
 
     start, result = rigs.values()
     path_m, surface = trajectory(folder.events()), objective.mount.surface
-    spacing_m = objective.settings.min_spacing_m
+    spacing_m = objective.constraints.min_spacing_m
     figures.loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
     figures.rig_top_view(
         folder.figure_path("rig_top_view"),

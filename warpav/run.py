@@ -41,6 +41,7 @@ from warpav.sources import (
     camera_mount,
     check_rig_source,
     checked_device,
+    constraints_of,
     detector_use,
     device_name,
     find_rig,
@@ -157,11 +158,11 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
             min_unblocked_area=config.losses.min_unblocked_area,
             reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
             epsilon=config.losses.epsilon,
-            min_spacing_m=config.rig.min_spacing_m,
-            multiplier_damping=config.optimiser.multiplier_damping,
+            multiplier_damping=_multiplier_settings(config)[1],
             window_softness_rad=math.radians(config.losses.window_softness_deg),
             detector_share=config.losses.detector_share,
         ),
+        constraints=constraints_of(config, mount.surface),
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
@@ -316,14 +317,15 @@ def compare(
         display: Where to show it.
     """
     config, mount = problem.config, problem.objective.mount
-    highest = highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
+    constraints = problem.objective.constraints
+    highest = highest_mount_pose(constraints, config.rig.cameras)
     samples, rng = config.baselines.random_samples, problem.random_numbers(_RANDOM_ARM)
     chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
     display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
     space = SearchSpace.over(
         mount,
         config.rig.cameras,
-        min_spacing_m=config.rig.min_spacing_m,
+        constraints=constraints,
         yaw_rad=problem.segregation.yaw_rad,
         yaw_reach_rad=0.0,
     )
@@ -401,19 +403,24 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
-    config, mount = problem.config, problem.objective.mount
+    config, constraints = problem.config, problem.objective.constraints
     if rig is not None:
         return mount_pose_of_rig(rig)
     if config.rig.start == "highest":
-        pose = highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m)
+        pose = highest_mount_pose(constraints, config.rig.cameras)
     else:
-        pose = random_mount_pose(
-            mount,
-            problem.segregation.yaw_rad,
-            min_spacing_m=config.rig.min_spacing_m,
-            rng=problem.random_numbers(_START),
-        )
+        pose = random_mount_pose(constraints, problem.segregation.yaw_rad, rng=problem.random_numbers(_START))
     return pose.astype(np.float32)
+
+
+def _multiplier_settings(config: Config) -> tuple[float, float]:
+    """Step and damping of the multipliers, the method's own where the configuration gives none."""
+    step, damping = (0.25, 0.0) if config.method == "thesis" else (1.0, 10.0)
+    optimiser = config.optimiser
+    return (
+        step if optimiser.multiplier_learning_rate is None else optimiser.multiplier_learning_rate,
+        damping if optimiser.multiplier_damping is None else optimiser.multiplier_damping,
+    )
 
 
 def optimiser_settings(config: Config) -> OptimiserSettings:
@@ -426,7 +433,7 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
         schedule=optimiser.schedule,
         weight_decay=optimiser.weight_decay,
-        multiplier_learning_rate=optimiser.multiplier_learning_rate,
+        multiplier_learning_rate=_multiplier_settings(config)[0],
         multiplier_weight_decay=optimiser.multiplier_weight_decay,
         keep=optimiser.keep,
         check_every=optimiser.check_every,

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from warpav.detection.onnx_detector import OnnxDetector
     from warpav.detection.probability import DetectorUse
     from warpav.geometry.mesh import Mesh
+    from warpav.objective.constraints import Constraints
     from warpav.objective.mount import CameraMount
     from warpav.scene.scene import Scene
 
@@ -178,7 +179,26 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
         ego,
         cell_m=config.mount.cell_m,
         min_upward_normal=config.mount.min_upward_normal,
+        min_zone_normal=config.mount.min_zone_normal,
         smoothing_tolerance_m=config.mount.smoothing_tolerance_m,
+    )
+
+
+def constraints_of(config: Config, surface: MountSurface) -> Constraints:
+    """What the method demands of the places of the cameras.
+
+    Raises:
+        InputError: No place of the mountable zone is far enough from its border.
+    """
+    from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
+
+    if config.method == "thesis":
+        return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
+    return ZoneAndSpacing(
+        surface,
+        camera_count=config.rig.cameras,
+        min_spacing_m=config.rig.min_spacing_m,
+        margin_m=config.mount.margin_m,
     )
 
 
@@ -281,7 +301,7 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
         from warpav.optimise.baselines import highest_mount_pose
 
         mount = camera_mount(config, ego)
-        return mount.rig(highest_mount_pose(mount, config.rig.cameras, min_spacing_m=config.rig.min_spacing_m))
+        return mount.rig(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras))
     shared = camera_model(config)
     return Rig.create(
         [

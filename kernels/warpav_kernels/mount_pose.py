@@ -4,19 +4,19 @@ import warp as wp
 
 
 @wp.func
-def mount_height_m(x_m: float, y_m: float, height_m: wp.array2d[float], origin_m: wp.vec2, cell_m: float) -> float:
-    """Bilinear height of the mount surface [m]; beyond the border, the border's.
+def bilinear_m(x_m: float, y_m: float, raster_m: wp.array2d[float], origin_m: wp.vec2, cell_m: float) -> float:
+    """Bilinear value of a raster over the ground plane [m]; beyond the border, the border's.
 
     Gradients flow to x and y inside the map, and to the map.
     """
-    row = wp.clamp((x_m - origin_m[0]) / cell_m, 0.0, float(height_m.shape[0] - 1))
-    column = wp.clamp((y_m - origin_m[1]) / cell_m, 0.0, float(height_m.shape[1] - 1))
-    i = wp.min(int(wp.floor(row)), height_m.shape[0] - 2)
-    j = wp.min(int(wp.floor(column)), height_m.shape[1] - 2)
+    row = wp.clamp((x_m - origin_m[0]) / cell_m, 0.0, float(raster_m.shape[0] - 1))
+    column = wp.clamp((y_m - origin_m[1]) / cell_m, 0.0, float(raster_m.shape[1] - 1))
+    i = wp.min(int(wp.floor(row)), raster_m.shape[0] - 2)
+    j = wp.min(int(wp.floor(column)), raster_m.shape[1] - 2)
     s = row - float(i)
     t = column - float(j)
-    low = (1.0 - t) * height_m[i, j] + t * height_m[i, j + 1]
-    high = (1.0 - t) * height_m[i + 1, j] + t * height_m[i + 1, j + 1]
+    low = (1.0 - t) * raster_m[i, j] + t * raster_m[i, j + 1]
+    high = (1.0 - t) * raster_m[i + 1, j] + t * raster_m[i + 1, j + 1]
     return (1.0 - s) * low + s * high
 
 
@@ -70,7 +70,7 @@ def place_on_surface_kernel(
     camera = wp.tid()
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
-    z_m = mount_height_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m
+    z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m
     for rotation in range(rotation_count):
         v = camera * rotation_count + rotation
         position_ego_m[v] = wp.vec3(x_m, y_m, z_m)

@@ -11,7 +11,7 @@ import warp as wp
 from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.oracle import thesis
-from warpav.objective.constraints import constraint_losses_of
+from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.losses import OBJECTIVES, LossSettings, Reference, lagrangian_of, placement_losses_of
 from warpav.objective.mount import CameraMount
 from warpav.render.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
@@ -43,7 +43,7 @@ def constraint_losses(pose, device, surface, min_spacing_m=0.5, weight=(1.0, 0.0
     tape = wp.Tape()
     with tape:
         views = mount.place(array)
-        loss = constraint_losses_of(views, surface, min_spacing_m=min_spacing_m, rotation_count=mount.rotation_count)
+        loss = BoundsAndSpacing(surface, min_spacing_m=min_spacing_m).losses_of(views, mount.rotation_count)
     tape.backward(grads={loss: wp.array(np.array(weight, np.float32), dtype=float, device=device)})
     return loss.numpy(), array.grad.numpy()
 

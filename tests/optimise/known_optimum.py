@@ -104,7 +104,11 @@ class World:
     @functools.cached_property
     def space(self):
         """All rigs: level cameras anywhere on the surface, looking anywhere."""
-        return SearchSpace.over(self.objective.mount, self.camera_count, min_spacing_m=0.2)
+        return SearchSpace.over(
+            self.objective.mount,
+            self.camera_count,
+            constraints=self.objective.constraints,
+        )
 
     @functools.cached_property
     def optimum(self):

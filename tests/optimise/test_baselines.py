@@ -9,7 +9,7 @@ import pytest
 from tests.driving_scene import flat_surface, roof
 from tests.optimise.test_gradient import MODEL
 from warpav.errors import InputError
-from warpav.objective.constraints import constraint_violation_m
+from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 
@@ -21,7 +21,7 @@ def mount_on(surface):
 @pytest.mark.parametrize("camera_count", [1, 2, 3, 4, 6])
 def test_highest_cameras_stand_round_the_top(camera_count):
     mount = mount_on(roof())
-    pose = highest_mount_pose(mount, camera_count, min_spacing_m=0.2)
+    pose = highest_mount_pose(BoundsAndSpacing(mount.surface), camera_count)
     np.testing.assert_allclose(pose[:, YAW_RAD], 2 * math.pi * np.arange(camera_count) / camera_count)
     assert not pose[:, 3:].any()
     top = roof().highest_point_m()[:2]
@@ -35,31 +35,31 @@ def test_highest_cameras_stand_round_the_top(camera_count):
         outward = place - top
         facing = np.stack([np.cos(pose[:, YAW_RAD]), np.sin(pose[:, YAW_RAD])], axis=1)
         np.testing.assert_allclose(outward / np.linalg.norm(outward, axis=1, keepdims=True), facing, atol=1e-3)
-    assert constraint_violation_m(mount.rig(pose.astype(np.float32)), roof(), min_spacing_m=0.2) == 0.0
+    assert BoundsAndSpacing(roof()).violation_m(mount.rig(pose.astype(np.float32))) == 0.0
 
 
 def test_highest_cameras_at_the_edge_are_pushed_in():
     slope = flat_surface([0.0, -0.5], [2.0, 0.5])
     slope.height_m[:] += np.linspace(0.0, 1.0, len(slope.height_m))[:, None]
-    pose = highest_mount_pose(mount_on(slope), 4, min_spacing_m=0.2)
-    assert constraint_violation_m(mount_on(slope).rig(pose.astype(np.float32)), slope, min_spacing_m=0.2) == 0.0
+    pose = highest_mount_pose(BoundsAndSpacing(slope), 4)
+    assert BoundsAndSpacing(slope).violation_m(mount_on(slope).rig(pose.astype(np.float32))) == 0.0
     assert pose[:, X_M].min() > 1.5
 
 
 def test_cameras_that_do_not_fit_are_refused(rng):
     small = mount_on(flat_surface([0.0, 0.0], [0.2, 0.2]))
     with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
-        highest_mount_pose(small, 4, min_spacing_m=0.5)
+        highest_mount_pose(BoundsAndSpacing(small.surface, min_spacing_m=0.5), 4)
     with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
-        random_mount_pose(small, np.zeros(4), min_spacing_m=0.5, rng=rng)
+        random_mount_pose(BoundsAndSpacing(small.surface, min_spacing_m=0.5), np.zeros(4), rng=rng)
 
 
 def test_random_cameras_are_feasible_and_spread(rng):
     mount = mount_on(roof())
     yaw = np.array([0.0, 1.5, 3.5, 5.5])
-    poses = np.stack([random_mount_pose(mount, yaw, min_spacing_m=0.2, rng=rng) for _ in range(100)])
+    poses = np.stack([random_mount_pose(BoundsAndSpacing(mount.surface), yaw, rng=rng) for _ in range(100)])
     for pose in poses:
-        assert constraint_violation_m(mount.rig(pose), roof(), min_spacing_m=0.2) == 0.0
+        assert BoundsAndSpacing(roof()).violation_m(mount.rig(pose)) == 0.0
         np.testing.assert_allclose(np.exp(1j * pose[:, YAW_RAD]), np.exp(1j * yaw))
         assert (np.abs(pose[:, YAW_RAD]) <= math.pi).all()
     low, high = roof().bounds_m

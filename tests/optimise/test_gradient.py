@@ -9,7 +9,7 @@ import pytest
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.oracle import thesis
 from warpav.errors import InputError
-from warpav.objective.constraints import constraint_violation_m
+from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
@@ -72,7 +72,7 @@ def test_training_objective_falls_and_result_is_feasible(finished):
     descent, records, result = finished
     start = records[0].training_objective
     assert result.training_objective < 0.9 * start  # seen 7.1 of 10.3
-    assert constraint_violation_m(descent.objective.mount.rig(result.mount_pose), roof(), min_spacing_m=0.2) == 0.0
+    assert BoundsAndSpacing(roof()).violation_m(descent.objective.mount.rig(result.mount_pose)) == 0.0
     # what is claimed is what the objective says of that rig
     again = descent.objective.evaluate(result.mount_pose, descent.scenes).objective
     assert again == pytest.approx(result.training_objective, rel=1e-6)
@@ -129,7 +129,7 @@ def test_keep_best_never_ends_worse_than_the_start():
     good[:, YAW_RAD] = [0.0, math.pi]
     _, records, result = run(wild, start=good)
     assert result.training_objective <= records[0].training_objective
-    assert constraint_violation_m(street_objective().mount.rig(result.mount_pose), roof(), min_spacing_m=0.2) == 0.0
+    assert BoundsAndSpacing(roof()).violation_m(street_objective().mount.rig(result.mount_pose)) == 0.0
 
 
 class Slope:
@@ -140,6 +140,7 @@ class Slope:
     def __init__(self, total=1.0):
         self.mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
         self.settings = LossSettings()
+        self.constraints = BoundsAndSpacing(roof())
         self.total = total
         self.multipliers = []
 
@@ -199,7 +200,7 @@ def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():
     outside[:, :2] = [[9.0, 0.0], [9.0, 0.05]]
     descent, records, _ = run(dataclasses.replace(SETTINGS, iterations=1), start=outside)
     first = descent.candidates[0].mount_pose
-    assert constraint_violation_m(descent.objective.mount.rig(first), roof(), min_spacing_m=0.2) == 0.0
+    assert BoundsAndSpacing(roof()).violation_m(descent.objective.mount.rig(first)) == 0.0
     assert records[0].terms["out_of_bounds"] > 1.0
 
 

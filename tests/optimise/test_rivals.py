@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.driving_scene import flat_surface, roof
 from tests.optimise.test_gradient import SETTINGS, street_objective, street_scenes
 from warpav.errors import InputError
+from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent
@@ -34,6 +35,7 @@ from warpav.rig.camera import CameraModel
 
 SPACING_M = 0.2
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
+CONSTRAINTS = BoundsAndSpacing(MOUNT.surface, min_spacing_m=SPACING_M)
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
 SEARCHES = [
     pytest.param(highest, id="highest"),
@@ -45,7 +47,7 @@ SEARCHES = [
 
 
 def space_of(camera_count, **options):
-    return SearchSpace.over(MOUNT, camera_count, min_spacing_m=SPACING_M, **options)
+    return SearchSpace.over(MOUNT, camera_count, constraints=CONSTRAINTS, **options)
 
 
 def bowl(camera_count):
@@ -291,7 +293,7 @@ def test_random_rigs_are_those_of_the_baseline_where_yaws_are_fixed():
     assert space.size == 6
     ours, expected = (np.random.default_rng(8) for _ in range(2))
     for _ in range(5):
-        pose = random_mount_pose(MOUNT, yaw, min_spacing_m=SPACING_M, rng=expected)
+        pose = random_mount_pose(CONSTRAINTS, yaw, rng=expected)
         np.testing.assert_allclose(space.random(ours), pose, atol=1e-15)
         np.testing.assert_array_equal(space.feasible(pose), pose.astype(np.float32))
 
@@ -311,7 +313,7 @@ def test_other_numbers_are_searched_where_they_are_free(rng):
     low, high = plain.low.copy(), plain.high.copy()
     low[:, 3], high[:, 3] = -0.1, 0.3  # pitch
     low[:, 4] = high[:, 4] = 0.05  # roll
-    space = SearchSpace(MOUNT, SPACING_M, low, high)
+    space = SearchSpace(MOUNT, CONSTRAINTS, low, high)
     assert space.size == 8
     for pose in (space.random(rng), space.pose_of(rng.uniform(size=8))):
         assert (pose[:, 3] > -0.1).all()
@@ -323,14 +325,14 @@ def test_other_numbers_are_searched_where_they_are_free(rng):
 def test_nonsense_ranges_are_refused():
     space = space_of(2)
     with pytest.raises(ValueError, match="low must not exceed high"):
-        SearchSpace(MOUNT, SPACING_M, space.high, space.low)
+        SearchSpace(MOUNT, CONSTRAINTS, space.high, space.low)
     with pytest.raises(ValueError, match=r"low and high must be \[camera, 5\]"):
-        SearchSpace(MOUNT, SPACING_M, space.low[:1], space.high)
+        SearchSpace(MOUNT, CONSTRAINTS, space.low[:1], space.high)
 
 
 def test_cameras_are_put_in_the_order_of_their_ranges(rng):
     space = space_of(4)
-    pose = highest_mount_pose(MOUNT, 4, min_spacing_m=SPACING_M)
+    pose = highest_mount_pose(CONSTRAINTS, 4)
     pose[:, YAW_RAD] += rng.uniform(-0.5, 0.5, 4)
     np.testing.assert_array_equal(space.in_order(pose[rng.permutation(4)]), pose)
 
@@ -376,7 +378,7 @@ def test_greedy_never_chooses_worse_than_the_bound():
 def test_candidates_fill_the_surface_evenly(place_count):
     for surface in (roof(), flat_surface([0.0, 0.0], [0.4, 4.0])):
         mount = CameraMount(surface, camera=MOUNT.camera, height_offset_m=0.25)
-        space = SearchSpace.over(mount, 2, min_spacing_m=SPACING_M)
+        space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
         budget = BudgetedValue(bowl(2), space, renders_per_value=1, render_budget=100)
         candidate = _candidates(budget, place_count, 8)
         places = np.unique(candidate[:, :2], axis=0)
@@ -399,7 +401,7 @@ def test_greedy_refuses_what_it_cannot_do():
 
 
 def street_budget(objective, scenes, renders):
-    space = SearchSpace.over(objective.mount, 2, min_spacing_m=SPACING_M)
+    space = SearchSpace.over(objective.mount, 2, constraints=objective.constraints)
     return BudgetedValue.of(objective, scenes, space, render_budget=renders)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.experiment.thesis_tables import WARNING, thesis_table
-from warpav.objective.constraints import CONSTRAINTS
 from warpav.objective.losses import OBJECTIVES
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, ThesisObjective
@@ -102,11 +101,12 @@ def measure_gradient_magnitudes(
     """
     if runs < 1:
         raise ValueError(f"runs must be at least 1, got {runs}")
-    names = [*(name for name in OBJECTIVES if name in objective.settings.measured_objectives), *CONSTRAINTS]
+    measured = [name for name in OBJECTIVES if name in objective.settings.measured_objectives]
+    names = [*measured, *objective.constraints.names]
     positional, rotational = ({name: _Mean() for name in names} for _ in range(2))
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
-        start = random_mount_pose(objective.mount, yaw_rad, min_spacing_m=objective.settings.min_spacing_m, rng=rng)
+        start = random_mount_pose(objective.constraints, yaw_rad, rng=rng)
         pose = AdamW(start, weight_decay=settings.weight_decay, device=objective.device)
         rate = np.zeros(start.shape)
         rate[:, [X_M, Y_M]] = settings.learning_rate_position_m

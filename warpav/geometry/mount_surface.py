@@ -1,9 +1,10 @@
-"""Where cameras may stand: the height of the vehicle's upward-facing surface, as a raster over the ground plane."""
+"""Where cameras may stand: height and borders of the vehicle's upward-facing surface, as rasters over the ground."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,11 +30,13 @@ class MountSurface:
             along x (forward), columns along y (left).
         origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
         cell_m: Edge of a cell [m]; cell (i, j) has its centre at ``origin_m + (i, j) * cell_m``.
+        is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
     """
 
     height_m: np.ndarray
     origin_m: np.ndarray
     cell_m: float
+    is_mountable: np.ndarray | None = None
 
     @property
     def bounds_m(self) -> np.ndarray:
@@ -50,14 +53,47 @@ class MountSurface:
         Returns:
             Height above the ground [m], float64, shape [...].
         """
-        size = np.array(self.height_m.shape)
+        return self._bilinear(self.height_m, position_m)
+
+    @cached_property
+    def border_distance_m(self) -> np.ndarray:
+        """Distance from every cell's centre to the nearest border of the mountable zone [m], float32 [row, column].
+
+        Positive inside. Borders run along the edges between cells that can and cells that cannot carry a camera, and
+        along the rectangle `bounds_m`: no part of the zone lies beyond it.
+        """
+        is_inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
+        to_edge = _cells_to_edge(is_inside)
+        rows, columns = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in is_inside.shape)
+        to_rectangle = np.minimum(rows[:, None], columns[None, :])
+        return np.ascontiguousarray(self.cell_m * np.minimum(to_edge, to_rectangle), np.float32)
+
+    def zone_distance_m(self, position_m: np.ndarray) -> np.ndarray:
+        """Distance to the border of the mountable zone, positive inside.
+
+        Bilinear between cell centres; beyond the rectangle that of its nearest point, less the distance to it.
+
+        Args:
+            position_m: x and y [m], shape [..., 2].
+
+        Returns:
+            Signed distance [m], float64, shape [...].
+        """
+        low_m, high_m = self.bounds_m
+        position_m = np.asarray(position_m, np.float64)
+        beyond_m = np.linalg.norm(position_m - np.clip(position_m, low_m, high_m), axis=-1)
+        return self._bilinear(self.border_distance_m, position_m) - beyond_m
+
+    def _bilinear(self, raster: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+        """Value of a raster between its cell centres, that of the nearest border point outside; float64 [...]."""
+        size = np.array(raster.shape)
         cell = np.clip((np.asarray(position_m, np.float64) - self.origin_m) / self.cell_m, 0.0, size - 1.0)
         low = np.minimum(cell.astype(np.int64), size - 2)
         row, column = low[..., 0], low[..., 1]
         u, v = np.moveaxis(cell - low, -1, 0)
-        height = self.height_m.astype(np.float64)
-        near = height[row, column] * (1.0 - v) + height[row, column + 1] * v
-        far = height[row + 1, column] * (1.0 - v) + height[row + 1, column + 1] * v
+        value = raster.astype(np.float64)
+        near = value[row, column] * (1.0 - v) + value[row, column + 1] * v
+        far = value[row + 1, column] * (1.0 - v) + value[row + 1, column + 1] * v
         return near * (1.0 - u) + far * u
 
     def highest_point_m(self) -> np.ndarray:
@@ -76,6 +112,7 @@ def mount_surface_from_mesh(
     *,
     cell_m: float = 0.02,
     min_upward_normal: float = 0.9,
+    min_zone_normal: float = 0.9,
     min_height_m: float = 0.0,
     smoothing_tolerance_m: float = 1e-4,
 ) -> MountSurface:
@@ -85,11 +122,16 @@ def mount_surface_from_mesh(
     cell of the raster takes the height of its highest point. Cells without points, such as those over the glass, are
     filled from the cells around them and smoothed until nothing moves by more than the tolerance.
 
+    Cells with points can carry a camera if what they show looks upwards by ``min_zone_normal`` too. Gaps of up to two
+    cells, such as a crease of the roof, are no border.
+
     Args:
         mesh: The vehicle in the ego frame [m]; faces may look either way, the surface seen from above counts.
         cell_m: Edge of a cell [m], positive.
         min_upward_normal: Least z of a face's unit normal, in (0, 1]: 0.9 keeps slopes up to 26 degrees, which a
             windscreen exceeds.
+        min_zone_normal: The same for cells that can carry a camera, in (0, 1]; below ``min_upward_normal`` it does
+            nothing.
         min_height_m: Lower points are left out [m].
         smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive; inf:
             cells without points keep the height of the nearest one with.
@@ -103,10 +145,18 @@ def mount_surface_from_mesh(
     """
     if not smoothing_tolerance_m > 0.0:
         raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
-    measured_m, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    if not 0.0 < min_zone_normal <= 1.0:
+        raise ValueError(f"min_zone_normal must lie in (0, 1], got {min_zone_normal}")
+    measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
     is_measured = np.isfinite(measured_m)
     filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
-    return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m, float(cell_m))
+    is_mountable = _without_gaps(_without_small_patches(is_measured & (upward >= min_zone_normal)))
+    if not is_mountable.any():
+        raise InputError(
+            f"ego mesh: expected faces that can carry a camera (normal z of at least {min_zone_normal}), got none with "
+            f"more than {upward[is_measured].max():.3f}"
+        )
+    return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m, float(cell_m), is_mountable)
 
 
 def measured_surface(
@@ -124,14 +174,19 @@ def measured_surface(
         InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
         ValueError: An option is out of its range.
     """
-    measured_m, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
     return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
 
 
 def _measured(
     mesh: Mesh, cell_m: float, min_upward_normal: float, min_height_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Heights [m], float64 [row, column], NaN where there is none; centre of cell (0, 0) [m], shape [2]."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What vertical lines meet from above, cell by cell.
+
+    Returns:
+        Heights [m], float64 [row, column], NaN where there is none; z of the unit normal of the flattest face,
+        likewise, -inf where there is none; centre of cell (0, 0) [m], shape [2].
+    """
     if not cell_m > 0.0:
         raise ValueError(f"cell_m must be positive, got {cell_m}")
     if not 0.0 < min_upward_normal <= 1.0:
@@ -146,11 +201,14 @@ def _measured(
     size = np.maximum(2, np.ceil(extent_m / cell_m - 1e-3).astype(int))
     origin_m = 0.5 * (low_m + high_m) - 0.5 * (size - 1) * cell_m
 
-    sample_m = _first_upward_height(
+    sample_m, sample_upward = _first_upward_height(
         mesh, origin_m - 0.5 * cell_m, size * SAMPLES_PER_CELL, cell_m / SAMPLES_PER_CELL, min_upward_normal
     )
     sample_m[sample_m < min_height_m] = -np.inf
-    height_m = sample_m.reshape(size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL).max(axis=(1, 3))
+    sample_upward[sample_m == -np.inf] = -np.inf
+    in_cells = (size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL)
+    height_m = sample_m.reshape(in_cells).max(axis=(1, 3))
+    upward = sample_upward.reshape(in_cells).max(axis=(1, 3))
     is_measured = _without_small_patches(np.isfinite(height_m))
     if not is_measured.any():
         raise InputError(
@@ -159,7 +217,8 @@ def _measured(
         )
     kept = (_used_range(is_measured, 0), _used_range(is_measured, 1))
     first = np.array([kept[0].start, kept[1].start])
-    return np.where(is_measured, height_m, np.nan)[kept], origin_m + first * cell_m
+    upward = np.where(is_measured, upward, -np.inf)
+    return np.where(is_measured, height_m, np.nan)[kept], upward[kept], origin_m + first * cell_m
 
 
 def _used_range(is_measured: np.ndarray, axis: int) -> slice:
@@ -172,8 +231,8 @@ def _used_range(is_measured: np.ndarray, axis: int) -> slice:
 
 def _first_upward_height(
     mesh: Mesh, corner_m: np.ndarray, size: np.ndarray, step_m: float, min_upward_normal: float
-) -> np.ndarray:
-    """Height at which vertical lines first meet the mesh from above; -inf where they miss or the face looks sideways.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where vertical lines first meet the mesh from above, and how much the face looks upwards there.
 
     Args:
         mesh: The vehicle.
@@ -183,7 +242,8 @@ def _first_upward_height(
         min_upward_normal: Least absolute z of the unit normal.
 
     Returns:
-        Height [m], float64, shape [row, column].
+        Height [m], -inf where a line misses or the face looks sideways; absolute z of the face's unit normal, -inf
+        likewise; both float64 [row, column].
     """
     corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]  # [triangle, corner, xyz]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -221,9 +281,10 @@ def _first_upward_height(
     top_m = np.full(size[0] * size[1], -np.inf)
     np.maximum.at(top_m, line, height_m)
     is_upward = (np.abs(normal[:, 2]) >= min_upward_normal * doubled_area)[face]
-    is_kept = np.zeros(len(top_m), dtype=bool)
-    is_kept[line[is_upward & (height_m >= top_m[line] - 1e-6)]] = True
-    return np.where(is_kept, top_m, -np.inf).reshape(size)
+    is_top = is_upward & (height_m >= top_m[line] - 1e-6)
+    upward = np.full(len(top_m), -np.inf)
+    np.maximum.at(upward, line[is_top], (np.abs(normal[:, 2]) / doubled_area)[face[is_top]])
+    return np.where(upward > -np.inf, top_m, -np.inf).reshape(size), upward.reshape(size)
 
 
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
@@ -237,6 +298,42 @@ def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
     area = np.bincount(label.ravel())
     area[0] = 0
     return is_measured & (area >= MIN_PATCH_FRACTION * area.max())[label]
+
+
+def _without_gaps(is_inside: np.ndarray) -> np.ndarray:
+    """The mask with gaps of up to two cells closed."""
+    from scipy import ndimage
+
+    closed = ndimage.binary_closing(np.pad(is_inside, 2), structure=np.ones((3, 3)))
+    return closed[2:-2, 2:-2]
+
+
+def _cells_to_edge(is_inside: np.ndarray) -> np.ndarray:
+    """Distance from every cell's centre to the nearest edge between inside and outside, in cells, positive inside.
+
+    Seen from a centre, the nearest point of an edge is its middle or one of its ends, so the nearest of these points
+    is the nearest of all. Beyond the raster is outside.
+    """
+    from scipy import ndimage
+
+    # the raster at twice the resolution: centres at odd places, edges and corners at even ones
+    touched, filled = is_inside, is_inside
+    for axis in (0, 1):
+        touched = _between(touched, np.logical_or, axis)
+        filled = _between(filled, np.logical_and, axis)
+    distance = np.zeros(touched.shape)
+    ndimage.distance_transform_edt(~(touched & ~filled), distances=distance)
+    return 0.5 * np.where(is_inside, 1.0, -1.0) * distance[1::2, 1::2]
+
+
+def _between(is_inside: np.ndarray, of_both: np.ufunc, axis: int) -> np.ndarray:
+    """A mask with what lies between its elements put in between them, and before the first and after the last."""
+    is_inside = np.moveaxis(is_inside, axis, 0)
+    result = np.zeros((2 * len(is_inside) + 1, *is_inside.shape[1:]), bool)
+    outside = np.zeros((1, *is_inside.shape[1:]), bool)
+    result[0::2] = of_both(np.concatenate([outside, is_inside]), np.concatenate([is_inside, outside]))
+    result[1::2] = is_inside
+    return np.moveaxis(result, 0, axis)
 
 
 def _filled(height_m: np.ndarray, is_known: np.ndarray, tolerance_m: float) -> np.ndarray:

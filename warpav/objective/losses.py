@@ -48,7 +48,6 @@ class LossSettings:
         min_unblocked_area: Share of it that the ego vehicle leaves free below which it costs something, in (0, 1].
         reference: What the detected area is compared with.
         epsilon: Small value of the soft mask and of vehicles already in frame, in [0, 1).
-        min_spacing_m: Least distance between two camera centres [m], positive.
         multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
         window_softness_rad: Of the fields of view over the panorama, with ``missed`` [rad], positive.
         detector_share: How much of ``missed`` is what the detector really finds, in [0, 1); the rest is its model.
@@ -65,7 +64,6 @@ class LossSettings:
     min_unblocked_area: float = 0.5
     reference: Reference = Reference.NON_OCCLUDED
     epsilon: float = 1e-5
-    min_spacing_m: float = 0.2
     multiplier_damping: float = 0.0
     window_softness_rad: float = math.radians(10.0)
     detector_share: float = 0.0
@@ -281,18 +279,46 @@ def _add_angular_coverage(mount: CameraMount, mount_pose: wp.array, loss: wp.arr
 
 
 def lagrangian_of(
-    objective_loss: wp.array, constraint_loss: wp.array, multiplier: wp.array, settings: LossSettings
+    objective_loss: wp.array,
+    constraint_loss: wp.array,
+    multiplier: wp.array,
+    settings: LossSettings,
+    *,
+    are_inequalities: bool = False,
 ) -> wp.array:
-    """The number that descent lowers and the multipliers' ascent raises (thesis Eq. 1), float [1]."""
+    """The number that descent lowers and the multipliers' ascent raises, recorded on the active tape.
+
+    Args:
+        objective_loss: Objectives, unscaled, float [objective].
+        constraint_loss: As `Constraints.losses_of` gives them, float [constraint].
+        multiplier: Of every constraint, float [constraint]; of inequalities at least 0.
+        settings: Scales and damping.
+        are_inequalities: False: constraints are losses and count as in the thesis's Eq. 1. True: they are inequalities
+            g <= 0, and each adds ``m c + d/2 c^2`` once and unscaled, with ``c = max(g, -m/d)``, its multiplier m and
+            the damping d.
+
+    Returns:
+        float [1].
+    """
     device = objective_loss.device
     total = wp.zeros(1, dtype=float, device=device, requires_grad=True)
+    objective_scale = wp.array(settings.objective_scale, dtype=float, device=device)
+    if are_inequalities:
+        wp.launch(
+            lagrangian.damped_lagrangian_kernel,
+            dim=1,
+            inputs=[objective_loss, objective_scale, constraint_loss, multiplier, settings.multiplier_damping],
+            outputs=[total],
+            device=device,
+        )
+        return total
     constraint_scale = [settings.constraint_scale] * constraint_loss.shape[0]
     wp.launch(
         lagrangian.lagrangian_kernel,
         dim=1,
         inputs=[
             objective_loss,
-            wp.array(settings.objective_scale, dtype=float, device=device),
+            objective_scale,
             constraint_loss,
             wp.array(constraint_scale, dtype=float, device=device),
             multiplier,

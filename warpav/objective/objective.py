@@ -16,7 +16,7 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.in_loop import DetectorInLoop, Picture
 from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
 from warpav.detection.probability import DetectionProbability
-from warpav.objective.constraints import CONSTRAINTS, constraint_losses_of
+from warpav.objective.constraints import BoundsAndSpacing, Constraints
 from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, lagrangian_of
 from warpav.objective.missed import Stage, StageOnDevice
@@ -94,7 +94,7 @@ class _Views:
 
 
 class ThesisObjective:
-    """The thesis's losses (section III.C and appendix IX) under the bounds and spacing constraints."""
+    """The thesis's losses (section III.C and appendix IX) under constraints."""
 
     def __init__(
         self,
@@ -103,6 +103,7 @@ class ThesisObjective:
         *,
         camera_count: int,
         settings: LossSettings,
+        constraints: Constraints | None = None,
         confidence_min: float = 0.1,
         iou_min: float = 0.5,
         occlusion: Occlusion = Occlusion.PAIRWISE,
@@ -117,6 +118,7 @@ class ThesisObjective:
             detector: Runs on what the cameras see ahead; no gradient flows through it.
             camera_count: Number of cameras, at least 1.
             settings: Scales and parameters of the losses.
+            constraints: Where the cameras may stand; None: the thesis's bounds, 0.2 m apart.
             confidence_min: Least confidence of a true positive.
             iou_min: Least intersection over union of a true positive.
             occlusion: What hides a vehicle.
@@ -136,6 +138,7 @@ class ThesisObjective:
         self.probability = probability if settings.missed > 0.0 else None
         self.detector = detector
         self.settings = settings
+        self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
         self.camera_count = camera_count
         self.confidence_min = confidence_min
         self.iou_min = iou_min
@@ -197,7 +200,7 @@ class ThesisObjective:
                 break
 
         multiplier_array = wp.array(
-            np.zeros(len(CONSTRAINTS), np.float32) if multiplier is None else multiplier,
+            np.zeros(len(self.constraints.names), np.float32) if multiplier is None else multiplier,
             dtype=float,
             device=self.device,
             requires_grad=True,
@@ -206,7 +209,13 @@ class ThesisObjective:
         tape = wp.Tape()
         with tape:
             constraint_loss = self._constraint_loss()
-            total = lagrangian_of(objective_loss, constraint_loss, multiplier_array, self.settings)
+            total = lagrangian_of(
+                objective_loss,
+                constraint_loss,
+                multiplier_array,
+                self.settings,
+                are_inequalities=self.constraints.are_inequalities,
+            )
         pose_gradient = multiplier_gradient = None
         if gradient:
             backward_started = time.perf_counter()
@@ -216,7 +225,7 @@ class ThesisObjective:
             seconds["backward"] += time.perf_counter() - backward_started
         values = dict(zip(self.settings.objectives, objectives.tolist(), strict=True))
         terms = {name: values[name] for name in self.settings.measured_objectives}
-        terms |= dict(zip(CONSTRAINTS, constraint_loss.numpy().tolist(), strict=True))
+        terms |= dict(zip(self.constraints.names, constraint_loss.numpy().tolist(), strict=True))
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
             total=float(total.numpy()[0]),
@@ -263,24 +272,19 @@ class ThesisObjective:
                     result[name] += pose_gradient.numpy()
             if not views.renderers[0].grew():
                 break
-        for k, name in enumerate(CONSTRAINTS):
+        for k, name in enumerate(self.constraints.names):
             pose_gradient.zero_()
             tape = wp.Tape()
             with tape:
                 constraint_loss = self._constraint_loss()
-            seed = np.eye(len(CONSTRAINTS), dtype=np.float32)[k]
+            seed = np.eye(len(self.constraints.names), dtype=np.float32)[k]
             tape.backward(grads={constraint_loss: wp.array(seed, dtype=float, device=self.device)})
             result[name] = np.array(pose_gradient.numpy(), np.float32)
         return result
 
     def _constraint_loss(self) -> wp.array:
         """The constraint losses of the present poses, recorded on the active tape; float [constraint]."""
-        return constraint_losses_of(
-            self.mount.place(self._pose),
-            self.mount.surface,
-            min_spacing_m=self.settings.min_spacing_m,
-            rotation_count=self.mount.rotation_count,
-        )
+        return self.constraints.losses_of(self.mount.place(self._pose), self.mount.rotation_count)
 
     def _views_for(self, stage: Stage) -> _Views:
         """The views that the losses look at in a stage: of every camera all rotational additions, or the one ahead."""

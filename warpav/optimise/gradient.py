@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpav.errors import InputError
-from warpav.objective.constraints import CONSTRAINTS, min_camera_distance_m, project_to_constraints
+from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.missed import Stage
 from warpav.objective.mount import PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
@@ -30,8 +30,9 @@ class OptimiserSettings:
         learning_rate_yaw_rad: First step of the yaw [rad].
         schedule: ``constant``, or ``cosine`` from the first step down to a hundredth of it.
         weight_decay: Pull of AdamW towards 0.
-        multiplier_learning_rate: Step of the multipliers.
-        multiplier_weight_decay: Pull of the multipliers towards 0.
+        multiplier_learning_rate: Step of the multipliers: of AdamW, or of plain ascent where the constraints are
+            inequalities.
+        multiplier_weight_decay: Pull of AdamW on the multipliers towards 0.
         keep: ``last``, or ``best`` on all validation scenes.
         check_every: Iterations between two looks at all validation scenes, with ``keep`` best.
         panorama_until: Share of the run over which what lies outside the images ceases to pull, 0..1.
@@ -134,6 +135,27 @@ class AdamW:
         }
 
 
+class MultiplierAscent:
+    """Plain gradient steps on the multipliers of inequalities, which are never negative."""
+
+    def __init__(self, value: np.ndarray) -> None:
+        """State for ``value``, any shape, at least 0."""
+        self._value = np.array(value, np.float32)
+
+    @property
+    def value(self) -> np.ndarray:
+        """The numbers now, a copy."""
+        return self._value.copy()
+
+    def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
+        """One step, as `AdamW.step` counts them: a negative step size ascends. Shapes as ``value``."""
+        self._value = np.maximum(self._value - np.asarray(step_size * gradient, np.float32), np.float32(0.0))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that a checkpoint needs."""
+        return {"value": self.value}
+
+
 @dataclass
 class Candidate:
     """A rig that satisfies the constraints, and its objective on all validation scenes."""
@@ -169,8 +191,12 @@ class Descent:
         device = self.objective.device
         self.iteration = 0
         self._pose = AdamW(self.start, weight_decay=self.settings.weight_decay, device=device)
-        self._multiplier = AdamW(
-            np.zeros(len(CONSTRAINTS), np.float32), weight_decay=self.settings.multiplier_weight_decay, device=device
+        constraints = self.objective.constraints
+        multiplier = np.zeros(len(constraints.names), np.float32)
+        self._multiplier: AdamW | MultiplierAscent = (
+            MultiplierAscent(multiplier)
+            if constraints.are_inequalities
+            else AdamW(multiplier, weight_decay=self.settings.multiplier_weight_decay, device=device)
         )
         is_informed = self.objective.settings.needs_panorama
         self._batches = (BatchChooser if is_informed else ShuffledBatches)(self.scenes, len(self.start), self.rng)
@@ -200,7 +226,7 @@ class Descent:
             )
         record = self._record(pose, multiplier, gradient, result, look)
         self._pose.step(gradient, self._rate * self._schedule())
-        self._multiplier.step(multiplier_gradient, np.full(len(CONSTRAINTS), -self.settings.multiplier_learning_rate))
+        self._multiplier.step(multiplier_gradient, np.full(len(multiplier), -self.settings.multiplier_learning_rate))
         self.iteration += 1
         return record
 
@@ -231,11 +257,7 @@ class Descent:
     def _look(self) -> Candidate:
         """Evaluate the nearest feasible poses on all training scenes."""
         pose = self._pose.value
-        pose[:, [X_M, Y_M]] = project_to_constraints(
-            pose[:, [X_M, Y_M]],
-            self.objective.mount.surface,
-            min_spacing_m=self.objective.settings.min_spacing_m,
-        )
+        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]])
         objective = self.objective.evaluate(pose, self.validation or self.scenes).objective
         candidate = Candidate(pose, objective, self.iteration)
         self.candidates.append(candidate)
@@ -282,7 +304,7 @@ class Descent:
             iteration=self.iteration,
             loss=result.total,
             terms=result.terms,
-            multipliers=dict(zip(CONSTRAINTS, multiplier.tolist(), strict=True)),
+            multipliers=dict(zip(self.objective.constraints.names, multiplier.tolist(), strict=True)),
             gradient_norm={
                 "position": float(np.linalg.norm(gradient[:, [X_M, Y_M]])),
                 "rotation": float(np.linalg.norm(gradient[:, YAW_RAD])),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.geometry.mesh import Mesh
-from warpav.objective.constraints import cameras_do_not_fit
+from warpav.objective.constraints import Constraints
 from warpav.objective.mount import CameraMount
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
@@ -38,7 +38,7 @@ class MovedPreset:
 
 
 def move_to_vehicle(
-    rig: Rig, mount: CameraMount, ego: Mesh, *, min_spacing_m: float, image: CameraModel | None = None
+    rig: Rig, mount: CameraMount, ego: Mesh, *, constraints: Constraints, image: CameraModel | None = None
 ) -> MovedPreset:
     """Put every camera of a rig on the nearest place of a vehicle's mount surface that keeps its direction free.
 
@@ -50,7 +50,7 @@ def move_to_vehicle(
         rig: The rig, in the frame of its own vehicle.
         mount: Where cameras may stand, and how far above the surface; its camera model plays no part.
         ego: The vehicle that carries them.
-        min_spacing_m: Least distance between two camera centres [m].
+        constraints: Which places are allowed, and how far apart.
         image: Gives all cameras the size of its images and its near plane; fields of view stay.
 
     Raises:
@@ -61,12 +61,12 @@ def move_to_vehicle(
 
     caster = EmbreeScene()
     TriangleMesh(caster, ego.vertex_m[ego.triangle])
-    place_m = _places(mount)
+    place_m = _places(mount, constraints)
     is_taken = np.zeros(len(place_m), bool)
     cameras, moved_m, blocked_share = [], [], []
     for camera in rig.cameras:
         if is_taken.all():
-            raise cameras_do_not_fit(len(rig.cameras), mount.surface, min_spacing_m)
+            raise constraints.do_not_fit(len(rig.cameras))
         share = _blocked_shares(caster, camera, place_m)
         distance_m = np.linalg.norm(place_m - camera.position_m, axis=1)
         # the free places first, of these the nearest
@@ -78,16 +78,17 @@ def move_to_vehicle(
         cameras.append(dataclasses.replace(camera, position_m=place_m[best], model=model))
         moved_m.append(distance_m[best])
         blocked_share.append(share[best])
-        is_taken |= np.linalg.norm(place_m - place_m[best], axis=1) < min_spacing_m
+        is_taken |= np.linalg.norm(place_m - place_m[best], axis=1) < constraints.min_spacing_m
     return MovedPreset(Rig.create(cameras), np.array(moved_m), np.array(blocked_share))
 
 
-def _places(mount: CameraMount) -> np.ndarray:
-    """Camera centres all over the mount surface [m], float64 [place, 3]."""
+def _places(mount: CameraMount, constraints: Constraints) -> np.ndarray:
+    """Camera centres all over where they may stand [m], float64 [place, 3]."""
     low_m, high_m = mount.surface.bounds_m
     count = np.maximum(np.ceil((high_m - low_m) / PLACE_STEP_M).astype(int) + 1, 2)
     x_m, y_m = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, count, strict=True))
     plane_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+    plane_m = plane_m[constraints.contains(plane_m)]
     return np.c_[plane_m, mount.surface.height_at_m(plane_m) + mount.height_offset_m]
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpav.errors import OptionError
+from warpav.objective.constraints import Constraints
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import highest_mount_pose
@@ -31,7 +32,7 @@ def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
     """The cameras around the highest point; costs one look, whatever the budget."""
     del rng
     space = value.space
-    pose = highest_mount_pose(space.mount, space.camera_count, min_spacing_m=space.min_spacing_m)
+    pose = highest_mount_pose(space.constraints, space.camera_count)
     value(space.in_order(pose))
 
 
@@ -225,18 +226,36 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sigh
 def _candidates(value: BudgetedValue, place_count: int, yaw_count: int) -> np.ndarray:
     """Single cameras on a grid of nearly square cells, in every direction, float64 [candidate, 5]."""
     space = value.space
-    low_m, high_m = space.mount.surface.bounds_m
-    length_m, width_m = high_m - low_m
-    shapes = [(rows, max(1, round(rows * width_m / length_m))) for rows in range(1, place_count + 1)]
-    affordable = [shape for shape in shapes if shape[0] * shape[1] <= place_count] or [(1, place_count)]
-    rows, columns = affordable[-1]
-    x_m = low_m[0] + (np.arange(rows) + 0.5) / rows * length_m
-    y_m = low_m[1] + (np.arange(columns) + 0.5) / columns * width_m
+    place_m = _grid(space.constraints, place_count)
     yaw_rad = 2.0 * math.pi * np.arange(yaw_count) / yaw_count
     middle = 0.5 * (space.low + space.high)[0]
-    candidate = np.tile(middle, (rows * columns * yaw_count, 1))
-    candidate[:, [X_M, Y_M, YAW_RAD]] = list(itertools.product(x_m, y_m, yaw_rad))
+    candidate = np.tile(middle, (len(place_m) * yaw_count, 1))
+    candidate[:, [X_M, Y_M]] = np.repeat(place_m, yaw_count, axis=0)
+    candidate[:, YAW_RAD] = np.tile(yaw_rad, len(place_m))
     return candidate
+
+
+def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
+    """The allowed places of the finest grid of nearly square cells that has at most so many, float64 [place, 2]."""
+    low_m, high_m = constraints.surface.bounds_m
+    length_m, width_m = high_m - low_m
+
+    def middles(rows: int, columns: int) -> np.ndarray:
+        x_m = low_m[0] + (np.arange(rows) + 0.5) / rows * length_m
+        y_m = low_m[1] + (np.arange(columns) + 0.5) / columns * width_m
+        return np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    finest = None
+    for rows in itertools.count(1):
+        place_m = middles(rows, max(1, round(rows * width_m / length_m)))
+        place_m = place_m[constraints.contains(place_m)]
+        if len(place_m) > place_count:
+            break
+        if len(place_m):
+            finest = place_m
+    if finest is None:  # even the coarsest has more
+        finest = np.concatenate([constraints.project(place_m[None]) for place_m in middles(1, place_count)])
+    return finest
 
 
 @dataclass(frozen=True)

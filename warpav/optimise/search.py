@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warpav.objective.constraints import constraint_violation_m, project_to_constraints
+from warpav.objective.constraints import Constraints
 from warpav.objective.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import random_mount_pose
@@ -25,13 +25,13 @@ class SearchSpace:
 
     Attributes:
         mount: Where the cameras may stand.
-        min_spacing_m: Least distance between two camera centres [m].
+        constraints: What the rigs must satisfy.
         low: Least mount pose of every camera, float64 [camera, 5]; x and y are the mount surface's.
         high: Greatest mount pose of every camera, likewise. A yaw that is free over the whole circle has no ends.
     """
 
     mount: CameraMount
-    min_spacing_m: float
+    constraints: Constraints
     low: np.ndarray
     high: np.ndarray
 
@@ -41,7 +41,7 @@ class SearchSpace:
         mount: CameraMount,
         camera_count: int,
         *,
-        min_spacing_m: float,
+        constraints: Constraints,
         yaw_rad: np.ndarray | None = None,
         yaw_reach_rad: float = math.pi,
     ) -> SearchSpace:
@@ -50,7 +50,7 @@ class SearchSpace:
         Args:
             mount: Where the cameras may stand.
             camera_count: Number of cameras, at least 1.
-            min_spacing_m: Least distance between two camera centres [m].
+            constraints: What the rigs must satisfy.
             yaw_rad: Middle of every camera's range of directions [rad], [camera]; None: evenly round the vehicle.
             yaw_reach_rad: How far a camera may turn from there [rad], 0..pi; 0 leaves the directions as they are.
         """
@@ -59,7 +59,7 @@ class SearchSpace:
         low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
-        return cls(mount, min_spacing_m, low, high)
+        return cls(mount, constraints, low, high)
 
     def __post_init__(self) -> None:
         if self.low.shape != self.high.shape or self.low.shape[1:] != (MOUNT_POSE_SIZE,) or not len(self.low):
@@ -118,15 +118,13 @@ class SearchSpace:
             InputError: The cameras do not fit on the mount surface.
         """
         pose = np.array(mount_pose, np.float64)
-        pose[:, [X_M, Y_M]] = project_to_constraints(
-            pose[:, [X_M, Y_M]], self.mount.surface, min_spacing_m=self.min_spacing_m
-        )
+        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]])
         pose[:, YAW_RAD] = (pose[:, YAW_RAD] + math.pi) % (2.0 * math.pi) - math.pi
         return pose.astype(np.float32)
 
     def violation_m(self, mount_pose: np.ndarray) -> float:
         """By how much a rig breaks the constraints [m]; exactly 0 if it does not."""
-        return constraint_violation_m(self.mount.rig(mount_pose), self.mount.surface, min_spacing_m=self.min_spacing_m)
+        return self.constraints.violation_m(self.mount.rig(mount_pose))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """A feasible rig, uniform among them, float64 [camera, 5]; places as `random_mount_pose` draws them.
@@ -135,7 +133,7 @@ class SearchSpace:
             InputError: The cameras do not fit on the mount surface.
         """
         middle_rad = 0.5 * (self.low + self.high)[:, YAW_RAD]
-        pose = random_mount_pose(self.mount, middle_rad, min_spacing_m=self.min_spacing_m, rng=rng)
+        pose = random_mount_pose(self.constraints, middle_rad, rng=rng)
         others = self.free.copy()
         others[:, [X_M, Y_M]] = False
         pose[others] = rng.uniform(self.low[others], self.high[others])
