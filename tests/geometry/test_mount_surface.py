@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from warpav.errors import InputError
 from warpav.geometry.mesh import Mesh, merge
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.scene.town import ego_glass, ego_vehicle
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -185,3 +186,98 @@ def test_surface_of_the_embedded_vehicle_is_roof_windscreen_and_bonnet():
     along = surface.height_at_m(np.stack([forwards, np.zeros_like(forwards)], axis=-1))
     assert np.diff(along).max() < 0.002  # from the roof forwards it only falls
     assert np.abs(np.diff(along)).max() < 0.02  # without a step
+
+
+# --- the mountable zone ----------------------------------------------------------------------------------------------
+
+
+def distance_to_edges(is_inside):
+    """Oracle: from every cell's centre to the nearest edge between inside and outside, in cells, positive inside."""
+    around = np.pad(is_inside, 1)
+    edges = []
+    for i, j in np.argwhere(around):
+        for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            if not around[i + step[0], j + step[1]]:
+                middle = np.array([i, j]) - 1 + 0.5 * np.array(step)
+                along = 0.5 * np.array(step[::-1])
+                edges.append((middle - along, middle + along))
+    start, end = np.moveaxis(np.array(edges), 1, 0)
+    centre = np.stack(np.indices(is_inside.shape), axis=-1)[:, :, None, :]
+    share = np.clip(((centre - start) * (end - start)).sum(axis=-1), 0.0, 1.0)  # edges are one cell long
+    distance = np.linalg.norm(start + share[..., None] * (end - start) - centre, axis=-1).min(axis=-1)
+    return np.where(is_inside, distance, -distance)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.0))
+def test_border_runs_along_the_edges_of_the_cells(seed, share):
+    rng = np.random.default_rng(seed)
+    is_mountable = rng.random((9, 7)) < share
+    is_mountable[rng.integers(9), rng.integers(7)] = True
+    surface = MountSurface(np.ones((9, 7), np.float32), np.zeros(2), 0.5, is_mountable)
+    row, column = np.indices(is_mountable.shape)
+    to_rectangle = np.min([row, 8 - row, column, 6 - column], axis=0)
+    expected = 0.5 * np.minimum(distance_to_edges(is_mountable), to_rectangle)
+    np.testing.assert_allclose(surface.border_distance_m, expected, atol=1e-6)
+
+
+def test_without_a_zone_it_is_the_whole_rectangle():
+    surface = MountSurface(np.ones((21, 11), np.float32), np.array([-1.0, 2.0]), 0.1)
+    low, high = surface.bounds_m
+    place = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (500, 2))
+    beyond = np.maximum(np.maximum(low - place, place - high), 0.0)
+    inside = np.minimum(place - low, high - place).min(axis=1)
+    distance = surface.zone_distance_m(place)
+    is_inside = inside >= 0.0
+    np.testing.assert_allclose(distance[~is_inside], -np.linalg.norm(beyond, axis=1)[~is_inside], atol=1e-6)
+    assert (distance[is_inside] >= -1e-6).all()
+    # bilinear over the ridges: worst seen 0.024
+    np.testing.assert_allclose(distance[is_inside], inside[is_inside], atol=0.25 * surface.cell_m)
+    assert surface.zone_distance_m(np.array([0.0, 2.5])) == pytest.approx(0.5)
+
+
+def test_zone_is_roof_and_bonnet_without_glass_and_corners():
+    surface = mount_surface_from_mesh(car(), min_upward_normal=0.6)
+    assert surface.height_at_m(np.array([0.75, 0.0])) == pytest.approx(1.25, abs=0.02)  # the map has the windscreen
+    inside = {(-0.5, 0.0): 0.6, (1.5, 0.0): 0.5, (-1.4, 0.0): 0.1, (1.5, 0.7): 0.1}
+    outside = {(0.75, 0.0): -0.25, (-0.5, 0.7): -0.1, (-1.5, 0.8): -0.2, (0.52, 0.0): -0.02}
+    for place, distance in {**inside, **outside}.items():
+        assert surface.zone_distance_m(np.array(place)) == pytest.approx(distance, abs=0.021), place
+
+
+@pytest.mark.parametrize(("gap_m", "is_border"), [(0.02, False), (0.04, False), (0.08, True), (0.4, True)])
+def test_creases_are_no_border(gap_m, is_border):
+    mesh = merge([plate(-1.0, 0.0, -0.5, 0.5), plate(gap_m, 1.0 + gap_m, -0.5, 0.5)])
+    distance = mount_surface_from_mesh(mesh, cell_m=0.02).zone_distance_m(np.array([0.5 * gap_m, 0.0]))
+    assert (distance < 0.0) == is_border
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(*(st.tuples(st.floats(-3, 3), st.floats(-3, 3)).map(np.array) for _ in range(2)))
+def test_distance_grows_no_faster_than_the_way(one, other):
+    """Bilinear interpolation may stretch it by the square root of 2."""
+    surface = MountSurface(np.ones((9, 7), np.float32), -np.ones(2), 0.25, np.eye(9, 7, dtype=bool))
+    difference = abs(surface.zone_distance_m(one) - surface.zone_distance_m(other))
+    assert difference <= 2.0**0.5 * np.linalg.norm(one - other) + 1e-6
+
+
+def test_the_embedded_vehicle_carries_no_camera_on_its_glass():
+    mesh, is_glass = ego_vehicle(), ego_glass()
+    surface = mount_surface_from_mesh(mesh, min_upward_normal=0.8)
+    middle = mesh.vertex_m[mesh.triangle[is_glass]].mean(axis=1)
+    bonnet_m = surface.height_at_m(np.array([2.4, 0.0]))  # the windscreen goes on below it
+    above = middle[middle[:, 2] > bonnet_m]
+    assert len(above) > 200
+    assert surface.zone_distance_m(above[:, :2]).max() < -0.015  # worst seen -0.019
+    assert surface.zone_distance_m(np.array([2.05, 0.0])) < -0.2
+    assert (surface.zone_distance_m(np.array([[0.6, 0.0], [2.9, 0.0]])) > 0.4).all()
+    # the rectangle's rear corners, beside the roof
+    low, high = surface.bounds_m
+    assert (surface.zone_distance_m(np.array([low, [low[0], high[1]]])) < -0.1).all()
+
+
+def test_what_is_too_steep_everywhere_is_refused():
+    with pytest.raises(InputError, match=r"expected faces that can carry a camera .* at least 0\.99"):
+        mount_surface_from_mesh(plate(-1.0, 1.0, -0.5, 0.5, lambda x, y: 1.0 + 0.3 * x), min_zone_normal=0.99)
+    with pytest.raises(ValueError, match="min_zone_normal must lie in"):
+        mount_surface_from_mesh(car(), min_zone_normal=0.0)

@@ -148,6 +148,22 @@ def box_solid_angle(new):
     return VIEWS, [place, middle, half_size, along], [new(np.zeros((VIEWS, VEHICLES)))]
 
 
+def zone_excess(new):
+    # in the middle of cells of half a metre; beyond the border, and beyond a corner
+    pose = new(np.c_[[[0.8, -0.2], [1.2, 4.0], [-1.0, -2.5]], np.zeros((3, 3))])
+    return 3, [pose, new(size=(5, 4)), wp.vec2(0.0, -1.0), 0.5, 0.05], [new(np.zeros(3))]
+
+
+def spacing_excess(new):
+    return 1, [new(size=(4 * ROTATIONS, 3), dtype=wp.vec3), ROTATIONS, 0.8], [new(np.zeros(4 + 6))]
+
+
+def damped_lagrangian(new):
+    # broken, nearly kept with a multiplier, kept by far with one, and with a small one
+    excess, multiplier = new([0.6, -0.2, -0.9, -0.5]), new([0.5, 1.2, 0.6, 0.1])
+    return 1, [new(size=2), new(size=2), excess, multiplier, 1.5], [new(np.zeros(1))]
+
+
 def probability_of_detection(new):
     # values of every measure: areas down to a part of a pixel, extents near a corner and in the middle
     areas = new.rng.uniform([0.3, 8.0, 0.0], [6.0, 12.0, 1.0], (VIEWS, VEHICLES, 3))
@@ -189,6 +205,8 @@ CASES = {
     mount_pose.place_on_surface_kernel: place_on_surface,
     constraint_losses.out_of_bounds_loss_kernel: out_of_bounds_loss,
     constraint_losses.camera_spacing_loss_kernel: camera_spacing_loss,
+    constraint_losses.zone_excess_kernel: zone_excess,
+    constraint_losses.spacing_excess_kernel: spacing_excess,
     placement_losses.in_frame_rotation_loss_kernel: in_frame_rotation_loss,
     placement_losses.sum_area_around_kernel: sum_area_around,
     placement_losses.detected_area_loss_kernel: detected_area_loss,
@@ -203,6 +221,7 @@ CASES = {
     missed_loss.log_missed_kernel: log_missed,
     missed_loss.missed_loss_kernel: missed,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,
+    lagrangian.damped_lagrangian_kernel: damped_lagrangian,
     benchmark.place_level_cameras_kernel: place_level_cameras,
     benchmark.sum_target_areas_kernel: sum_target_areas,
 }

@@ -91,9 +91,8 @@ class MountSurface:
         low = np.minimum(cell.astype(np.int64), size - 2)
         row, column = low[..., 0], low[..., 1]
         u, v = np.moveaxis(cell - low, -1, 0)
-        value = raster.astype(np.float64)
-        near = value[row, column] * (1.0 - v) + value[row, column + 1] * v
-        far = value[row + 1, column] * (1.0 - v) + value[row + 1, column + 1] * v
+        near = raster[row, column] * (1.0 - v) + raster[row, column + 1] * v
+        far = raster[row + 1, column] * (1.0 - v) + raster[row + 1, column + 1] * v
         return near * (1.0 - u) + far * u
 
     def highest_point_m(self) -> np.ndarray:
