@@ -1,17 +1,23 @@
 """Projection to the constraints, and how violations are measured."""
 
+import functools
+import itertools
 import math
 
 import numpy as np
 import pytest
+import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
 from warpav.errors import InputError
-from warpav.objective.constraints import BoundsAndSpacing, min_camera_distance_m
+from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing, min_camera_distance_m
+from warpav.objective.mount import CameraMount
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.town import ego_vehicle
 
 SURFACE = flat_surface([-1.0, -0.6], [1.4, 0.6])
 coordinate = st.floats(-3.0, 3.0, allow_nan=False)
@@ -111,3 +117,162 @@ def test_smallest_distance_of_cameras():
     points = np.array([[0, 0, 0], [3, 4, 0], [3, 4, 2.0]])
     assert min_camera_distance_m(points) == pytest.approx(2.0)
     assert min_camera_distance_m(points[:1]) == math.inf
+
+
+# --- the mountable zone ----------------------------------------------------------------------------------------------
+
+
+def zone_surface():
+    """Bonnet and roof of a car, 10 cm apart and of different heights, and a bump on the roof that is no zone."""
+    base = flat_surface([-1.5, -0.8], [1.5, 0.8], cell_m=0.05)
+    is_mountable = np.zeros(base.height_m.shape, bool)
+    is_mountable[:34, 4:-4] = True
+    is_mountable[:6, :8] = False
+    is_mountable[10:14, 12:16] = False
+    is_mountable[36:58, 1:-1] = True
+    height_m = base.height_m - np.linspace(0.0, 0.4, len(base.height_m), dtype=np.float32)[:, None]
+    return MountSurface(height_m, base.origin_m, base.cell_m, is_mountable)
+
+
+@functools.cache
+def town_surface():
+    return mount_surface_from_mesh(ego_vehicle(), min_upward_normal=0.8)
+
+
+def zone(surface, camera_count=4, margin_m=0.02):
+    return ZoneAndSpacing(surface, camera_count=camera_count, min_spacing_m=0.3, margin_m=margin_m)
+
+
+ZONES = {"rectangle": lambda: SURFACE, "two parts": zone_surface, "town": town_surface}
+
+
+@pytest.mark.parametrize("surface_of", ZONES.values(), ids=ZONES)
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(place=places)
+def test_projection_to_the_zone_ends_feasible_and_stays(surface_of, place):
+    surface = surface_of()
+    constraints = zone(surface, len(place))
+    projected = constraints.project(place)
+    assert constraints.contains(projected).all()
+    assert min_camera_distance_m(on_surface(projected, surface)) >= 0.3
+    assert constraints.violation_m(rig_at(projected, surface)) == 0.0
+    rounded = projected.astype(np.float32).astype(float)
+    assert constraints.contains(rounded).all()
+    assert constraints.violation_m(rig_at(rounded, surface)) == 0.0
+    np.testing.assert_array_equal(constraints.project(projected), projected)
+    # whatever the default method allows, the thesis allows
+    assert BoundsAndSpacing(surface, min_spacing_m=0.3).violation_m(rig_at(rounded, surface)) == 0.0
+
+
+@pytest.mark.parametrize("surface_of", ZONES.values(), ids=ZONES)
+def test_projection_to_the_zone_goes_to_the_nearest_place(rng, surface_of):
+    surface = surface_of()
+    constraints = zone(surface, 1)
+    low, high = surface.bounds_m
+    x, y = (np.arange(a, b, 0.005) for a, b in zip(low, high, strict=True))
+    allowed = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    allowed = allowed[constraints.contains(allowed)]
+    for place in rng.uniform(low - 1.0, high + 1.0, (100, 1, 2)):
+        moved = np.linalg.norm(constraints.project(place) - place)
+        # worst seen 0.0054 on cells of 10 cm, 0.0028 on cells of 2 cm
+        assert moved <= np.linalg.norm(allowed - place, axis=1).min() + 0.008
+
+
+@pytest.mark.parametrize("surface_of", ZONES.values(), ids=ZONES)
+def test_random_places_are_uniform_over_the_zone(rng, surface_of):
+    surface = surface_of()
+    constraints = zone(surface, 2)
+    drawn = np.stack([constraints.random_place(2, rng) for _ in range(400)])
+    for place in drawn:
+        assert constraints.violation_m(rig_at(place, surface)) == 0.0
+    # a single camera: as much of it in each quarter of the rectangle as there is zone
+    single = np.concatenate([constraints.random_place(1, rng) for _ in range(2000)])
+    low, high = surface.bounds_m
+    everywhere = rng.uniform(low, high, (100_000, 2))
+    everywhere = everywhere[constraints.contains(everywhere)]
+    middle = 0.5 * (low + high)
+    for corner in ((True, True), (True, False), (False, True), (False, False)):
+        share, expected = (((place > middle) == corner).all(axis=1).mean() for place in (single, everywhere))
+        assert share == pytest.approx(expected, abs=0.04)  # four standard deviations
+
+
+def test_violation_of_the_zone_adds_what_is_missing():
+    surface = zone_surface()
+    constraints = zone(surface, 2, margin_m=0.0)
+    # between the parts, 2.5 cm from the roof; beside the roof; a pair 0.2 m apart
+    for place, expected in (
+        ([[0.2, 0.0], [1.0, 0.0]], 0.025),
+        ([[-0.5, 0.0], [-0.5, 0.75]], 0.125),
+        ([[1.0, 0.1], [1.0, -0.1]], 0.1),
+        ([[-0.5, 0.0], [1.0, 0.0]], 0.0),
+    ):
+        assert constraints.violation_m(rig_at(place, surface)) == pytest.approx(expected, abs=1e-3), place
+    assert not BoundsAndSpacing(surface).violation_m(rig_at([[0.2, 0.0], [-0.5, 0.75]], surface))
+
+
+def test_a_camera_on_the_windscreen_is_outside_the_zone():
+    surface = town_surface()
+    rig = rig_at([[2.05, 0.0], [0.6, 0.0]], surface)
+    assert BoundsAndSpacing(surface).violation_m(rig) == 0.0
+    assert zone(surface, 2).violation_m(rig) > 0.2
+
+
+def test_names_say_which_cameras():
+    names = zone(SURFACE, 3).names
+    assert names == ("zone_0", "zone_1", "zone_2", "spacing_0_1", "spacing_0_2", "spacing_1_2")
+    assert zone(SURFACE, 1).names == ("zone_0",)
+
+
+def test_options_of_the_zone_are_checked():
+    with pytest.raises(InputError, match=r"mount\.margin_m: expected less than 0\.6 m.* got 0\.7"):
+        zone(SURFACE, margin_m=0.7)
+    with pytest.raises(ValueError, match="margin_m must be at least 0, got -1"):
+        zone(SURFACE, margin_m=-1)
+    with pytest.raises(ValueError, match="camera_count must be at least 1, got 0"):
+        zone(SURFACE, 0)
+    with pytest.raises(ValueError, match="min_spacing_m must be positive, got 0"):
+        BoundsAndSpacing(SURFACE, min_spacing_m=0)
+    with pytest.raises(InputError, match=r"rig\.cameras: expected .* mountable zone of \d\.\d\d m2 .* got 9"):
+        ZoneAndSpacing(SURFACE, camera_count=9, min_spacing_m=1.5).project(np.zeros((9, 2)))
+
+
+@pytest.mark.parametrize("surface", [zone_surface(), roof()], ids=["two parts", "curved"])
+def test_inequalities_match_oracle_and_differences(device, rng, surface):
+    count, cell = 4, surface.cell_m
+    constraints = zone(surface, count)
+    mount = CameraMount(surface, camera=CameraModel(64, 64), height_offset_m=0.25, device=device)
+    weight = rng.normal(size=len(constraints.names)).astype(np.float32)
+
+    def excess(place):
+        points = on_surface(place, surface)
+        apart = [0.3 - math.dist(a, b) for a, b in itertools.combinations(points, 2)]
+        return np.r_[0.02 - surface.zone_distance_m(place), apart]
+
+    low, high = surface.bounds_m
+    for _ in range(10):
+        place = rng.uniform(low - 0.3, high + 0.3, (count, 2))
+        # off the lines between cells, where slopes jump
+        place = (
+            surface.origin_m + (np.floor((place - surface.origin_m) / cell) + rng.uniform(0.2, 0.8, (count, 2))) * cell
+        )
+        array = wp.array(np.c_[place, np.zeros((count, 3))], dtype=float, device=device, requires_grad=True)
+        tape = wp.Tape()
+        with tape:
+            found = constraints.losses_of(mount.place(array), mount.rotation_count)
+        tape.backward(grads={found: wp.array(weight, dtype=float, device=device)})
+        place = array.numpy()[:, :2].astype(float)
+        np.testing.assert_allclose(found.numpy(), excess(place), atol=3e-6)  # worst seen 7e-7
+        gradient = np.zeros_like(place)
+        for index in np.ndindex(place.shape):
+            step = np.zeros_like(place)
+            step[index] = 1e-6
+            gradient[index] = np.dot(weight, excess(place + step) - excess(place - step)) / 2e-6
+        np.testing.assert_allclose(array.grad.numpy()[:, :2], gradient, atol=1e-3)
+        assert not array.grad.numpy()[:, 2:].any()
+
+
+def test_views_of_another_number_of_cameras_are_refused(device):
+    mount = CameraMount(SURFACE, camera=CameraModel(64, 64), height_offset_m=0.25, device=device)
+    views = mount.place(wp.zeros((3, 5), dtype=float, device=device))
+    with pytest.raises(ValueError, match="expected 4 cameras, got 3"):
+        zone(SURFACE, 4).losses_of(views, mount.rotation_count)

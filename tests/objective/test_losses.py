@@ -422,14 +422,14 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
 # --- the Lagrangian --------------------------------------------------------------------------------------------------
 
 
-def lagrangian(objective, constraint, multiplier, settings, device):
+def lagrangian(objective, constraint, multiplier, settings, device, *, are_inequalities=False):
     arrays = [
         wp.array(np.array(numbers, np.float32), dtype=float, device=device, requires_grad=True)
         for numbers in (objective, constraint, multiplier)
     ]
     tape = wp.Tape()
     with tape:
-        total = lagrangian_of(*arrays, settings)
+        total = lagrangian_of(*arrays, settings, are_inequalities=are_inequalities)
     tape.backward(total)
     return float(total.numpy()[0]), [array.grad.numpy() for array in arrays]
 
@@ -459,3 +459,42 @@ def test_damping_adds_half_the_squared_constraint(device):
     without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], plain, device)
     with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], damped, device)
     assert with_damping - without == pytest.approx(0.5 * 4.0 * (0.3**2 + 0.2**2), rel=1e-5)
+
+
+INEQUALITIES = LossSettings(in_frame_rotation=1.0, detected_area=3.0, multiplier_damping=4.0)
+
+
+def test_damped_lagrangian_matches_its_formula(device, rng):
+    scale, damping = np.array([1.0, 3.0]), INEQUALITIES.multiplier_damping
+    for _ in range(20):
+        objective, excess, multiplier = rng.uniform(0.0, 2.0, 2), rng.uniform(-1.0, 1.0, 5), rng.uniform(0.0, 3.0, 5)
+        multiplier[0] = 0.0
+
+        def total(numbers):
+            o, g, m = np.split(numbers, [2, 7])
+            # the same with one square for each inequality, as Rockafellar writes it
+            return scale @ o + ((np.maximum(m + damping * g, 0.0) ** 2 - m**2) / (2.0 * damping)).sum()
+
+        value, gradients = lagrangian(objective, excess, multiplier, INEQUALITIES, device, are_inequalities=True)
+        numbers = np.r_[objective, excess, multiplier]
+        assert value == pytest.approx(total(numbers), abs=1e-5)
+        np.testing.assert_allclose(np.concatenate(gradients), differences(total, numbers, 1e-6), atol=1e-5)
+
+
+def test_inequalities_without_damping_count_as_they_are(device):
+    plain = dataclasses.replace(INEQUALITIES, multiplier_damping=0.0)
+    value, (_, to_excess, to_multiplier) = lagrangian(
+        [0.5, 0.0], [0.3, -0.2], [2.0, 1.0], plain, device, are_inequalities=True
+    )
+    assert value == pytest.approx(0.5 + 2.0 * 0.3 - 1.0 * 0.2)
+    np.testing.assert_allclose(to_excess, [2.0, 1.0])
+    np.testing.assert_allclose(to_multiplier, [0.3, -0.2])
+
+
+def test_room_to_spare_without_multiplier_costs_nothing(device):
+    value, (_, to_excess, to_multiplier) = lagrangian(
+        [0.5, 0.0], [-0.3, -1e-6], [0.0, 0.0], INEQUALITIES, device, are_inequalities=True
+    )
+    assert value == 0.5
+    assert not to_excess.any()
+    assert not to_multiplier.any()

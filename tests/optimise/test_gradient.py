@@ -5,15 +5,16 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.oracle import thesis
 from warpav.errors import InputError
-from warpav.objective.constraints import BoundsAndSpacing
-from warpav.objective.losses import LossSettings
+from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
+from warpav.objective.losses import LossSettings, lagrangian_of
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
-from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.optimise.gradient import Descent, MultiplierAscent, OptimiserSettings
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(64, 64, math.pi / 2)
@@ -212,3 +213,83 @@ def test_state_holds_every_number_of_the_optimiser(finished):
     assert state["pose_first_moment"].shape == state["pose_second_moment"].shape == (10,)
     assert state["pose_value"].shape == (2, 5)
     assert state["multiplier_value"].shape == (2,)
+
+
+# --- inequalities ----------------------------------------------------------------------------------------------------
+
+
+def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0.05, ascent=1.0):
+    """Descend and ascend on a problem in closed form; the last places and multipliers, one row a step."""
+    settings = LossSettings(in_frame_rotation=1.0, detected_area=0.0, multiplier_damping=damping)
+    ascender, x, track = MultiplierAscent(np.array(multiplier)), np.array(start, float), []
+    for _ in range(steps):
+        value, jacobian = excess(x)
+        constraint, multipliers = (
+            wp.array(np.asarray(numbers, np.float32), dtype=float, device="cpu", requires_grad=True)
+            for numbers in (value, ascender.value)
+        )
+        tape = wp.Tape()
+        with tape:
+            nothing = wp.zeros(2, dtype=float, device="cpu")
+            total = lagrangian_of(nothing, constraint, multipliers, settings, are_inequalities=True)
+        tape.backward(total)
+        track.append(np.r_[x, ascender.value])
+        x = x - rate * (slope(x) + np.asarray(jacobian).T @ constraint.grad.numpy())
+        ascender.step(multipliers.grad.numpy(), np.full(len(value), -ascent))
+    return np.array(track)
+
+
+def test_damped_multipliers_reach_the_constrained_optimum():
+    """Nearest point to (2, 1) with x <= 1, y <= 3 and x + y <= 5: (1, 1), and only the first inequality pulls, by 1."""
+
+    def excess(x):
+        return [x[0] - 1.0, x[1] - 3.0, x[0] + x[1] - 5.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+
+    # from beyond all of them, and with a multiplier that has to go
+    last = saddle_point(lambda x: x - [2.0, 1.0], excess, [4.0, 4.0], [0.0, 2.0, 0.0], damping=4.0)[-1]
+    np.testing.assert_allclose(last, [1.0, 1.0, 1.0, 0.0, 0.0], atol=1e-4)
+
+
+def test_damping_ends_the_swinging_on_a_slope():
+    """Downhill along x until x <= 1 stops it: the multiplier becomes the slope. Undamped it swings for ever."""
+
+    def along(damping):
+        return saddle_point(
+            lambda x: np.array([-2.0]), lambda x: ([x[0] - 1.0], [[1.0]]), [0.0], [0.0], damping=damping
+        )[-100:]
+
+    np.testing.assert_allclose(along(4.0), np.broadcast_to([1.0, 2.0], (100, 2)), atol=1e-4)
+    assert np.ptp(along(0.0)[:, 0]) > 0.5
+
+
+def test_multipliers_of_inequalities_are_never_negative():
+    ascent = MultiplierAscent(np.array([0.5, 0.5, 0.0]))
+    ascent.step(np.array([-1.0, 0.25, -1.0]), np.full(3, -1.0))
+    np.testing.assert_array_equal(ascent.value, [0.0, 0.75, 0.0])
+    np.testing.assert_array_equal(ascent.state()["value"], ascent.value)
+
+
+def test_descent_under_inequalities_ends_in_the_zone():
+    """A roof of two halves; the start stands between them."""
+    surface = dataclasses.replace(roof(), is_mountable=np.ones((111, 71), bool))
+    surface.is_mountable[50:60] = False
+    mount = CameraMount(surface, camera=MODEL, height_offset_m=0.25)
+    constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.03)
+    objective = ThesisObjective(
+        mount,
+        WholeImageDetector(),
+        camera_count=2,
+        settings=LossSettings(multiplier_damping=20.0),
+        constraints=constraints,
+        iou_min=0.01,
+    )
+    start = START.copy()
+    start[:, :2] = [[1.06, 0.1], [1.1, 0.0]]
+    assert constraints.violation_m(mount.rig(start)) > 0.2
+    settings = dataclasses.replace(SETTINGS, iterations=10, multiplier_learning_rate=2.0)
+    _, records, result = run(settings, objective=objective, start=start)
+    assert constraints.violation_m(mount.rig(result.mount_pose)) == 0.0
+    assert tuple(records[0].multipliers) == constraints.names == tuple(records[0].terms)[-3:]
+    assert records[0].terms["zone_0"] > 0.05
+    assert records[1].multipliers["zone_0"] == pytest.approx(2.0 * records[0].terms["zone_0"])
+    assert max(records[-1].terms[name] for name in constraints.names) < 0.02
