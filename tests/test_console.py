@@ -7,7 +7,7 @@ import time
 import pytest
 from rich.console import Console
 
-from warpav.console import REFRESH_PER_SECOND, RunDisplay, show_verdict
+from warpav.console import REFRESH_PER_SECOND, RunDisplay, iteration_rows, show_verdict
 from warpav.results import ARM_ROWS
 
 
@@ -67,6 +67,15 @@ def test_a_terminal_shows_the_table_while_it_runs():
     text = _shown(True, watch)
     for word in ("optimising", "loss", "multiplier camera_spacing", "gradient position", "closest cameras"):
         assert word in text
+
+
+def test_inequalities_with_room_to_spare_are_left_out():
+    record = Record(1.0, {"detected_area": 0.5, "zone_0": -0.3, "zone_1": -0.1, "spacing_0_1": 0.02}, {}, {})
+    record.multipliers = {"zone_0": 0.0, "zone_1": 0.7, "spacing_0_1": 0.0}
+    rows = iteration_rows(record, min_spacing_m=0.2)
+    assert "zone_0" not in rows
+    assert "multiplier zone_0" not in rows
+    assert {"detected_area", "zone_1", "multiplier zone_1", "spacing_0_1"} <= set(rows)
 
 
 @pytest.mark.parametrize(("violation", "words"), [(0.0, "constraints met"), (0.5, "constraints broken by 0.5 m")])

@@ -1,5 +1,7 @@
 """Figures of a run, looked at by their colours and places."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -54,6 +56,17 @@ def test_loss_curves_hold_a_line_per_term(tmp_path):
     assert rows.min() > image.shape[0] / 2  # the limit is drawn in the lower right panel
 
 
+def test_inequalities_that_were_never_broken_are_not_drawn(tmp_path):
+    run = records()
+    for i, record in enumerate(run):
+        record["terms"] |= {"zone_0": -1.0, "zone_1": 0.1 - 0.02 * i}
+        record["multipliers"] = {"zone_0": 0.0, "zone_1": 0.02 * i}
+    image = pixels(figures.loss_curves(run, tmp_path / "loss.png"))
+    half = image[: image.shape[0] // 2]
+    assert len(where(half, camera_rgb(2))[0]) > 300  # zone_1
+    assert len(where(half, camera_rgb(3))[0]) == 0
+
+
 def test_loss_curves_need_records(tmp_path):
     with pytest.raises(InputError, match="no iteration"):
         figures.loss_curves([], tmp_path / "loss.png")
@@ -77,6 +90,18 @@ def test_top_view_shows_cameras_on_their_side(tmp_path):
     ahead, left, behind, right = middle  # row, column; x points right in the figure and y up
     assert ahead[1] > left[1] > behind[1]
     assert left[0] < ahead[0] < right[0]
+
+
+def test_top_view_shows_the_zone_on_request(tmp_path):
+    roof = dataclasses.replace(surface(), is_mountable=np.zeros((41, 17), bool))
+    roof.is_mountable[5:20, 4:13] = True
+    plain, bordered = (
+        pixels(figures.rig_top_view(tmp_path / "top.png", rig=rig(), ego=ego(), mount_surface=roof, shows_zone=shows))
+        for shows in (False, True)
+    )
+    rows, columns = np.nonzero(np.abs(bordered - plain).max(axis=-1) > 40.0)
+    # 1.5 m long and 0.9 m wide
+    assert np.ptp(columns) / np.ptp(rows) == pytest.approx(1.5 / 0.9, rel=0.1)
 
 
 def test_detections_have_their_colours_and_sizes(tmp_path):

@@ -125,10 +125,13 @@ class RunDisplay:
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
     """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
     spacing_m = getattr(record, "min_camera_distance_m", None)
+    terms, multipliers = getattr(record, "terms", {}), getattr(record, "multipliers", {})
+    # inequalities with room to spare and nothing to push are many, and say nothing
+    idle = {name for name, value in multipliers.items() if not value and terms.get(name, 0.0) < 0.0}
     return {
         "loss": _number(getattr(record, "loss", None)),
-        **{name: _number(value) for name, value in getattr(record, "terms", {}).items()},
-        **{f"multiplier {name}": _number(value) for name, value in getattr(record, "multipliers", {}).items()},
+        **{name: _number(value) for name, value in terms.items() if name not in idle},
+        **{f"multiplier {name}": _number(value) for name, value in multipliers.items() if name not in idle},
         **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
         "closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)",
         "best on all scenes": _number(getattr(record, "best_training_objective", None)),

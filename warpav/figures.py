@@ -87,6 +87,9 @@ class DetectionPanel:
 def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_distance_m: float | None = None) -> Path:
     """Draw loss, loss terms, multipliers and the smallest camera distance over the iterations.
 
+    Of inequalities, whose terms are negative where there is room to spare, those that were broken are drawn, and by how
+    much.
+
     Args:
         records: The lines of ``events.jsonl``, in order: ``iteration``, ``loss``, ``terms``, ``multipliers``,
             ``positions_m``.
@@ -102,7 +105,10 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
     if missing:
         raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
     iteration = np.array([record["iteration"] for record in records])
-    multiplier_names = list(records[0]["multipliers"])
+    terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
+    kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
+    terms = {name: term for name, term in terms.items() if name not in kept}
+    multiplier_names = [name for name in records[0]["multipliers"] if name not in kept]
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.6)
         axes = figure.subplots(2, 2, sharex=True)
@@ -110,8 +116,9 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
         axes[0, 0].plot(iteration, loss, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2)
         axes[0, 0].plot(iteration, running_mean(loss), color=hex_colour(INK_RGB))
         axes[0, 0].set_title("Loss")
-        for index, name in enumerate(records[0]["terms"]):
-            term = np.array([record["terms"].get(name, math.nan) for record in records], dtype=np.float64)
+        for index, (name, term) in enumerate(terms.items()):
+            if name in multiplier_names:
+                term = np.maximum(term, 0.0)
             colour = hex_colour(camera_rgb(index))
             axes[0, 1].plot(iteration, term, color=colour, alpha=0.25, linewidth=1.2)
             axes[0, 1].plot(iteration, running_mean(term), color=colour, label=name)
@@ -139,12 +146,22 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
                 color=hex_colour(FALSE_POSITIVE_RGB),
                 fontsize=9,
             )
-        for axis, names in ((axes[0, 1], records[0]["terms"]), (axes[1, 0], multiplier_names)):
+        for axis, names in ((axes[0, 1], terms), (axes[1, 0], multiplier_names)):
             if names:
                 axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
         for axis in axes[1]:
             axis.set_xlabel("iteration")
         return save_figure(figure, path)
+
+
+def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
+    """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
+    return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
+
+
+def _is_always_kept(term: np.ndarray) -> bool:
+    """Whether a constraint is an inequality that no record breaks."""
+    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
 
 
 def rig_top_view(
@@ -156,6 +173,7 @@ def rig_top_view(
     rig_initial: Rig | None = None,
     trajectory_m: np.ndarray | None = None,
     sector_radius_m: float = 1.6,
+    shows_zone: bool = False,
 ) -> Path:
     """Draw the vehicle from above with the cameras, where they started, their paths and their sectors.
 
@@ -167,12 +185,15 @@ def rig_top_view(
         rig_initial: The cameras at the start, drawn hollow.
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
         sector_radius_m: How far the sectors are drawn [m].
+        shows_zone: Whether the border of the mountable zone is drawn.
     """
     with figure_style():
         figure = new_figure(WIDTH_INCH, 6.0)
         axis = figure.subplots()
         draw_vehicle(axis, ego)
         image = draw_height_map(axis, mount_surface, colours=_pale_map())
+        if shows_zone:
+            draw_zone_border(axis, mount_surface)
         if trajectory_m is not None:
             step = np.asarray(trajectory_m, dtype=np.float64)
             for index in range(step.shape[1]):
@@ -307,6 +328,17 @@ def draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> 
         zorder=2,
         interpolation="nearest",
     )
+
+
+def draw_zone_border(axis: Any, mount_surface: MountSurface) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw the border of the mountable zone from above, x pointing right."""
+    rows, columns = mount_surface.height_m.shape
+    x_m, y_m = (
+        start + mount_surface.cell_m * np.arange(-1, n + 1)
+        for start, n in zip(mount_surface.origin_m, (rows, columns), strict=True)
+    )
+    distance_m = mount_surface.zone_distance_m(np.stack(np.meshgrid(x_m, y_m, indexing="xy"), axis=-1))
+    axis.contour(x_m, y_m, distance_m, levels=[0.0], colors=hex_colour(INK_RGB), linewidths=1.0, zorder=3)
 
 
 def _pale_map() -> Any:  # noqa: ANN401 (matplotlib)

@@ -285,6 +285,7 @@ def draw_run(
         mount_surface=surface,
         rig_initial=start,
         trajectory_m=path_m,
+        shows_zone=objective.constraints.are_inequalities,
     )
     sheet = {heading: _panels(rig, objective, assigned) for heading, rig in rigs.items()}
     figures.detections_sheet(sheet, folder.figure_path("detections"))

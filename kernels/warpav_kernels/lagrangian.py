@@ -59,8 +59,7 @@ def damped_lagrangian_kernel(
 
     Its derivative to a multiplier is the damped violation, which ascent adds; with multipliers of at least 0 descent
     and ascent then meet where the constraints hold and only the active ones pull.
-    Source: Rockafellar, The multiplier method of Hestenes and Powell, 1973; Platt and Barr, Constrained differential
-    optimization, 1987.
+    Source: Rockafellar, The multiplier method of Hestenes and Powell applied to convex programming, 1973.
 
     Launch: ``dim=1``.
     Writes: ``total[0]`` once.
