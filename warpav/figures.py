@@ -117,11 +117,10 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
         axes[0, 0].plot(iteration, running_mean(loss), color=hex_colour(INK_RGB))
         axes[0, 0].set_title("Loss")
         for index, (name, term) in enumerate(terms.items()):
-            if name in multiplier_names:
-                term = np.maximum(term, 0.0)
+            drawn = np.maximum(term, 0.0) if name in multiplier_names else term
             colour = hex_colour(camera_rgb(index))
-            axes[0, 1].plot(iteration, term, color=colour, alpha=0.25, linewidth=1.2)
-            axes[0, 1].plot(iteration, running_mean(term), color=colour, label=name)
+            axes[0, 1].plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
+            axes[0, 1].plot(iteration, running_mean(drawn), color=colour, label=name)
         axes[0, 1].set_title("Loss terms")
         for index, name in enumerate(multiplier_names):
             value = [np.max(record["multipliers"][name], initial=0.0) for record in records]

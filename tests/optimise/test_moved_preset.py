@@ -8,7 +8,7 @@ import pytest
 from tests.driving_scene import EGO_TOP_M, flat_surface, roof, street
 from warpav.errors import InputError
 from warpav.geometry.mount_surface import mount_surface_from_mesh
-from warpav.objective.constraints import BoundsAndSpacing
+from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
 from warpav.objective.mount import CameraMount
 from warpav.optimise.moved_preset import PLACE_STEP_M, move_to_vehicle
 from warpav.rig.camera import CameraModel
@@ -115,3 +115,11 @@ def test_cameras_that_do_not_fit_are_refused():
     small = mount_on(flat_surface([0.0, 0.0], [0.2, 0.2]))
     with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
         move_to_vehicle(rig, small, street().ego, constraints=BoundsAndSpacing(small.surface, min_spacing_m=0.5))
+
+
+def test_presets_stay_in_the_zone(town_ego):
+    surface = mount_surface_from_mesh(town_ego, min_upward_normal=0.8)
+    rig = preset_rig("nuscenes")
+    constraints = ZoneAndSpacing(surface, camera_count=len(rig.cameras), margin_m=0.02)
+    moved = move_to_vehicle(rig, mount_on(surface), town_ego, constraints=constraints)
+    assert constraints.violation_m(moved.rig) == 0.0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.driving_scene import flat_surface, roof
 from tests.optimise.test_gradient import SETTINGS, street_objective, street_scenes
 from warpav.errors import InputError
-from warpav.objective.constraints import BoundsAndSpacing
+from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent
@@ -493,3 +493,33 @@ def test_a_descent_that_fails_keeps_its_best(monkeypatch):
     assert result.error == "InputError: no longer finite"
     assert result.value == min(step.training_objective for step in steps)
     assert len(result.history) == 3
+
+
+@pytest.mark.parametrize("name", ["greedy", "random", "sobol"])
+def test_searches_stay_in_a_zone_in_parts(name):
+    surface = dataclasses.replace(roof(), is_mountable=np.zeros((111, 71), bool))
+    surface.is_mountable[10:30, 10:60] = True
+    surface.is_mountable[80:100, 10:60] = True
+    mount = CameraMount(surface, camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
+    constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.05)
+    asked, looked = [], []
+
+    def sights(pose):
+        asked.extend(pose)
+        return np.abs(pose[:, [X_M]] - [0.4, 1.8]) < 0.1
+
+    def value(pose):
+        looked.append(pose)
+        return float(np.abs(pose[:, X_M] - 1.1).sum())
+
+    search = {
+        "greedy": functools.partial(greedy_cover, sights=sights, yaw_count=2),
+        "random": random_search,
+        "sobol": sobol_search,
+    }[name]
+    space = SearchSpace.over(mount, 2, constraints=constraints)
+    budget = BudgetedValue(value, space, renders_per_value=1, render_budget=60)
+    found = run_search(search, budget, np.random.default_rng(0))
+    assert len(looked) + len(asked) > 50
+    assert all(constraints.contains(pose[[X_M, Y_M]]) for pose in asked)
+    assert all(space.violation_m(pose) == 0.0 for pose in [*looked, found.mount_pose])
