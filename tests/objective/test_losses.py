@@ -415,7 +415,7 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
         surface_blockage=1.0,
         object_visibility=1.0,
     )
-    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0])
+    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
     assert not gradient.any()
 
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
+from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
 from warpav.detection.probability import CONTRAST, FEATURE_COUNT, Appearance, DetectionProbability
 from warpav.objective.losses import LossSettings
 from warpav.objective.missed import Stage
-from warpav.objective.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
@@ -17,21 +17,20 @@ from warpav.rig.camera import CameraModel
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0]], np.float32)
 KNOTS = 7
-TRUTH_SAMPLES = 6
+TRUTH_SAMPLES, JITTERS = 4, 8
 
 
 def probability_model(rng):
-    """Curves that rise with what helps; colours do not matter, for their differences are no part of the gradient."""
+    """Curves that rise with what helps: what shows a pixel is never found.
+
+    Colours do not matter, for their differences are no part of the gradient.
+    """
     start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
     step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / (KNOTS - 1)
-    rise = np.array([6.0, 2.0, 1.0, 1.5, 0.5, 0.0])
+    rise = np.array([12.0, 4.0, 3.0, 1.5, 0.5, 0.0])
     coefficient = rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + rng.normal(0.0, 0.1, (FEATURE_COUNT, KNOTS))
     coefficient[CONTRAST] = 0.0
-    return DetectionProbability(start, step, coefficient, 0.4)
-
-
-class Fixed(ConstantDetector):
-    """A detector whose answers are counted."""
+    return DetectionProbability(start, step, coefficient, -0.5)
 
 
 def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, **settings):
@@ -93,26 +92,29 @@ def test_the_detector_corrects_the_probabilities(device, rng):
     )
 
 
+# Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
-def test_gradient_matches_differences_of_finer_renders(device, stage):
-    scenes = scenes_of(device, 10, 8)
-    ours = objective_of(device, supersampling=2).evaluate(POSE, scenes, gradient=True, stage=stage)
-    fine = objective_of(device, supersampling=TRUTH_SAMPLES)
-    truth = np.zeros_like(POSE)
-    for camera in range(2):
-        for number, step in ((X_M, 0.06), (Y_M, 0.06), (YAW_RAD, 0.012), (PITCH_RAD, 0.012)):
-            values = []
-            for sign in (1.0, -1.0):
-                pose = POSE.copy()
-                pose[camera, number] += sign * step
-                values.append(fine.evaluate(pose, scenes, stage=stage).terms["missed"])
-            truth[camera, number] = (values[0] - values[1]) / (2.0 * step)
-    scale = np.array([1.0, 1.0, 0.2, 0.2, 0.0])
-    a, b = (ours.gradient * scale).ravel(), (truth * scale).ravel()
-    cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
-    error = np.linalg.norm(a - b) / np.linalg.norm(b)
-    print(stage, cosine, error, ours.gradient.round(3), truth.round(3))
-    assert cosine > 0.99
+def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
+    scenes = scenes_of(device, 10)
+    objective, fine = objective_of(device, supersampling=2), objective_of(device, supersampling=TRUTH_SAMPLES)
+    numbers = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006))
+    ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
+    for _ in range(JITTERS):
+        at = POSE + rng.uniform(-0.05, 0.05, POSE.shape).astype(np.float32) * [1.0, 1.0, 0.2, 0.2, 0.0]
+        gradient = objective.evaluate(at, scenes, gradient=True, stage=stage).gradient
+        ours += gradient[:, [X_M, Y_M, YAW_RAD]] / JITTERS
+        for camera in range(2):
+            for column, (number, step) in enumerate(numbers):
+                values = []
+                for sign in (1.0, -1.0):
+                    pose = at.copy()
+                    pose[camera, number] += sign * step
+                    values.append(fine.evaluate(pose, scenes, stage=stage).terms["missed"])
+                truth[camera, column] += (values[0] - values[1]) / (2.0 * step) / JITTERS
+    ours, truth = ours * [1.0, 1.0, 0.2], truth * [1.0, 1.0, 0.2]
+    # seen .994, .999, .998
+    assert (ours * truth).sum() > 0.99 * np.linalg.norm(ours) * np.linalg.norm(truth)
 
 
 def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):

@@ -12,6 +12,7 @@ from tests.oracle import thesis
 from warpav.errors import InputError
 from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
 from warpav.objective.losses import LossSettings, lagrangian_of
+from warpav.objective.missed import Stage
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
 from warpav.optimise.gradient import Descent, MultiplierAscent, OptimiserSettings
@@ -137,6 +138,7 @@ class Slope:
     """A stand-in for the objective: a linear loss, so that every step of the optimiser can be followed by hand."""
 
     device = "cpu"
+    last_stage = Stage()
 
     def __init__(self, total=1.0):
         self.mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
@@ -145,7 +147,7 @@ class Slope:
         self.total = total
         self.multipliers = []
 
-    def evaluate(self, mount_pose, scenes, *, multiplier=None, gradient=False):
+    def evaluate(self, mount_pose, scenes, *, multiplier=None, gradient=False, stage=None):
         if gradient:
             self.multipliers.append(multiplier)
         slope = np.arange(1, 11, dtype=np.float32).reshape(2, 5) * [[1], [-1]]
