@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -66,6 +67,12 @@ class RunDisplay:
     def say(self, text: str) -> None:
         """Print a line above the table."""
         self.console.print(text, markup=False)
+
+    def show(self, table: Table) -> None:
+        """Print a table above the live one; where output is piped, as wide as it is."""
+        whole = self.console.options.update(width=1000)
+        width = None if self.console.is_terminal else Measurement.get(self.console, whole, table).maximum
+        self.console.print(table, width=width)
 
     def stage(self, description: str) -> None:
         """Show that something without countable steps begins."""

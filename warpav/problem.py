@@ -333,15 +333,25 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
     """
     start = start_pose(problem, start_rig)
     rig = None if problem.config.rig.start == "random" else problem.objective.mount.rig(start)
-    descent = Descent(
+    return Beginning(descent_from(problem, start, rig), rig)
+
+
+def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> Descent:
+    """A descent on the training scenes from a rig.
+
+    Args:
+        problem: What to lower.
+        start: Its mount poses, float32 [camera, 5].
+        began_as: Whose cameras take the orientations, see `Problem.assigned`.
+    """
+    return Descent(
         problem.objective,
-        problem.assigned(problem.train, rig),
+        problem.assigned(problem.train, began_as),
         optimiser_settings(problem.config),
         start,
         problem.random_numbers(Stream.BATCHES),
-        validation=problem.assigned(problem.validation, rig),
+        validation=problem.assigned(problem.validation, began_as),
     )
-    return Beginning(descent, rig)
 
 
 def read_start(config: Config) -> Rig | None:
