@@ -68,11 +68,13 @@ class RunDisplay:
         """Print a line above the table."""
         self.console.print(text, markup=False)
 
-    def show(self, table: Table) -> None:
-        """Print a table above the live one; where output is piped, as wide as it is."""
-        whole = self.console.options.update(width=1000)
-        width = None if self.console.is_terminal else Measurement.get(self.console, whole, table).maximum
-        self.console.print(table, width=width)
+    def show(self, content: RenderableType) -> None:
+        """Print tables and text within the terminal's width, or where output is piped as wide as they are."""
+        console = self.console
+        if not console.is_terminal:
+            wide = console.options.update(width=1000)
+            console = Console(file=console.file, width=Measurement.get(console, wide, content).maximum)
+        console.print(content, soft_wrap=False)
 
     def stage(self, description: str) -> None:
         """Show that something without countable steps begins."""

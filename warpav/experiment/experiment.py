@@ -47,7 +47,8 @@ class Experiment:
         config: Name of the shipped configuration that it starts from.
         arms: The arms, in the order in which they are shown.
         runs: Run seeds of every arm that has a use for them.
-        quick: Overrides that make it end in minutes.
+        options: Overrides of that configuration.
+        quick: More of them that make it end in minutes.
         quick_runs: Run seeds with these.
     """
 
@@ -55,6 +56,7 @@ class Experiment:
     config: str
     arms: tuple[Arm, ...]
     runs: int
+    options: tuple[str, ...] = ()
     quick: tuple[str, ...] = ()
     quick_runs: int = 2
 
@@ -184,7 +186,8 @@ def run_experiment(
     try:
         if waiting:
             _make_scenes_ready(config, display)
-        for outcome in display.steps("runs", _outcomes(waiting, config, folder), count=len(waiting)):
+        outcomes = _outcomes(waiting, config, folder)
+        for outcome in display.steps("runs", outcomes, count=len(waiting)) if waiting else ():
             display.say(_line(outcome))
             if outcome.error is not None:
                 failed.append(f"{outcome.task.name}: {outcome.error}")
@@ -335,9 +338,10 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
         "options": _options(config),
     }
     if file.is_file():
-        _check_same(file, _read_json(file), description)
-        return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if any((folder / RESULTS).glob("*.json")):
+            _check_same(file, _read_json(file), description)
+            return
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
             f"{folder}: --out: expected a folder of this experiment or one that does not exist yet, got something "
             "else; choose another with --out"

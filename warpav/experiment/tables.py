@@ -14,7 +14,7 @@ from warpav.experiment.statistics import RESAMPLES, Difference, compare_arms, ru
 from warpav.experiment.thesis_tables import WARNING, thesis_table
 
 if TYPE_CHECKING:
-    from rich.table import Table as RichTable
+    from rich.console import Group
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 """Results by arm, and of each arm by run seed (`warpav.experiment.experiment.read_results`)."""
@@ -37,8 +37,8 @@ NOTES = {
     "I": "Ours: mean over all gradient values that are not 0, of all runs together, ± standard deviation of the runs' "
     "own means.",
     "II": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
-    "III": "The constraint loss of SGD is that of its last iterate, as in the thesis; the rig that is handed over is "
-    "the nearest one within the constraints.",
+    "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
+    "in the thesis; the rig that is handed over is the nearest one within the constraints.",
     "IV": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
     "V": "As table I, with all losses taking part.",
 }
@@ -60,7 +60,7 @@ class Cell:
     def __str__(self) -> str:
         if self.mean is None:
             return "-"
-        return f"{self.mean:.3f}" + ("" if self.std is None else f" ± {self.std:.3f}")
+        return f"{self.mean:.3f}" + ("" if self.std is None else f" ±{self.std:.3f}")
 
 
 @dataclass(frozen=True)
@@ -110,30 +110,22 @@ class Table:
             lines += [_markdown_row(cells) for cells in self._lines(row)]
         return "\n".join([*lines, "", *self.notes, ""])
 
-    def terminal(self) -> RichTable:
+    def terminal(self) -> Group:
         """The table for the console."""
         from rich import box
+        from rich.console import Group
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        table = RichTable(
-            title=f"Table {self.number}. {self.caption}",
-            title_justify="left",
-            caption="\n".join(self.notes),
-            caption_justify="left",
-            header_style="bold",
-            box=box.SIMPLE_HEAD,
-            padding=(0, 1, 0, 0),
-        )
+        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         for heading in (*self.label_headings, ""):
             table.add_column(heading, no_wrap=True)
         for heading in ("runs", *self.columns.values()):
-            table.add_column(heading, justify="right")
+            table.add_column(heading, justify="right", overflow="fold")
         for row in self.rows:
             for k, cells in enumerate(self._lines(row)):
-                # a number keeps its spread on its line as long as the terminal is wide enough
-                table.add_row(*(Text(cell) for cell in cells), style="dim" if k else None)
-        return table
+                table.add_row(*map(Text, cells), style="dim" if k else None)
+        return Group(Text(f"Table {self.number}. {self.caption}", "bold"), table, *map(Text, self.notes))
 
     def data(self) -> dict[str, Any]:
         """The table for a JSON file."""
@@ -212,7 +204,8 @@ def _cell(numbers: Sequence[float | None]) -> Cell:
 
 
 def _notes(number: str, thesis: Mapping[str, Any]) -> tuple[str, ...]:
-    return (f"Thesis: {thesis['note']}.", f"{NOTES[number]}", WARNING)
+    printed = () if number == "III" else (f"Thesis: {thesis['note']}.",)
+    return (*printed, NOTES[number], WARNING)
 
 
 def _markdown_row(cells: Sequence[str]) -> str:
@@ -269,22 +262,21 @@ class ArmsTable:
         lines += [_markdown_row(cells) for arm in self.runs for cells in self._lines(arm)]
         return "\n".join([*lines, "", *self.notes, ""])
 
-    def terminal(self) -> RichTable:
+    def terminal(self) -> Group:
         """The table for the console."""
         from rich import box
+        from rich.console import Group
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        table = RichTable(
-            caption="\n".join(self.notes), caption_justify="left", header_style="bold", box=box.SIMPLE_HEAD
-        )
+        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column("arm", no_wrap=True)
         for heading in ("runs", *(COMPARED[metric] for metric in self.numbers)):
-            table.add_column(heading, justify="right")
+            table.add_column(heading, justify="right", overflow="fold")
         for arm in self.runs:
             for k, cells in enumerate(self._lines(arm)):
                 table.add_row(*map(Text, cells), style="dim" if k else "bold" if arm == self.reference else None)
-        return table
+        return Group(table, *map(Text, self.notes))
 
     def data(self) -> dict[str, Any]:
         """The table for a JSON file."""

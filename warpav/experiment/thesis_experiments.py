@@ -63,15 +63,23 @@ def _labels(number: str) -> dict[str, tuple[str, str]]:
 
 
 def _gradient_arm(*losses: str) -> Arm:
-    return Arm(GRADIENTS, GRADIENTS, (*loss_overrides("+".join(losses)), "run.batch_size=1"))
+    return Arm(GRADIENTS, GRADIENTS, loss_overrides("+".join(losses)))
 
 
 def _experiments() -> dict[str, Experiment]:
     def of_rows(name: str, number: str) -> Experiment:
-        return Experiment(name, "thesis", tuple(_row_arm(*row) for row in _rows(number)), RUNS, _QUICK)
+        return Experiment(name, "thesis", tuple(_row_arm(*row) for row in _rows(number)), RUNS, quick=_QUICK)
 
     def of_gradients(name: str, *losses: str) -> Experiment:
-        return Experiment(name, "thesis", (_gradient_arm(*losses),), THESIS_RUNS, _QUICK)
+        return Experiment(
+            name,
+            "thesis",
+            (_gradient_arm(*losses),),
+            THESIS_RUNS,
+            options=("run.batch_size=1",),
+            quick=(*_QUICK, "run.iterations=30"),
+            quick_runs=3,
+        )
 
     return {
         "table1": of_gradients("table1", "IFR", "DOA"),
@@ -96,7 +104,7 @@ EXPERIMENTS = _experiments()
 
 
 def overrides_of(name: str, overrides: Sequence[str], *, quick: bool) -> list[str]:
-    """All overrides of an experiment's configuration: those that make it quick, then the user's.
+    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
 
     Raises:
         InputError: The user's set what its arms differ in.
@@ -110,7 +118,7 @@ def overrides_of(name: str, overrides: Sequence[str], *, quick: bool) -> list[st
                 f"command line ({override}): {option}: expected an option that the arms of {name} leave alone, got one "
                 f"that arm {own[option].name} sets; warpav optimise takes it"
             )
-    return [*(experiment.quick if quick else ()), *overrides]
+    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
 
 
 def arms_of(name: str, text: str | None) -> list[Arm] | None:
