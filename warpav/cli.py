@@ -122,7 +122,7 @@ def experiment(
     ] = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
-    out: Annotated[Path | None, Parameter(help="Folder; by default runs/<experiment>.")] = None,
+    out: Annotated[Path | None, Parameter(help="Folder; by default runs/NAME.")] = None,
     quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
 ) -> int:
     """Repeat an experiment and print its table beside the thesis's; the same command again does what is missing."""

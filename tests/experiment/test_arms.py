@@ -10,7 +10,6 @@ from warpav.console import RunDisplay
 from warpav.errors import InputError, OptionError
 from warpav.experiment import arms as module
 from warpav.experiment.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
-from warpav.objective.constraints import constraint_violation_m
 from warpav.objective.objective import ThesisObjective
 from warpav.optimise.rivals import gradient_renders
 from warpav.problem import load_problem, optimiser_settings
@@ -61,10 +60,9 @@ def test_budgets_are_kept_and_told(problem, rendered, name, budget):
     assert found.renders <= (budget or equal)
     if name != "greedy_cover":  # its grid has nearly square cells
         assert found.renders > (budget or equal) - 6 or name == "random_batches"
-    mount = problem.objective.mount
-    assert constraint_violation_m(found.rig, mount.surface, min_spacing_m=0.2) == 0.0
+    assert problem.objective.constraints.violation_m(found.rig) == 0.0
     best = [value for value in found.history["best_value"] if value is not None]
-    assert best == sorted(best, reverse=True)
+    assert best == sorted(best, reverse=True) or name == "cma_then_gradient"  # whose two halves look at other scenes
     assert found.history["renders"] == sorted(found.history["renders"])
     assert len({len(column) for column in found.history.values()}) == 1
     again = find_rig_of(Arm(name, name), problem, budget)
@@ -75,7 +73,7 @@ def test_budgets_are_kept_and_told(problem, rendered, name, budget):
 def test_rigs_that_need_no_search_cost_nothing(problem, rendered, name):
     found = find_rig_of(Arm(name, name), problem, None)
     assert (found.renders, rendered) == (0, [])
-    assert constraint_violation_m(found.rig, problem.objective.mount.surface, min_spacing_m=0.2) == 0.0
+    assert problem.objective.constraints.violation_m(found.rig) == 0.0
     assert Arm(name, name).is_seeded == (name == "start")
     if name == "nuscenes":
         assert len(found.rig.cameras) == 6
