@@ -15,8 +15,8 @@ from warpav.config import load_config
 from warpav.console import RunDisplay
 from warpav.errors import InputError
 from warpav.geometry.mesh import Mesh
+from warpav.problem import load_problem
 from warpav.results import RunFolder
-from warpav.run import load_problem
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.sources import load_scenes

@@ -105,6 +105,52 @@ def evaluate(
 
 
 @app.command
+def experiment(
+    name: Annotated[
+        Literal["table1", "table2", "table3", "table4", "table5"], Parameter(help="A table of the thesis.")
+    ],
+    config: Annotated[str | None, Parameter(help="YAML file or shipped configuration; by default thesis.")] = None,
+    /,
+    *overrides: Overrides,
+    runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the thesis's.")] = None,
+    arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
+    budget: Annotated[
+        int | None, Parameter(help="Scene renders for every search; by default what the gradient method takes.")
+    ] = None,
+    executor: Annotated[
+        Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
+    ] = None,
+    workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
+    address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
+    out: Annotated[Path | None, Parameter(help="Folder; by default runs/NAME.")] = None,
+    quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
+) -> int:
+    """Repeat an experiment and print its table beside the thesis's; the same command again does what is missing."""
+    from warpav.config import placed_config
+    from warpav.console import RunDisplay
+    from warpav.experiment.thesis_experiments import EXPERIMENTS, arms_of, overrides_of, run_table
+
+    if config is not None and "=" in config:
+        config, overrides = None, (config, *overrides)
+    flags = {"name": executor, "workers": workers, "address": address}
+    given = [f"executor.{flag}={value}" for flag, value in flags.items() if value is not None]
+    chosen = arms_of(name, arms)
+    whole = overrides_of(name, [*overrides, *given], quick=quick)
+    with placed_config(config or EXPERIMENTS[name].config, whole) as settings, RunDisplay() as display:
+        done = run_table(
+            name,
+            settings,
+            arms=chosen,
+            runs=runs,
+            render_budget=budget,
+            out=out,
+            quick=quick,
+            display=display,
+        )
+    return 1 if done.failed else 0
+
+
+@app.command
 def render(
     scene: SceneSource,
     /,

@@ -571,6 +571,22 @@ METHOD_LOSSES = {"thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0}, "d
 """Weights of the losses where the configuration says nothing, by method."""
 
 
+class ExecutorConfig(Section):
+    """Where the tasks of an experiment run."""
+
+    name: Literal["serial", "process", "ray", "slurm"] = Field(
+        default="serial",
+        description="serial: one after the other; process: in processes of this machine; ray and slurm: on a cluster",
+    )
+    workers: int | None = Field(default=None, ge=1, description="tasks at a time; null takes as many as fit")
+    address: str | None = Field(
+        default=None, description="of a Ray cluster; null takes RAY_ADDRESS, else a Ray of this machine"
+    )
+    options: Annotated[dict[str, Any], Expectation("options such as {num_gpus: 1}")] = Field(
+        default={}, description="what a task needs: options of ray.remote, or parameters of submitit for Slurm"
+    )
+
+
 class Config(Section):
     """Everything that a run of warpav can be told."""
 
@@ -599,6 +615,7 @@ class Config(Section):
     visibility: VisibilityConfig = Field(default=VisibilityConfig(), description="what hides a vehicle")
     optimiser: OptimiserConfig = Field(default=OptimiserConfig(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
+    executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
 
     @model_validator(mode="before")
     @classmethod
@@ -646,6 +663,34 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     """
     file = find_config(path) if path is not None else None
     data, line_of = _read_file(file) if file else ({}, {})
+    return _validated(data, overrides, file, line_of)
+
+
+def changed_config(config: Config, overrides: Sequence[str]) -> Config:
+    """The configuration with other values for some options.
+
+    Args:
+        config: The configuration.
+        overrides: As of :func:`load_config`.
+
+    Raises:
+        InputError: An override is wrong, or does not fit the rest.
+    """
+    return _validated(config.model_dump(mode="json"), overrides, None, {})
+
+
+def overridden_option(override: str) -> str:
+    """The option's name in an override such as ``rig.cameras=6``.
+
+    Raises:
+        InputError: It is none.
+    """
+    return ".".join(_read_override(override)[0])
+
+
+def _validated(
+    data: dict[str, Any], overrides: Sequence[str], file: Path | None, line_of: Mapping[Location, int]
+) -> Config:
     override_of: dict[Location, str] = {}
     for override in overrides:
         location, value = _read_override(override)

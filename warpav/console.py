@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -66,6 +67,14 @@ class RunDisplay:
     def say(self, text: str) -> None:
         """Print a line above the table."""
         self.console.print(text, markup=False)
+
+    def show(self, content: RenderableType) -> None:
+        """Print tables and text within the terminal's width, or where output is piped as wide as they are."""
+        console = self.console
+        if not console.is_terminal:
+            wide = console.options.update(width=1000)
+            console = Console(file=console.file, width=Measurement.get(console, wide, content).maximum)
+        console.print(content, soft_wrap=False)
 
     def stage(self, description: str) -> None:
         """Show that something without countable steps begins."""

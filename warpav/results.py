@@ -127,7 +127,7 @@ class RunFolder:
             raise OptionError(
                 "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
-        _write_text(path / "config.yaml", dump_config(config))
+        write_text(path / "config.yaml", dump_config(config))
         write_json(path / "env.json", environment(config, device))
         return folder
 
@@ -187,7 +187,7 @@ class RunFolder:
 
     def write_report(self, html: str) -> Path:
         """Write ``report.html`` and return its path."""
-        _write_text(self.path / "report.html", html)
+        write_text(self.path / "report.html", html)
         return self.path / "report.html"
 
     def config(self) -> Config:
@@ -269,7 +269,7 @@ def write_json(file: Path, data: object) -> None:
         InputError: The file cannot be written.
     """
     try:
-        _write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
+        write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
     except OSError as error:
         raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
 
@@ -365,7 +365,8 @@ def _replacing(file: Path) -> Iterator[Path]:
         draft.unlink(missing_ok=True)
 
 
-def _write_text(file: Path, text: str) -> None:
+def write_text(file: Path, text: str) -> None:
+    """Write a text in one step."""
     with _replacing(file) as draft:
         draft.write_text(text, encoding="utf-8")
 

@@ -12,10 +12,10 @@ from warpav.experiment.gradient_magnitude import (
     THESIS_RUNS,
     THESIS_SETTINGS,
     GradientMagnitude,
-    gradient_table_text,
     measure_gradient_magnitudes,
+    pooled_magnitudes,
 )
-from warpav.experiment.thesis_tables import TABLES, WARNING, thesis_table
+from warpav.experiment.thesis_tables import TABLES, thesis_table
 from warpav.objective.losses import OBJECTIVES, LossSettings
 from warpav.objective.mount import CameraMount
 from warpav.objective.objective import AssignedScene, ThesisObjective
@@ -97,18 +97,19 @@ def test_the_thesis_measured_ten_runs_of_a_hundred_iterations():
     assert THESIS_SETTINGS.learning_rate_position_m == THESIS_SETTINGS.learning_rate_yaw_rad == 0.25
 
 
-def test_tables_stand_beside_the_thesis():
-    magnitudes = {"out_of_bounds": GradientMagnitude(1.25, 0.0, 0.1, 0.0)}
-    text = gradient_table_text(magnitudes, "I")
-    lines = text.splitlines()
-    assert lines[0] == "Table I. Average gradient magnitude for optimisable losses"
-    assert lines[1].split() == ["positional", "thesis", "rotational", "thesis"]
-    assert lines[2].split() == ["OOB", "1.250", "0.977", "0.000", "0.000"]
-    assert lines[5].split() == ["DOA", "-", "0.003", "-", "0.016"]
-    assert lines[-1] == WARNING
-    assert gradient_table_text({}, "V").splitlines()[2].split() == ["AC", "-", "0.000", "-", "2.116"]
-    with pytest.raises(ValueError, match="must be I or V, got 'II'"):
-        gradient_table_text({}, "II")
+def test_runs_pool_as_if_they_were_one(rng):
+    values = rng.normal(size=(3, 40)) * (rng.random((3, 40)) < 0.3)
+    values[1] = 0.0  # a run in which nothing moved counts in the shares alone
+    runs = []
+    for run in np.abs(values):
+        mean, share = (run[run > 0.0].mean() if run.any() else 0.0), (run > 0.0).mean()
+        runs.append({"detected_area": dataclasses.asdict(GradientMagnitude(mean, 0.0, share, 0.0))})
+    pooled = pooled_magnitudes(runs)["detected_area"]
+    every = np.abs(values)
+    assert pooled.positional == pytest.approx(every[every > 0.0].mean(), rel=1e-12)
+    assert pooled.positional_share == pytest.approx((every > 0.0).mean(), rel=1e-12)
+    assert (pooled.rotational, pooled.rotational_share) == (0.0, 0.0)
+    assert pooled_magnitudes([]) == {}
 
 
 def test_the_packaged_tables_are_whole():

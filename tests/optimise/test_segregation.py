@@ -10,11 +10,9 @@ from tests.driving_scene import packed_street
 from warpav.objective.objective import AssignedScene
 from warpav.optimise.segregation import (
     BatchChooser,
-    Segregation,
     areas_around,
     assign_vehicles,
     choose_orientations,
-    segregate,
 )
 from warpav.rig.camera import CameraModel
 
@@ -76,21 +74,18 @@ def test_areas_around_look_the_way_they_say(device):
 
 def test_segregation_and_assignment_of_rendered_scenes(device):
     scenes = [packed_street(device), packed_street(device, 4, 1), packed_street(device, 2, 2)]
-    result = segregate(
-        scenes,
-        camera=MODEL,
-        camera_count=3,
-        rotation_count=8,
-        viewpoint_ego_m=ORIGIN,
-        rng=np.random.default_rng(0),
-        device=device,
-    )
     areas = areas_around(scenes, np.arange(8) * math.pi / 4, ORIGIN, MODEL, device=device)
+    result = choose_orientations(areas, 3, 8, np.random.default_rng(0))
     seen, duplicates, winners = brute_force(areas, 3, 8)
     assert (result.seen_instances, result.duplicates) == (seen, duplicates)
     chosen = tuple(np.round(result.yaw_rad / (math.pi / 4)).astype(int))
     assert chosen in winners
-    assigned = assign_vehicles(scenes, result, camera=MODEL, viewpoint_ego_m=ORIGIN, device=device)
+    assert tuple(result.rotation) == chosen
+    assigned = assign_vehicles(scenes, [area[:, result.rotation] for area in areas])
+    # what cameras in these directions alone would see
+    alone = areas_around(scenes, result.yaw_rad, ORIGIN, MODEL, device=device)
+    for one, other in zip(assigned, assign_vehicles(scenes, alone), strict=True):
+        np.testing.assert_array_equal(one.assigned_camera, other.assigned_camera)
     for area, scene, item in zip(areas, scenes, assigned, strict=True):
         assert item.scene is scene
         mine = area[:, chosen]
@@ -102,8 +97,8 @@ def test_segregation_and_assignment_of_rendered_scenes(device):
 
 
 def test_vehicles_out_of_sight_belong_to_nobody(device):
-    ahead_only = Segregation(np.array([0.0]), 0, 0)
-    item = assign_vehicles([packed_street(device)], ahead_only, camera=MODEL, viewpoint_ego_m=ORIGIN, device=device)[0]
+    scenes = [packed_street(device)]
+    item = assign_vehicles(scenes, areas_around(scenes, np.zeros(1), ORIGIN, MODEL, device=device))[0]
     assert item.assigned_camera[0] == 0
     assert item.assigned_camera[5] == -1  # behind
 

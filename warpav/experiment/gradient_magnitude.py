@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.experiment.thesis_tables import WARNING, thesis_table
 from warpav.objective.losses import OBJECTIVES
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, ThesisObjective
@@ -129,25 +128,19 @@ def measure_gradient_magnitudes(
     }
 
 
-def gradient_table_text(magnitudes: Mapping[str, GradientMagnitude], number: str) -> str:
-    """Table I or V in the thesis's layout: our numbers, the thesis's beside them, and what may not be concluded.
+def pooled_magnitudes(runs: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, GradientMagnitude]:
+    """Magnitudes of several runs of equal length together, as if `measure_gradient_magnitudes` had done them all.
 
     Args:
-        magnitudes: Of `measure_gradient_magnitudes`; losses that are missing get a dash.
-        number: ``I`` or ``V``.
-
-    Raises:
-        ValueError: There is no such table of gradients.
+        runs: Fields of `GradientMagnitude` by the name of the loss, of every run.
     """
-    if number not in ("I", "V"):
-        raise ValueError(f"number must be I or V, got {number!r}")
-    table = thesis_table(number)
-    lines = [
-        f"Table {number}. {table['caption']}",
-        f"{'':6}{'positional':>12}{'thesis':>10}{'rotational':>12}{'thesis':>10}",
-    ]
-    for row in table["rows"]:
-        ours = magnitudes.get(LOSS_OF[row["loss"]])
-        cells = ("-", "-") if ours is None else (f"{ours.positional:.3f}", f"{ours.rotational:.3f}")
-        lines.append(f"{row['loss']:6}{cells[0]:>12}{row['positional']:>10.3f}{cells[1]:>12}{row['rotational']:>10.3f}")
-    return "\n".join([*lines, table["note"], WARNING])
+    pooled = {}
+    for name in runs[0] if runs else ():
+        mean = {}
+        for part in ("positional", "rotational"):
+            shares = [run[name][f"{part}_share"] for run in runs]
+            total = sum(share * run[name][part] for share, run in zip(shares, runs, strict=True))
+            mean[part] = total / sum(shares) if any(shares) else 0.0
+            mean[f"{part}_share"] = sum(shares) / len(runs)
+        pooled[name] = GradientMagnitude(**mean)
+    return pooled

@@ -258,6 +258,22 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
     return finest
 
 
+def gradient_renders(settings: OptimiserSettings, scene_count: int) -> int:
+    """Scene renders of a whole descent, with all looks at all of so many scenes on which its rigs are compared."""
+    looks = 2  # before the first step and after the last
+    if settings.keep == "best":
+        looks += (settings.iterations - 1) // settings.check_every
+    return settings.iterations * settings.batch_size + looks * scene_count
+
+
+def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int) -> int:
+    """Iterations of a descent that so many renders pay for, see `gradient_renders`; maybe none."""
+    count = 0
+    while gradient_renders(replace(settings, iterations=count + 1), scene_count) <= renders:
+        count += 1
+    return count
+
+
 @dataclass(frozen=True)
 class GradientStage:
     """The gradient method as a search: as many iterations as the budget pays for.
@@ -277,16 +293,7 @@ class GradientStage:
 
     def iterations(self, renders: int) -> int:
         """Number of iterations that so many renders pay for, with all looks."""
-        count = 0
-        while self._cost(count + 1) <= renders:
-            count += 1
-        return count
-
-    def _cost(self, iterations: int) -> int:
-        looks = 2  # before the first step and after the last
-        if self.settings.keep == "best":
-            looks += (iterations - 1) // self.settings.check_every
-        return iterations * self.settings.batch_size + looks * len(self.scenes)
+        return affordable_iterations(self.settings, len(self.scenes), renders)
 
     def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
         """Descend from a rig, float [camera, 5], with what is left of the budget.

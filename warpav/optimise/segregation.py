@@ -23,11 +23,13 @@ class Segregation:
 
     Attributes:
         yaw_rad: Orientation of every camera, ascending in 0..2 pi, float64 [camera].
+        rotation: Its index among those that were to choose from, int64 [camera].
         seen_instances: Vehicles of the scenes that at least one orientation sees.
         duplicates: How often a vehicle is seen by more orientations than one, summed.
     """
 
     yaw_rad: np.ndarray
+    rotation: np.ndarray
     seen_instances: int
     duplicates: int
 
@@ -78,46 +80,18 @@ def choose_orientations(
             elif key == (best_seen, -best_duplicates):
                 ties.append(chunk[k])
     winner = np.array(ties[rng.integers(len(ties))])
-    return Segregation(winner * (2.0 * math.pi / rotation_count), best_seen, best_duplicates)
+    return Segregation(winner * (2.0 * math.pi / rotation_count), winner, best_seen, best_duplicates)
 
 
-def segregate(
-    scenes: Sequence[DeviceScene],
-    *,
-    camera: CameraModel,
-    camera_count: int,
-    rotation_count: int,
-    viewpoint_ego_m: np.ndarray,
-    rng: np.random.Generator,
-    device: str = "cpu",
-) -> Segregation:
-    """Choose the cameras' orientations so that together they see most vehicles of all scenes.
+def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) -> list[AssignedScene]:
+    """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it.
 
     Args:
-        scenes: The training scenes.
-        camera: Model of the cameras.
-        camera_count: Number of cameras.
-        rotation_count: Orientations to choose from.
-        viewpoint_ego_m: Where to look from [m], [3]; the thesis takes the middle of the ego vehicle, on the ground.
-        rng: Breaks ties.
-        device: Warp device.
+        scenes: The scenes.
+        areas: Area of every vehicle in the orientation of every camera (`areas_around`), one [vehicle, camera] per
+            scene.
     """
-    yaw_rad = np.arange(rotation_count) * (2.0 * math.pi / rotation_count)
-    areas = areas_around(scenes, yaw_rad, viewpoint_ego_m, camera, device=device)
-    return choose_orientations(areas, camera_count, rotation_count, rng)
-
-
-def assign_vehicles(
-    scenes: Sequence[DeviceScene],
-    segregation: Segregation,
-    *,
-    camera: CameraModel,
-    viewpoint_ego_m: np.ndarray,
-    device: str = "cpu",
-) -> list[AssignedScene]:
-    """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it."""
     assigned = []
-    areas = areas_around(scenes, segregation.yaw_rad, viewpoint_ego_m, camera, device=device)
     for scene, area in zip(scenes, areas, strict=True):
         camera_of_vehicle = np.where((area > 0.0).any(axis=1), area.argmax(axis=1), -1) if len(area) else np.zeros(0)
         assigned.append(AssignedScene(scene, camera_of_vehicle.astype(np.int32)))

@@ -1,0 +1,474 @@
+"""An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
+
+``<folder>/experiment.json`` says what the results were made with, ``<folder>/results/<arm>_<seed>.json`` holds one
+result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again does what is missing, and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from warpav.config import Config, changed_config, dump_config, option_values
+from warpav.errors import InputError
+from warpav.evaluate import evaluate_rig
+from warpav.executor import Outcome, run_tasks
+from warpav.experiment.arms import Arm, constraint_loss, find_rig_of
+from warpav.experiment.gradient_magnitude import measure_gradient_magnitudes
+from warpav.problem import Problem, Traffic, load_networks, load_traffic, optimiser_settings, problem_on, traffic_part
+from warpav.recipe import digest
+from warpav.results import RUNS_FOLDER, environment, write_json
+from warpav.rig.rig import write_rig
+from warpav.sources import device_name, load_scenes
+
+if TYPE_CHECKING:
+    from warpav.console import RunDisplay
+
+SCHEMA = 1
+GRADIENTS = "gradients"
+"""Method of an arm that finds no rig but measures gradients (tables I and V)."""
+
+DESCRIPTION = "experiment.json"
+RESULTS = "results"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is compared.
+
+    Attributes:
+        name: Its name; results go to ``runs/<name>``.
+        config: Name of the shipped configuration that it starts from.
+        arms: The arms, in the order in which they are shown.
+        runs: Run seeds of every arm that has a use for them.
+        options: Overrides of that configuration.
+        quick: More of them that make it end in minutes.
+        quick_runs: Run seeds with these.
+    """
+
+    name: str
+    config: str
+    arms: tuple[Arm, ...]
+    runs: int
+    options: tuple[str, ...] = ()
+    quick: tuple[str, ...] = ()
+    quick_runs: int = 2
+
+
+@dataclass(frozen=True)
+class ArmTask:
+    """One run of one arm, small enough to travel to another process.
+
+    Attributes:
+        arm: The arm.
+        config: The experiment's configuration, with the run's seed.
+        render_budget: Scene renders that it may spend; None: see `warpav.experiment.arms`.
+        folder: Folder of the results, absolute.
+        made_with: Hash of all that the result depends on but the seed.
+    """
+
+    arm: Arm
+    config: Config
+    render_budget: int | None
+    folder: Path
+    made_with: str
+
+    @property
+    def name(self) -> str:
+        """Name of its files."""
+        return f"{self.arm.name}_{self.config.run.seed}"
+
+    @property
+    def file(self) -> Path:
+        """The result."""
+        return self.folder / f"{self.name}.json"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What an experiment has come to.
+
+    Attributes:
+        folder: Its folder.
+        results: All results that there are, by arm in the order of the arms, and by run seed.
+        failed: Why tasks failed, one line each.
+        done: Number of results that were new.
+    """
+
+    folder: Path
+    results: dict[str, list[dict[str, Any]]]
+    failed: list[str]
+    done: int
+
+
+class _Quiet:
+    """A display that shows nothing: tasks run in other processes, or beside others."""
+
+    def say(self, text: str) -> None:
+        del text
+
+    def stage(self, description: str) -> None:
+        del description
+
+    def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
+        del description, count
+        yield from items
+
+
+_QUIET: Any = _Quiet()
+
+
+class _TrafficOfProcess:
+    """The traffic that was loaded last in this process; tasks that need the same do not load it again."""
+
+    def __init__(self) -> None:
+        self._key: Config | None = None
+        self._traffic: Traffic | None = None
+
+    def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
+        key = traffic_part(config)
+        if self._traffic is None or key != self._key:
+            self._traffic = None  # two of them may not fit into memory
+            self._traffic, self._key = load_traffic(config, display), key
+        return self._traffic
+
+
+traffic_of_process = _TrafficOfProcess()
+
+
+def run_experiment(
+    experiment: Experiment,
+    config: Config,
+    *,
+    arms: Sequence[Arm] | None = None,
+    runs: int | None = None,
+    render_budget: int | None = None,
+    out: Path | None = None,
+    display: RunDisplay,
+) -> Finished:
+    """Do what is missing of an experiment.
+
+    Args:
+        experiment: The experiment.
+        config: What all arms have in common; run seeds count up from ``run.seed``.
+        arms: Only these; they need not be among the experiment's. None: all of the experiment's.
+        runs: Run seeds, at least 1; None: as many as the experiment says.
+        render_budget: Scene renders for every search; None: as many as the gradient method spends.
+        out: Folder; None: ``run.out``, or ``runs/<name>``.
+        display: Where to show it.
+
+    Raises:
+        InputError: Something in the input is wrong, or the folder holds something else.
+        KeyboardInterrupt: The user stopped it; what is finished stays.
+    """
+    runs = experiment.runs if runs is None else runs
+    for option, value in (("--runs", runs), ("--budget", render_budget)):
+        if value is not None and value < 1:
+            raise InputError(f"{option}: expected at least 1, got {value}")
+    arms = experiment.arms if arms is None else arms
+    for arm in arms:
+        if arm.method != GRADIENTS:
+            arm.check(config, render_budget)
+    _try_networks(arms, config, display)
+    folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
+    tasks = _tasks(arms, config, runs, render_budget, folder / RESULTS)
+    _open_folder(folder, experiment, config, render_budget)
+    waiting = [task for task in tasks if not _is_there(task)]
+    if len(waiting) < len(tasks):
+        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
+    failed = []
+    try:
+        if waiting:
+            _make_scenes_ready(config, display)
+        outcomes = _outcomes(waiting, config, folder)
+        for outcome in display.steps("runs", outcomes, count=len(waiting)) if waiting else ():
+            display.say(_line(outcome))
+            if outcome.error is not None:
+                failed.append(f"{outcome.task.name}: {outcome.error}")
+    except KeyboardInterrupt:
+        display.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
+        raise
+    return Finished(folder, read_results(tasks), failed, len(waiting) - len(failed))
+
+
+def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
+    """The results of tasks that are finished, by arm, in the order of the tasks.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
+    for task in tasks:
+        if task.file.is_file():
+            results[task.arm.name].append(_read_json(task.file))
+    return results
+
+
+def run_arm(task: ArmTask) -> dict[str, Any]:
+    """Do a task, write its result, and return the result without its history."""
+    began = time.perf_counter()
+    result = _gradients(task) if task.arm.method == GRADIENTS else _rig(task)
+    result["seconds"]["total"] = time.perf_counter() - began
+    result = {
+        "schema": SCHEMA,
+        "arm": task.arm.name,
+        "seed": task.config.run.seed,
+        "made_with": task.made_with,
+        **result,
+    }
+    write_json(task.file, result)
+    return {name: value for name, value in result.items() if name not in ("history", "rig")}
+
+
+def _problem(config: Config) -> Problem:
+    networks = load_networks(config, _QUIET)
+    return problem_on(traffic_of_process(config, _QUIET), config, networks)
+
+
+def _rig(task: ArmTask) -> dict[str, Any]:
+    began = time.perf_counter()
+    judge = _problem(task.arm.judged_config(task.config))
+    problem = _problem(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
+    loaded = time.perf_counter()
+    found = find_rig_of(task.arm, problem, task.render_budget)
+    searched = time.perf_counter()
+    metrics = evaluate_rig(found.rig, judge.assigned(judge.test, found.began_as), judge.objective)
+    rig_file = task.file.with_suffix(".yaml")
+    write_rig(found.rig, rig_file)
+    return {
+        "metrics": asdict(metrics),
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "training_objective": found.training_objective,
+        "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
+        **found.notes,
+        "renders": found.renders,
+        "seconds": {
+            "load": loaded - began,
+            "search": searched - loaded,
+            "evaluate": time.perf_counter() - searched,
+        },
+        "rig": yaml.safe_load(rig_file.read_text(encoding="utf-8")),
+        "history": found.history,
+    }
+
+
+def _gradients(task: ArmTask) -> dict[str, Any]:
+    config = task.arm.judged_config(task.config)
+    began = time.perf_counter()
+    problem = _problem(config)
+    loaded = time.perf_counter()
+    magnitudes = measure_gradient_magnitudes(
+        problem.objective,
+        problem.train,
+        problem.segregation.yaw_rad,
+        runs=1,
+        settings=optimiser_settings(config),
+        seed=config.run.seed,
+    )
+    return {
+        "gradients": {name: asdict(magnitude) for name, magnitude in magnitudes.items()},
+        "renders": config.run.iterations * config.run.batch_size,
+        "seconds": {"load": loaded - began, "search": time.perf_counter() - loaded},
+    }
+
+
+def _tasks(arms: Sequence[Arm], config: Config, runs: int, render_budget: int | None, folder: Path) -> list[ArmTask]:
+    config = _with_absolute_paths(config)
+    tasks = []
+    for arm in arms:
+        made_with = digest(
+            SCHEMA,
+            arm.method,
+            render_budget,
+            _unseeded(arm.judged_config(config)),
+            _unseeded(arm.search_config(config)),
+        )
+        for k in range(runs if arm.is_seeded else 1):
+            seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
+            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with))
+    return tasks
+
+
+def _unseeded(config: Config) -> str:
+    """All options on which a result depends, but the seed."""
+    return json.dumps(_options(config))
+
+
+def _options(config: Config) -> dict[str, Any]:
+    """The options on which a result depends, all but the seed, in JSON's own types."""
+    values = {
+        name: value
+        for name, value in option_values(config).items()
+        if name not in ("run.seed", "run.out") and not name.startswith("executor.")
+    }
+    return json.loads(json.dumps(values))
+
+
+def _with_absolute_paths(config: Config) -> Config:
+    """The same configuration for processes that work in other folders."""
+    overrides = []
+    for option, value in (
+        ("scenes.folder", config.scenes.folder),
+        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
+        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
+        ("rig.start", None if config.rig.start in ("random", "highest") else config.rig.start),
+    ):
+        if value is not None:
+            overrides.append(f"{option}={json.dumps(str(Path(value).expanduser().absolute()))}")
+    return changed_config(config, overrides) if overrides else config
+
+
+def _open_folder(folder: Path, experiment: Experiment, config: Config, render_budget: int | None) -> None:
+    """Make the folder of the experiment, or see that the one that is there belongs to it.
+
+    Raises:
+        InputError: It does not, or no folder can be made.
+    """
+    file = folder / DESCRIPTION
+    description = {
+        "schema": SCHEMA,
+        "experiment": experiment.name,
+        "render_budget": render_budget,
+        "options": _options(config),
+    }
+    if file.is_file():
+        if any((folder / RESULTS).glob("*.json")):
+            _check_same(file, _read_json(file), description)
+            return
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(
+            f"{folder}: --out: expected a folder of this experiment or one that does not exist yet, got something "
+            "else; choose another with --out"
+        )
+    try:
+        (folder / RESULTS).mkdir(parents=True, exist_ok=True)
+        (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: --out: expected a folder that can be made, got: {error.strerror}") from None
+    write_json(folder / "env.json", environment(config, device_name(config.device)))
+    write_json(file, description)
+
+
+def _check_same(file: Path, there: Any, wanted: Mapping[str, Any]) -> None:  # noqa: ANN401 (whatever JSON holds)
+    """See that the results of a folder are of this experiment.
+
+    Raises:
+        InputError: They are not.
+    """
+    fix = "choose another folder with --out"
+    if not isinstance(there, dict) or there.get("schema") != SCHEMA:
+        found = there.get("schema") if isinstance(there, dict) else None
+        raise InputError(f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; {fix}")
+    if there.get("experiment") != wanted["experiment"]:
+        raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
+    if there.get("render_budget") != wanted["render_budget"]:
+        raise InputError(
+            f"{file}: render_budget: expected {wanted['render_budget']}, got {there.get('render_budget')!r}; {fix}, or "
+            "give the same --budget"
+        )
+    options = there.get("options")
+    options = options if isinstance(options, dict) else {}
+    different = [
+        f"{name} is {options.get(name)!r} there and {value!r} here"
+        for name, value in wanted["options"].items()
+        if options.get(name) != value
+    ]
+    if different:
+        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+        raise InputError(
+            f"{file}: options: expected the configuration of its results, got another: "
+            f"{', '.join(different[:3])}{more}; {fix}, or give the same options"
+        )
+
+
+def _is_there(task: ArmTask) -> bool:
+    """Whether a task's result is there already.
+
+    Raises:
+        InputError: Something else is in its place.
+    """
+    if not task.file.is_file():
+        return False
+    result = _read_json(task.file)
+    if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
+        raise InputError(
+            f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
+            "delete it, or choose another folder with --out"
+        )
+    return True
+
+
+def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> None:
+    """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
+
+    Raises:
+        InputError: A detector cannot be used.
+    """
+    tried = []
+    for arm in arms:
+        for each in (arm.judged_config(config), arm.search_config(config)):
+            losses = each.losses
+            needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
+            if needs not in tried:
+                load_networks(each, display)
+                tried.append(needs)
+
+
+def _make_scenes_ready(config: Config, display: RunDisplay) -> None:
+    """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
+
+    Raises:
+        InputError: A scene cannot be used.
+    """
+    seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
+    if config.executor.name == "serial":
+        traffic_of_process(config, display)
+    elif config.scenes.source == "captured":
+        for _ in display.steps("scenes", load_scenes(config, seeds), count=len(seeds)):
+            pass
+    else:
+        next(load_scenes(config, seeds))
+
+
+def _outcomes(tasks: Sequence[ArmTask], config: Config, folder: Path) -> Iterator[Outcome[ArmTask, dict[str, Any]]]:
+    executor = config.executor
+    return run_tasks(
+        run_arm,
+        tasks,
+        executor=executor.name,
+        worker_count=executor.workers,
+        address=executor.address,
+        options=executor.options,
+        folder=folder / "slurm_jobs",
+    )
+
+
+def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
+    """What became of a task, in one line."""
+    name = f"{outcome.task.arm.name}, run seed {outcome.task.config.run.seed}"
+    if outcome.error is not None or outcome.result is None:
+        return f"{name}: failed: {outcome.error}"
+    result = outcome.result
+    took = f"{result['seconds']['total']:.0f} s"
+    if "metrics" not in result:
+        return f"{name}: {took}"
+    numbers = (
+        ("recall", result["metrics"]["tp_detection_rate"]),
+        ("mAP50", result["metrics"]["map50_average"]),
+        ("objective", result["metrics"]["objective"]),
+    )
+    shown = "  ".join(f"{label} {'-' if value is None else f'{value:.4f}'}" for label, value in numbers)
+    return f"{name}: {shown}  {result['renders']} renders  {took}"
+
+
+def _read_json(file: Path) -> Any:  # noqa: ANN401
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a readable JSON file, got: {error}; delete it") from None

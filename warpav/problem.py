@@ -1,0 +1,451 @@
+"""What rigs are measured against: scenes whose vehicles are shared among the cameras, a mount surface, an objective.
+
+Loading takes two steps, so that runs that differ in nothing but seeds, losses and steps load their scenes once:
+`load_traffic` gives what depends on none of these, `problem_on` the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.config import Config, RigConfig, RunConfig
+from warpav.detection.differentiable import DifferentiableDetector
+from warpav.detection.probability import DetectionProbability, stored_file
+from warpav.detector_fit import fit_detector
+from warpav.errors import InputError, OptionError
+from warpav.evaluate import assign_to_nearest_cameras
+from warpav.geometry.mesh import Mesh
+from warpav.objective.losses import LossSettings, Reference
+from warpav.objective.mount import CameraMount, mount_pose_of_rig
+from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.optimise.segregation import Segregation, areas_around, assign_vehicles, choose_orientations
+from warpav.render.device_scene import DeviceScene
+from warpav.render.renderer import Occlusion
+from warpav.rig.rig import Rig, read_rig
+from warpav.scene.scene import ROAD_USERS, Scene
+from warpav.sources import (
+    camera_model,
+    camera_mount,
+    checked_device,
+    constraints_of,
+    detector_use,
+    load_detector,
+    load_scenes,
+)
+
+if TYPE_CHECKING:
+    from warpav.console import RunDisplay
+    from warpav.detection.onnx_detector import OnnxDetector
+
+EGO_TOLERANCE_M = 0.2
+"""Ego vehicles that were reconstructed from images of different scenes differ by less."""
+
+
+class Stream(IntEnum):
+    """Purposes of random numbers: one more draw for one of them moves nothing for the others."""
+
+    SEGREGATION = 0
+    START = 1
+    BATCHES = 2
+    SEARCH = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """Scenes on the device, and the vehicle that carries the cameras.
+
+    Attributes:
+        train: Training scenes; with ``scenes.mirror`` their mirror images after them.
+        validation: Scenes on which the rigs of a run are compared; maybe none.
+        test: Test scenes.
+        mount: Where the cameras may stand, and their model.
+        ego: The vehicle that carries them.
+        shown: The first test scene, for pictures.
+    """
+
+    train: list[DeviceScene]
+    validation: list[DeviceScene]
+    test: list[DeviceScene]
+    mount: CameraMount
+    ego: Mesh
+    shown: Scene
+    _areas: dict[int, list[np.ndarray]] = field(default_factory=dict, repr=False)
+
+    @property
+    def scenes(self) -> list[DeviceScene]:
+        """All scenes: those of training, of validation, of the test."""
+        return [*self.train, *self.validation, *self.test]
+
+    def areas(self, rotation_count: int) -> list[np.ndarray]:
+        """Area of every vehicle alone in directions all round [px^2], seen from the middle of the ego vehicle.
+
+        Args:
+            rotation_count: Number of directions, evenly spread from yaw 0.
+
+        Returns:
+            One [vehicle, rotation] for each of `scenes`; rendered when first asked for.
+        """
+        if rotation_count not in self._areas:
+            self._areas[rotation_count] = areas_around(
+                self.scenes,
+                np.arange(rotation_count) * (2.0 * math.pi / rotation_count),
+                np.append(self.ego.bounds_m()[:, :2].mean(axis=0), 0.0),
+                self.mount.camera,
+                device=self.mount.device,
+            )
+        return self._areas[rotation_count]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that a rig is measured against.
+
+    Attributes:
+        config: The configuration.
+        objective: The training objective; it knows the mount surface and the detector.
+        segregation: Orientations that share the vehicles among the cameras.
+        train: Training scenes, each vehicle assigned to an orientation.
+        validation: Scenes on which the rigs of a run are compared, likewise; the training scenes if there are none.
+        test: Test scenes, likewise.
+        ego: The vehicle that carries the cameras.
+        shown: The first test scene, for pictures.
+    """
+
+    config: Config
+    objective: ThesisObjective
+    segregation: Segregation
+    train: list[AssignedScene]
+    validation: list[AssignedScene]
+    test: list[AssignedScene]
+    ego: Mesh
+    shown: Scene
+
+    def random_numbers(self, stream: Stream) -> np.random.Generator:
+        """Random numbers for one purpose, from ``run.seed``."""
+        return _random_numbers(self.config, stream)
+
+    def assigned(self, scenes: list[AssignedScene], rig: Rig | None) -> list[AssignedScene]:
+        """The scenes with vehicles assigned to the cameras of a rig.
+
+        Args:
+            scenes: Some of the problem's scenes.
+            rig: Its cameras are paired with the orientations by their directions; None pairs camera k with
+                orientation k. A rig keeps the pairs it began with, so for one that has moved this is its start.
+        """
+        if rig is None or len(rig.cameras) != len(self.segregation.yaw_rad):
+            return scenes
+        return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
+
+
+def load_problem(config: Config, display: RunDisplay) -> Problem:
+    """Load the detector, build or read the scenes, and share their vehicles among the cameras.
+
+    Raises:
+        InputError: The device, the detector or a scene cannot be used.
+    """
+    networks = load_networks(config, display)
+    traffic = load_traffic(config, display)
+    display.stage("sharing the vehicles among the cameras")
+    return problem_on(traffic, config, networks)
+
+
+def traffic_part(config: Config) -> Config:
+    """The configuration with nothing but what `load_traffic` looks at; the traffic of equal parts is the same."""
+    return Config(
+        run=RunConfig(batch_size=1),
+        device=config.device,
+        scenes=config.scenes,
+        capture=config.capture,
+        reconstruction=config.reconstruction,
+        rig=RigConfig(height_offset_m=config.rig.height_offset_m),
+        camera=config.camera,
+        mount=config.mount,
+    )
+
+
+def load_traffic(config: Config, display: RunDisplay) -> Traffic:
+    """Build or read the scenes, and find where cameras may stand.
+
+    Raises:
+        InputError: The device or a scene cannot be used.
+    """
+    config = traffic_part(config)
+    device = checked_device(config.device)
+    train_count = len(config.scenes.train_seeds)
+    test_from = train_count + len(config.scenes.validation_seeds or ())
+    seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
+    packed: list[DeviceScene] = []
+    mirrored: list[DeviceScene] = []
+    ego = shown = None
+    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds), count=len(seeds))):
+        ego = scene.ego if ego is None else ego
+        if not _is_same_vehicle(scene.ego, ego):
+            raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+        shown = scene if k == test_from else shown
+        packed.append(DeviceScene.pack(scene, device=device))
+        if config.scenes.mirror and k < train_count:
+            mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
+    assert ego is not None
+    assert shown is not None
+    _check_targets(config.scenes.targets, packed, display)
+    return Traffic(
+        packed[:train_count] + mirrored,
+        packed[train_count:test_from],
+        packed[test_from:],
+        camera_mount(config, ego),
+        ego,
+        shown,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """The detector, and what losses need of it.
+
+    Attributes:
+        detector: The detector.
+        differentiable: The same network, differentiable; None where no loss needs it.
+        probability: How probably it finds an object; likewise.
+    """
+
+    detector: OnnxDetector
+    differentiable: DifferentiableDetector | None
+    probability: DetectionProbability | None
+
+
+def load_networks(config: Config, display: RunDisplay) -> Networks:
+    """Load the detector, and what the losses of the configuration need of it.
+
+    Raises:
+        InputError: The device or the detector cannot be used.
+    """
+    device = checked_device(config.device)
+    detector = load_detector(config)
+    differentiable = None
+    if config.losses.detector_gradient > 0.0:
+        differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
+    probability = load_probability(config, display) if config.losses.missed > 0.0 else None
+    return Networks(detector, differentiable, probability)
+
+
+def load_probability(config: Config, display: RunDisplay) -> DetectionProbability:
+    """The model of detection probability of the configured detector and its surroundings; fitted now if there is none.
+
+    Raises:
+        InputError: It cannot be fitted or read, or was fitted on scenes that the result is judged by.
+    """
+    use = detector_use(config)
+    if stored_file(use) is None:
+        display.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
+        fit_detector(
+            config,
+            words=["warpav", "detector", "fit"],
+            fit_seeds=None,
+            held_out_seeds=None,
+            out=None,
+            again=False,
+            display=display,
+        )
+    return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+
+
+def problem_on(traffic: Traffic, config: Config, networks: Networks) -> Problem:
+    """What rigs are measured against, on scenes that are there already.
+
+    Args:
+        traffic: Of `load_traffic`, from this configuration or from one with the same `traffic_part`.
+        config: The configuration.
+        networks: Of `load_networks`, from this configuration.
+    """
+    areas = traffic.areas(config.segregation.rotations)
+    train_count = len(traffic.train)
+    segregation = choose_orientations(
+        areas[:train_count],
+        config.rig.cameras,
+        config.segregation.rotations,
+        _random_numbers(config, Stream.SEGREGATION),
+    )
+    assigned = assign_vehicles(traffic.scenes, [area[:, segregation.rotation] for area in areas])
+    objective = ThesisObjective(
+        traffic.mount,
+        networks.detector,
+        camera_count=config.rig.cameras,
+        settings=LossSettings(
+            in_frame_rotation=config.losses.in_frame_rotation,
+            detected_area=config.losses.detected_area,
+            surface_blockage=config.losses.surface_blockage,
+            object_visibility=config.losses.object_visibility,
+            angular_coverage=config.losses.angular_coverage,
+            missed=config.losses.missed,
+            detector_gradient=config.losses.detector_gradient,
+            min_detected_area=config.losses.min_detected_area,
+            min_unblocked_area=config.losses.min_unblocked_area,
+            reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
+            epsilon=config.losses.epsilon,
+            multiplier_damping=_multiplier_settings(config)[1],
+            window_softness_rad=math.radians(config.losses.window_softness_deg),
+            detector_share=config.losses.detector_share,
+        ),
+        constraints=constraints_of(config, traffic.mount.surface),
+        confidence_min=config.detector.confidence_min,
+        iou_min=config.detector.iou_min,
+        occlusion=Occlusion(config.visibility.occlusion),
+        supersampling=config.camera.supersampling,
+        probability=networks.probability,
+        differentiable_detector=networks.differentiable,
+    )
+    train, held_out = assigned[:train_count], assigned[train_count:]
+    validation_count = len(traffic.validation)
+    validation, test = held_out[:validation_count] or train, held_out[validation_count:]
+    return Problem(config, objective, segregation, train, validation, test, traffic.ego, traffic.shown)
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where a descent begins.
+
+    Attributes:
+        descent: Before its first step.
+        rig: The rig that it begins with; None when camera k takes orientation k. See `Problem.assigned`.
+    """
+
+    descent: Descent
+    rig: Rig | None
+
+
+def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
+    """A descent on the training scenes from the rig that ``rig.start`` means, with the steps of the configuration.
+
+    Args:
+        problem: What to lower.
+        start_rig: The rig of the file that ``rig.start`` names, see `read_start`.
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+    """
+    start = start_pose(problem, start_rig)
+    rig = None if problem.config.rig.start == "random" else problem.objective.mount.rig(start)
+    return Beginning(descent_from(problem, start, rig), rig)
+
+
+def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> Descent:
+    """A descent on the training scenes from a rig.
+
+    Args:
+        problem: What to lower.
+        start: Its mount poses, float32 [camera, 5].
+        began_as: Whose cameras take the orientations, see `Problem.assigned`.
+    """
+    return Descent(
+        problem.objective,
+        problem.assigned(problem.train, began_as),
+        optimiser_settings(problem.config),
+        start,
+        problem.random_numbers(Stream.BATCHES),
+        validation=problem.assigned(problem.validation, began_as),
+    )
+
+
+def read_start(config: Config) -> Rig | None:
+    """The rig of the file that ``rig.start`` names; None where it names none.
+
+    Raises:
+        InputError: It cannot be read, or has another number of cameras than ``rig.cameras``.
+    """
+    if config.rig.start in ("random", "highest"):
+        return None
+    rig = read_rig(config.rig.start)
+    if len(rig.cameras) != config.rig.cameras:
+        raise InputError(
+            f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
+            f"set rig.cameras={len(rig.cameras)}"
+        )
+    return rig
+
+
+def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
+    """Mount poses that the optimiser starts from: those of ``rig``, or as ``rig.start`` says.
+
+    Returns:
+        float32 [camera, 5], the precision that the optimiser keeps: a start that stays the best is the same rig.
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+    """
+    config, constraints = problem.config, problem.objective.constraints
+    if rig is not None:
+        return mount_pose_of_rig(rig)
+    if config.rig.start == "highest":
+        pose = highest_mount_pose(constraints, config.rig.cameras)
+    else:
+        pose = random_mount_pose(constraints, problem.segregation.yaw_rad, rng=problem.random_numbers(Stream.START))
+    return pose.astype(np.float32)
+
+
+def _multiplier_settings(config: Config) -> tuple[float, float]:
+    """Step and damping of the multipliers, the method's own where the configuration gives none."""
+    step, damping = (0.25, 0.0) if config.method == "thesis" else (1.0, 10.0)
+    optimiser = config.optimiser
+    return (
+        step if optimiser.multiplier_learning_rate is None else optimiser.multiplier_learning_rate,
+        damping if optimiser.multiplier_damping is None else optimiser.multiplier_damping,
+    )
+
+
+def optimiser_settings(config: Config) -> OptimiserSettings:
+    """The optimiser's settings, angles in radians."""
+    optimiser = config.optimiser
+    return OptimiserSettings(
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
+        learning_rate_position_m=optimiser.learning_rate_position_m,
+        learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
+        schedule=optimiser.schedule,
+        weight_decay=optimiser.weight_decay,
+        multiplier_learning_rate=_multiplier_settings(config)[0],
+        multiplier_weight_decay=optimiser.multiplier_weight_decay,
+        keep=optimiser.keep,
+        check_every=optimiser.check_every,
+        panorama_until=optimiser.panorama_until,
+        detector_from=optimiser.detector_from,
+        patience=optimiser.patience,
+    )
+
+
+def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:
+    return np.random.default_rng([config.run.seed, int(stream)])
+
+
+def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], display: RunDisplay) -> None:
+    """Say which targets no scene holds.
+
+    Raises:
+        InputError: None of them is in any scene.
+    """
+    there = {ROAD_USERS[kind] for scene in scenes for kind in scene.road_user_index}
+    absent = [target for target in targets if target not in there]
+    if not absent:
+        return
+    text = f"no {' and no '.join(absent)} in any of the {len(scenes)} scenes"
+    hint = "" if "vehicle" in absent else "; scenes made from images hold people as parts of the environment"
+    if not there:
+        raise OptionError("scenes.targets", f"expected road users that the scenes hold, got {text}{hint}")
+    display.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
+
+
+def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
+    """Whether two meshes may show the same vehicle; how low they reach is left out.
+
+    How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
+    """
+    difference_m = np.abs(one.bounds_m() - other.bounds_m())
+    difference_m[0, 2] = 0.0
+    return bool(difference_m.max() <= EGO_TOLERANCE_M)
