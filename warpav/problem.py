@@ -26,7 +26,9 @@ from warpav.objective.mount import CameraMount, mount_pose_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
+from warpav.optimise.search import BudgetedValue, SearchSpace
 from warpav.optimise.segregation import Segregation, areas_around, assign_vehicles, choose_orientations
+from warpav.optimise.starts import best_start
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
 from warpav.rig.rig import Rig, read_rig
@@ -56,6 +58,7 @@ class Stream(IntEnum):
     START = 1
     BATCHES = 2
     SEARCH = 3
+    STARTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +325,10 @@ class Beginning:
 
 
 def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
-    """A descent on the training scenes from the rig that ``rig.start`` means, with the steps of the configuration.
+    """A descent on the training scenes, with the steps of the configuration.
+
+    It starts from the rig that ``rig.start`` means, or from the best of ``optimiser.starts`` rigs on the validation
+    scenes, that one among them.
 
     Args:
         problem: What to lower.
@@ -333,6 +339,18 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
     """
     start = start_pose(problem, start_rig)
     rig = None if problem.config.rig.start == "random" else problem.objective.mount.rig(start)
+    count = problem.config.optimiser.starts
+    if count > 1:
+        scenes = problem.assigned(problem.validation, rig)
+        space = SearchSpace.over(
+            problem.objective.mount,
+            problem.config.rig.cameras,
+            constraints=problem.objective.constraints,
+            yaw_rad=problem.segregation.yaw_rad,
+        )
+        value = BudgetedValue.of(problem.objective, scenes, space, render_budget=count * len(scenes))
+        start = best_start(value, count, problem.random_numbers(Stream.STARTS), known=start)
+        rig = problem.objective.mount.rig(start)
     return Beginning(descent_from(problem, start, rig), rig)
 
 
@@ -417,6 +435,7 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         panorama_until=optimiser.panorama_until,
         detector_from=optimiser.detector_from,
         patience=optimiser.patience,
+        starts=optimiser.starts,
     )
 
 

@@ -50,6 +50,8 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     start_rig = read_start(config)
     problem = load_problem(config, display)
     mount = problem.objective.mount
+    if config.optimiser.starts > 1:
+        display.stage(f"best of {config.optimiser.starts} rigs to start from")
     beginning = begin_descent(problem, start_rig)
     descent, began_as = beginning.descent, beginning.rig
     start = descent.start
@@ -92,10 +94,10 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
 
 
 def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
-    """Take all steps, each shown and written before the next."""
+    """Take all steps, or as many as are of use, each shown and written before the next."""
     config = folder.config()
     mount = descent.objective.mount
-    steps = (descent.step() for _ in range(config.run.iterations))
+    steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
     for record in display.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
         state = descent.state()
         folder.append_event(record)
@@ -103,6 +105,8 @@ def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
         folder.write_rig("final", mount.rig(state["pose_value"]))
         if record.training_objective is not None:
             folder.write_rig("best", mount.rig(descent.best.mount_pose))
+    if descent.verdict is not None:
+        display.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
 
 
 def compare(

@@ -203,7 +203,8 @@ def _gradient(problem: Problem, render_budget: int | None) -> Found:
     """The gradient method of the configuration, from the start of the configuration."""
     problem = _within(problem, render_budget)
     beginning = begin_descent(problem, read_start(problem.config))
-    return _descended(problem, beginning.descent, beginning.rig)
+    starts = problem.config.optimiser.starts
+    return _descended(problem, beginning.descent, beginning.rig, first_looks=starts if starts > 1 else 0)
 
 
 def _within(problem: Problem, render_budget: int | None) -> Problem:
@@ -215,14 +216,14 @@ def _within(problem: Problem, render_budget: int | None) -> Problem:
     return replace(problem, config=changed_config(problem.config, [f"run.iterations={iterations}"]))
 
 
-def _descended(problem: Problem, descent: Descent, began_as: Rig | None) -> Found:
-    """The rig at the end of a descent."""
+def _descended(problem: Problem, descent: Descent, began_as: Rig | None, *, first_looks: int = 0) -> Found:
+    """The rig at the end of a descent, before which so many rigs were looked at on all validation scenes."""
     batch_size = problem.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
     def renders() -> int:
-        return descent.iteration * batch_size + len(descent.candidates) * len(problem.validation)
+        return descent.iteration * batch_size + (first_looks + len(descent.candidates)) * len(problem.validation)
 
     while descent.iteration < problem.config.run.iterations and descent.verdict is None:
         record = descent.step()
@@ -320,7 +321,8 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
     first = run_search(cma_es, value, rng)
     if first.error is not None:
         raise RuntimeError(f"the search ended early: {first.error}")
-    rest = _within(problem, whole - first.renders)
+    alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1"]))  # its start is found
+    rest = _within(alone, whole - first.renders)
     second = _descended(rest, descent_from(rest, first.mount_pose, None), None)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):

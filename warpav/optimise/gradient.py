@@ -38,6 +38,7 @@ class OptimiserSettings:
         panorama_until: Share of the run over which what lies outside the images ceases to pull, 0..1.
         detector_from: Share of the run from which the detector has a say in the loss ``missed``, 0..1.
         patience: Looks without a better rig after which the run ends; None: it never does.
+        starts: Rigs that were looked at to find the one to start from; 1: none was.
     """
 
     iterations: int = 100
@@ -53,6 +54,7 @@ class OptimiserSettings:
     panorama_until: float = 0.0
     detector_from: float = 0.0
     patience: int | None = None
+    starts: int = 1
 
 
 @dataclass(frozen=True)

@@ -261,6 +261,8 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
 def gradient_renders(settings: OptimiserSettings, scene_count: int) -> int:
     """Scene renders of a whole descent, with all looks at all of so many scenes on which its rigs are compared."""
     looks = 2  # before the first step and after the last
+    if settings.starts > 1:
+        looks += settings.starts
     if settings.keep == "best":
         looks += (settings.iterations - 1) // settings.check_every
     return settings.iterations * settings.batch_size + looks * scene_count
