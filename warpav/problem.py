@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.config import Config, RigConfig, RunConfig
+from warpav.config import Config, RigConfig, RunConfig, changed_config
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.detector_fit import fit_detector
@@ -46,6 +46,9 @@ from warpav.sources import (
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
     from warpav.detection.onnx_detector import OnnxDetector
+
+LEAST_FIT_SCENES = 20
+"""Training scenes of the user's own on which p(detected) can be fitted and judged."""
 
 EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
@@ -154,10 +157,11 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     Raises:
         InputError: The device, the detector or a scene cannot be used.
     """
-    networks = load_networks(config, display)
+    networks = load_networks(config)
     traffic = load_traffic(config, display)
+    probability = load_probability(config, display)
     display.stage("sharing the vehicles among the cameras")
-    return problem_on(traffic, config, networks)
+    return problem_on(traffic, config, networks, probability)
 
 
 def traffic_part(config: Config) -> Config:
@@ -216,16 +220,14 @@ class Networks:
     Attributes:
         detector: The detector.
         differentiable: The same network, differentiable; None where no loss needs it.
-        probability: How probably it finds an object; likewise.
     """
 
     detector: OnnxDetector
     differentiable: DifferentiableDetector | None
-    probability: DetectionProbability | None
 
 
-def load_networks(config: Config, display: RunDisplay) -> Networks:
-    """Load the detector, and what the losses of the configuration need of it.
+def load_networks(config: Config) -> Networks:
+    """Load the detector, differentiable as well where the losses of the configuration need it.
 
     Raises:
         InputError: The device or the detector cannot be used.
@@ -235,16 +237,27 @@ def load_networks(config: Config, display: RunDisplay) -> Networks:
     differentiable = None
     if config.losses.detector_gradient > 0.0:
         differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
-    probability = load_probability(config, display) if config.losses.missed > 0.0 else None
-    return Networks(detector, differentiable, probability)
+    return Networks(detector, differentiable)
 
 
-def load_probability(config: Config, display: RunDisplay) -> DetectionProbability:
-    """The model of detection probability of the configured detector and its surroundings; fitted now if there is none.
+def load_probability(config: Config, display: RunDisplay) -> DetectionProbability | None:
+    """The model of detection probability, where the losses need one; fitted now if there is none yet.
+
+    It is that of the configured detector and its surroundings. Where there are too few scenes of the user's own to fit
+    it on, the embedded ones stand for them.
 
     Raises:
         InputError: It cannot be fitted or read, or was fitted on scenes that the result is judged by.
     """
+    if config.losses.missed == 0.0:
+        return None
+    scene_count = len(config.scenes.train_seeds)
+    if config.scenes.source != "town" and scene_count < LEAST_FIT_SCENES:
+        display.say(
+            f"p(detected) is that of the embedded scenes: to fit it on others takes {LEAST_FIT_SCENES}, "
+            f"scenes.train_seeds has {scene_count}"
+        )
+        config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
     use = detector_use(config)
     if stored_file(use) is None:
         display.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
@@ -260,13 +273,16 @@ def load_probability(config: Config, display: RunDisplay) -> DetectionProbabilit
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
 
-def problem_on(traffic: Traffic, config: Config, networks: Networks) -> Problem:
+def problem_on(
+    traffic: Traffic, config: Config, networks: Networks, probability: DetectionProbability | None
+) -> Problem:
     """What rigs are measured against, on scenes that are there already.
 
     Args:
         traffic: Of `load_traffic`, from this configuration or from one with the same `traffic_part`.
         config: The configuration.
         networks: Of `load_networks`, from this configuration.
+        probability: Of `load_probability`, likewise.
     """
     areas = traffic.areas(config.segregation.rotations)
     train_count = len(traffic.train)
@@ -302,7 +318,7 @@ def problem_on(traffic: Traffic, config: Config, networks: Networks) -> Problem:
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
-        probability=networks.probability,
+        probability=probability,
         differentiable_detector=networks.differentiable,
     )
     train, held_out = assigned[:train_count], assigned[train_count:]

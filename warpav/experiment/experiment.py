@@ -21,7 +21,16 @@ from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
 from warpav.experiment.arms import Arm, constraint_loss, find_rig_of
 from warpav.experiment.gradient_magnitude import measure_gradient_magnitudes
-from warpav.problem import Problem, Traffic, load_networks, load_traffic, optimiser_settings, problem_on, traffic_part
+from warpav.problem import (
+    Problem,
+    Traffic,
+    load_networks,
+    load_probability,
+    load_traffic,
+    optimiser_settings,
+    problem_on,
+    traffic_part,
+)
 from warpav.recipe import digest
 from warpav.results import RUNS_FOLDER, environment, write_json
 from warpav.rig.rig import write_rig
@@ -227,8 +236,8 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
 
 
 def _problem(config: Config) -> Problem:
-    networks = load_networks(config, _QUIET)
-    return problem_on(traffic_of_process(config, _QUIET), config, networks)
+    networks, probability = load_networks(config), load_probability(config, _QUIET)
+    return problem_on(traffic_of_process(config, _QUIET), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
@@ -416,7 +425,8 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
             losses = each.losses
             needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
             if needs not in tried:
-                load_networks(each, display)
+                load_networks(each)
+                load_probability(each, display)
                 tried.append(needs)
 
 
