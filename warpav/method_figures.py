@@ -40,7 +40,7 @@ from warpav.results import RunFolder
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
 from warpav.scene_figures.by_number import RIG_NUMBERS
-from warpav.scene_figures.panels import caption, checked_png, count_text, title
+from warpav.scene_figures.panels import checked_png, count_text, title
 from warpav.sources import HIGHEST, camera_mount, checked_device, find_rig, load_detector, load_scenes
 from warpav.view.frustum import bearing_sector_rad, sector_polygon_m
 from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
@@ -126,8 +126,10 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
     lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")
 
     constraints, surface = problem.objective.constraints, problem.objective.mount.surface
+    point_m = np.concatenate([traffic.ego.bounds_m(), *(way.trajectory_m.reshape(-1, 3) for way in (lost, kept))])
+    length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 7.4)
+        figure = new_figure(WIDTH_INCH, 1.9 + 2.0 * min(0.8 * WIDTH_INCH * width_m / length_m, 5.0))
         axes, image = figure.subplots(2, 1, sharex=True, sharey=True), None
         for axis, heading, way in zip(axes, ("Without constraints", "With constraints"), (lost, kept), strict=True):
             draw_vehicle(axis, traffic.ego)
@@ -144,13 +146,13 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
             axis.set_aspect("equal")
             axis.set_ylabel("y, left [m]")
         axes[1].set_xlabel("x, forward [m]")
-        axes[0].legend(handles=start_and_end_handles(), loc="upper left")
         bar = figure.colorbar(image, ax=axes, shrink=0.6, pad=0.02, aspect=28)
         bar.set_label("height of the mount surface [m]")
         bar.outline.set_visible(False)
         border = "border of the mountable zone" if constraints.are_inequalities else "bounds of the mount surface"
-        caption(
+        _tell(
             figure,
+            start_and_end_handles(),
             f"method: {config.method}, {len(lost.trajectory_m) - 1} iterations from one start on the same batches. "
             f"Black: {border}. Without: all multipliers stay 0.",
         )
@@ -260,14 +262,16 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, displ
     }
     columns = 1 + len(start.cameras)
     with figure_style():
-        figure = new_figure(2.45 * columns, 9.0)
+        figure = new_figure(2.45 * columns, 9.2)
+        figure.get_layout_engine().set(h_pad=0.08)
         grid = figure.subplots(len(rows), columns, squeeze=False)
         for (heading, (rig, looks)), axes in zip(rows.items(), grid, strict=True):
             _draw_plan(axes[0], rig, looks)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
             _draw_images(axes[1:], rig, _fullest(looks))
-        _tell_colours(
+        _tell(
             figure,
+            detection_handles(),
             "Left: all vehicles of the scenes from above, and the cameras' fields of view. "
             "Right: the one of these scenes with most vehicles, through every camera.",
         )
@@ -312,8 +316,9 @@ def highest(config: Config, path: Path, *, display: RunDisplay) -> Path:
             axis.set_axis_off()
         _draw_images(axes[: len(rig.cameras)], rig, _fullest(looks))
         covered_deg = math.degrees(covered_rad(rig))
-        _tell_colours(
+        _tell(
             figure,
+            detection_handles(),
             f"Right: all vehicles of {count_text(len(scenes), 'test scenes')} from above. The fields of view cover "
             f"{covered_deg:.0f} of 360 degrees.\nBelow: the one of these scenes with most vehicles.",
         )
@@ -376,6 +381,7 @@ def _draw_plan(axis: Any, rig: Rig, looks: Sequence[_Look]) -> None:  # noqa: AN
     )
 
 
-def _tell_colours(figure: Any, text: str) -> None:  # noqa: ANN401 (matplotlib)
-    legend = figure.legend(handles=detection_handles(), loc="outside lower center", ncols=4, title=text)
+def _tell(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: ANN401 (matplotlib)
+    """A caption with what the marks mean below all panels."""
+    legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), title=text)
     legend.get_title().set(fontsize=9, color=hex_colour(MUTED_RGB), multialignment="center")
