@@ -384,14 +384,17 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
     truth = np.asarray(panel.truth_box_px, dtype=np.float64).reshape(-1, 4)
     detection = np.asarray(panel.detection_box_px, dtype=np.float64).reshape(-1, 4)
     present = np.isfinite(truth).all(axis=1)
-    for box, found in zip(truth[present], match[present] >= 0, strict=True):
-        if found:
-            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9)
-        else:
-            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)))
     found_index = set(match[present & (match >= 0)].tolist())
     for index, box in enumerate(detection):
-        _draw_box(axis, box, TRUE_POSITIVE_RGB if index in found_index else FALSE_POSITIVE_RGB, linewidth=1.6)
+        is_found = index in found_index
+        colour = TRUE_POSITIVE_RGB if is_found else FALSE_POSITIVE_RGB
+        # many false alarms must not cover what was found, nor that what was not
+        _draw_box(axis, box, colour, linewidth=1.6 if is_found else 1.2, zorder=4 if is_found else 2)
+    for box, found in zip(truth[present], match[present] >= 0, strict=True):
+        if found:
+            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9, zorder=3)
+        else:
+            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set_xlim(0, width)
     axis.set_ylim(height, 0)
     axis.set_title(
