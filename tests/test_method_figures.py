@@ -1,5 +1,6 @@
 """Figures of rigs: what they tell against the rigs and scenes that they show, and their words on the command line."""
 
+import dataclasses
 import math
 import re
 
@@ -156,6 +157,25 @@ def test_the_highest_rig_covers_all_round_and_finds_what_the_evaluation_counts(f
     (legend,) = drawn[0].legends
     assert "cover 360 of 360 degrees" in legend.get_title().get_text()
     assert count(image, TRUE_POSITIVE_RGB, 30.0) > 50
+
+
+def test_cameras_of_several_models_keep_their_places(folder):
+    config = small_experiment.config(folder, *SEEN)
+    scene = next(load_scenes(config, (2,)))
+    plain = find_rig("highest", config, scene.ego).cameras
+    wide = dataclasses.replace(plain[0].model, fov_rad=2.0)
+    both = Rig.create(
+        [plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]]
+    )
+    with RunDisplay() as display:
+        looker = method_figures._Looker(config, display)
+        (mixed,), (alone,) = looker.look(both, [scene], "mixed"), looker.look(Rig.create(plain), [scene], "alone")
+    assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
+    for here, there in ((0, 0), (3, 1)):
+        assert np.array_equal(mixed.panels[here].image_rgb, alone.panels[there].image_rgb)
+    assert np.array_equal(mixed.panels[1].image_rgb, mixed.panels[2].image_rgb)
+    assert not np.array_equal(mixed.panels[0].image_rgb, mixed.panels[1].image_rgb)
+    assert (mixed.is_found >= alone.is_found).all()
 
 
 @pytest.mark.parametrize(

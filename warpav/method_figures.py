@@ -47,7 +47,6 @@ from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB,
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
-    from warpav.detection.observe import Observation
     from warpav.optimise.gradient import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
@@ -184,29 +183,21 @@ def _draw_bounds(axis: Any, bounds_m: np.ndarray) -> None:  # noqa: ANN401 (matp
 
 @dataclass(frozen=True)
 class _Look:
-    """A scene and what a rig's cameras and detector make of it."""
+    """What a rig's cameras and detector make of a scene.
+
+    Attributes:
+        scene: The scene.
+        is_found: Whether some camera detects a road user, bool [vehicle].
+        panels: The image of every camera with its boxes.
+    """
 
     scene: Scene
-    observation: Observation
-
-    @property
-    def is_found(self) -> np.ndarray:
-        """Whether some camera detects a road user, bool [vehicle]."""
-        return np.asarray((self.observation.match >= 0).any(axis=0))
-
-    def panels(self, rig: Rig) -> list[DetectionPanel]:
-        seen = self.observation
-        images = zip(
-            rig.cameras, seen.image_rgb, seen.truth_box_px, seen.detections, seen.match, strict=True
-        )  # fmt: skip
-        return [
-            DetectionPanel(camera.name, image, truth, detections.box_px, match)
-            for camera, image, truth, detections, match in images
-        ]
+    is_found: np.ndarray
+    panels: list[DetectionPanel]
 
 
 class _Looker:
-    """Looks at scenes through rigs whose cameras are the configuration's."""
+    """Looks at scenes through rigs, with the configuration's detector."""
 
     def __init__(self, config: Config, display: RunDisplay) -> None:
         self._config, self._display = config, display
@@ -223,10 +214,25 @@ class _Looker:
             supersampling=config.camera.supersampling,
             device=self._device,
         )
+        # the observer takes the cameras of one model together
+        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
+        cameras = sorted(rig.cameras, key=lambda camera: models.index(camera.model))
+        names = [camera.name for camera in rig.cameras]
         looks = []
         for scene in self._display.steps(how, scenes, count=len(scenes)):
-            ((observation, _),) = observer.look(DeviceScene.pack(scene, device=self._device))
-            looks.append(_Look(scene, observation))
+            seen = [observation for observation, _ in observer.look(DeviceScene.pack(scene, device=self._device))]
+            views = (
+                view
+                for each in seen
+                for view in zip(each.image_rgb, each.truth_box_px, each.detections, each.match, strict=True)
+            )
+            panels = [
+                DetectionPanel(camera.name, image, truth, detections.box_px, match)
+                for camera, (image, truth, detections, match) in zip(cameras, views, strict=True)
+            ]
+            panels.sort(key=lambda panel: names.index(panel.title))
+            is_found = np.concatenate([each.match for each in seen]).max(axis=0, initial=-1) >= 0
+            looks.append(_Look(scene, np.asarray(is_found), panels))
         return looks
 
 
@@ -268,7 +274,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, displ
         for (heading, (rig, looks)), axes in zip(rows.items(), grid, strict=True):
             _draw_plan(axes[0], rig, looks)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-            _draw_images(axes[1:], rig, _fullest(looks))
+            _draw_images(axes[1:], _fullest(looks))
         _tell(
             figure,
             detection_handles(),
@@ -314,7 +320,7 @@ def highest(config: Config, path: Path, *, display: RunDisplay) -> Path:
         axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
         for axis in axes[len(rig.cameras) :]:
             axis.set_axis_off()
-        _draw_images(axes[: len(rig.cameras)], rig, _fullest(looks))
+        _draw_images(axes[: len(rig.cameras)], _fullest(looks))
         covered_deg = math.degrees(covered_rad(rig))
         _tell(
             figure,
@@ -343,8 +349,8 @@ def _fullest(looks: Sequence[_Look]) -> _Look:
     return max(looks, key=lambda look: len(look.scene.vehicles))
 
 
-def _draw_images(axes: Sequence[Any], rig: Rig, look: _Look) -> None:
-    for k, (axis, panel) in enumerate(zip(axes, look.panels(rig), strict=True)):
+def _draw_images(axes: Sequence[Any], look: _Look) -> None:
+    for k, (axis, panel) in enumerate(zip(axes, look.panels, strict=True)):
         draw_detections(axis, panel)
         axis.set(xticks=[], yticks=[])
         axis.grid(visible=False)
