@@ -33,7 +33,16 @@ from warpav.figures import (
 )
 from warpav.gallery import trajectory
 from warpav.objective.mount import X_M, Y_M, mount_pose_of_rig
-from warpav.problem import Problem, begin_descent, descent_from, load_networks, load_problem, load_traffic, problem_on
+from warpav.problem import (
+    Problem,
+    begin_descent,
+    descent_from,
+    load_networks,
+    load_probability,
+    load_problem,
+    load_traffic,
+    problem_on,
+)
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
 from warpav.results import RunFolder
@@ -108,8 +117,9 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
     # which iterate is kept and how often rigs are compared changes no way
     config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null"])
     free = changed_config(config, _UNCONSTRAINED)
-    traffic, networks = load_traffic(config, display), load_networks(config, display)
-    problem = problem_on(traffic, config, networks)
+    traffic, networks = load_traffic(config, display), load_networks(config)
+    probability = load_probability(config, display)
+    problem = problem_on(traffic, config, networks, probability)
     if run is None:
         beginning = begin_descent(problem)
         start, began_as = beginning.descent.start, beginning.rig
@@ -121,7 +131,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
         is_listed = config.rig.start == "random" and config.optimiser.starts == 1
         start, began_as = mount_pose_of_rig(began), None if is_listed else began
         kept = _Way(began, path_m, run.rig("final"))
-    loose = problem_on(traffic, free, networks)
+    loose = problem_on(traffic, free, networks, probability)
     lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")
 
     constraints, surface = problem.objective.constraints, problem.objective.mount.surface
