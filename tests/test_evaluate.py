@@ -13,7 +13,6 @@ from warpav.evaluate import (
     PAIRED_METRICS,
     GroupRecall,
     assign_to_nearest_cameras,
-    common_model,
     evaluate_rig,
 )
 from warpav.objective.losses import LossSettings
@@ -206,11 +205,6 @@ def test_violations_are_reported(scenes):
     metrics = evaluate_rig(Rig.create(moved), scenes[:1], objective_of(ConstantDetector.silent(2)))
     assert metrics.constraint_violation == pytest.approx(0.1)
     assert metrics.min_camera_distance_m == pytest.approx(0.1)
-
-
-def test_common_model():
-    assert common_model(rig_of()) == MODEL
-    assert common_model(rig_of((MODEL, WIDE))) is None
 
 
 def test_vehicles_follow_the_camera_that_looks_their_way(scenes):

@@ -15,7 +15,7 @@ from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(128, 128)
-POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0]], np.float32)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0, 0.0, 0.0]], np.float32)
 KNOTS = 7
 TRUTH_SAMPLES, JITTERS = 4, 8
 
@@ -101,7 +101,7 @@ def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
     numbers = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006))
     ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
     for _ in range(JITTERS):
-        at = POSE + rng.uniform(-0.05, 0.05, POSE.shape).astype(np.float32) * [1.0, 1.0, 0.2, 0.2, 0.0]
+        at = POSE + rng.uniform(-0.05, 0.05, POSE.shape).astype(np.float32) * [1.0, 1.0, 0.2, 0.2, 0.0, 0.0, 0.0]
         gradient = objective.evaluate(at, scenes, gradient=True, stage=stage).gradient
         ours += gradient[:, [X_M, Y_M, YAW_RAD]] / JITTERS
         for camera in range(2):
