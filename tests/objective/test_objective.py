@@ -209,7 +209,7 @@ def test_evaluation_repeats_bit_by_bit_and_gradient_is_optional(device):
     rel = 0.0 if device == "cpu" else 1e-5
     assert again.total == pytest.approx(first.total, rel=rel, abs=0.0)
     assert again.terms == pytest.approx(first.terms, rel=rel, abs=0.0)
-    assert again.gradient.shape == (3, 5)
+    assert again.gradient.shape == (3, 7)
     assert set(first.seconds) == {"render", "detect", "backward", "total"}
     third = objective.evaluate(POSE, scenes, gradient=True).gradient
     np.testing.assert_allclose(third, again.gradient, rtol=10 * rel, atol=rel)

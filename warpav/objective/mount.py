@@ -120,9 +120,9 @@ class CameraMount:
                 raise ValueError(f"the free ranges must hold what is configured, got {free}")
             # rounded inwards, so that single precision is within as well
             low[number], high[number] = least, greatest
-            if low[number] < least:
+            if float(low[number]) < least:
                 low[number] = np.nextafter(low[number], np.float32(np.inf))
-            if high[number] > greatest:
+            if float(high[number]) > greatest:
                 high[number] = np.nextafter(high[number], np.float32(-np.inf))
         return low, high
 
