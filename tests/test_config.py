@@ -213,7 +213,10 @@ FILE_MISTAKES = [
     ("rig: {free: {pitch_deg: 5}}\n", "mine.yaml:1: rig.free.pitch_deg: expected two angles from -60 deg to 60 deg"),
     ("rig: {free: {pitch_deg: [a, 5]}}\n", "mine.yaml:1: rig.free.pitch_deg: expected two angles from -60 deg to 60"),
     ("rig: {free: {height_m: [-0.1, 0.4]}}\n", "mine.yaml:1: rig.free.height_m: expected two heights from 0 m to 2 m"),
-    ("rig: {free: {hight_m: [0, 1]}}\n", "mine.yaml:1: rig.free.hight_m: expected one of pitch_deg, height_m, fov_deg"),
+    (
+        "rig: {free: {tilt_deg: [0, 1]}}\n",
+        "mine.yaml:1: rig.free.tilt_deg: expected one of pitch_deg, height_m, fov_deg",
+    ),
     (
         "rig: {free: {height_m: [0.3, 40 cm]}}\n",
         "mine.yaml:1: rig.free.height_m: expected bounds that hold the 0.25 of rig.height_offset_m, got [0.3, 0.4]",

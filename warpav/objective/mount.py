@@ -179,21 +179,21 @@ class CameraMount:
         """Whether the fields of view move over the panoramas, see `windows`: with free zooms and pitches."""
         return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
 
-    def windows(self, views: PlacedViews, *, taped: bool = True) -> wp.array:
+    def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
         """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
 
-        Gradients flow to the views' rotations and zooms.
+        Recorded on the active tape; gradients flow to the views' rotations and zooms.
 
         Args:
             views: Placed here, or by `views_of_rig`.
-            taped: Whether to record it on the active tape.
+            requires_grad: Whether gradients flow through the windows; without, they are mere numbers.
 
         Returns:
             vec4 [view].
         """
         half_width = math.tan(0.5 * self.camera.fov_rad)
         view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
-        window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=taped)
+        window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
         wp.launch(
             kernels.place_windows_kernel,
             dim=camera_count,
@@ -205,7 +205,6 @@ class CameraMount:
             ],
             outputs=[window_rad],
             device=self.device,
-            record_tape=taped,
         )
         return window_rad
 

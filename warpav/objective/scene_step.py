@@ -88,7 +88,7 @@ def losses_of_look(
         moving_rad = None
         if rotation_count > 1 and mount.windows_move:
             moving_rad = mount.windows(views)
-            window_rad = mount.windows(views, taped=False)
+            window_rad = mount.windows(views, requires_grad=False)
         look = ProbabilityLook.of(
             renderer,
             scene,
