@@ -210,3 +210,24 @@ def test_a_model_is_needed():
             camera_count=2,
             settings=LossSettings(missed=1.0),
         )
+
+
+def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
+    scenes = scenes_of("cpu", 10, 4)
+    change = np.zeros((3, *POSE.shape), np.float32)
+    change[:, :, [PITCH_RAD, RISE_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
+
+    def results():
+        objective = objective_of(free=FREE)
+        return [
+            objective.evaluate(POSE + each, scenes, gradient=True, stage=stage)
+            for each in change
+            for stage in (Stage(), Stage(0.6))
+        ]
+
+    launched = results()
+    monkeypatch.setattr("warpav.render.renderer._available_cores", lambda: 1)  # one thread records
+    for one, other in zip(launched, results(), strict=True):
+        assert one.terms == other.terms
+        np.testing.assert_array_equal(one.gradient, other.gradient)
+    assert len({each.total for each in launched}) == len(launched)
