@@ -22,7 +22,7 @@ from warpav.errors import InputError, OptionError
 from warpav.evaluate import assign_to_nearest_cameras
 from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
-from warpav.objective.mount import CameraMount, mount_pose_of_rig
+from warpav.objective.mount import CameraMount
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
@@ -172,7 +172,7 @@ def traffic_part(config: Config) -> Config:
         scenes=config.scenes,
         capture=config.capture,
         reconstruction=config.reconstruction,
-        rig=RigConfig(height_offset_m=config.rig.height_offset_m),
+        rig=RigConfig(height_offset_m=config.rig.height_offset_m, free=config.rig.free),
         camera=config.camera,
         mount=config.mount,
     )
@@ -375,7 +375,7 @@ def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> D
 
     Args:
         problem: What to lower.
-        start: Its mount poses, float32 [camera, 5].
+        start: Its mount poses, float32 [camera, 7].
         began_as: Whose cameras take the orientations, see `Problem.assigned`.
     """
     return Descent(
@@ -409,14 +409,14 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     """Mount poses that the optimiser starts from: those of ``rig``, or as ``rig.start`` says.
 
     Returns:
-        float32 [camera, 5], the precision that the optimiser keeps: a start that stays the best is the same rig.
+        float32 [camera, 7], the precision that the optimiser keeps: a start that stays the best is the same rig.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
     config, constraints = problem.config, problem.objective.constraints
     if rig is not None:
-        return mount_pose_of_rig(rig)
+        return problem.objective.mount.start_pose_of_rig(rig)
     if config.rig.start == "highest":
         pose = highest_mount_pose(constraints, config.rig.cameras)
     else:
@@ -442,6 +442,9 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         batch_size=config.run.batch_size,
         learning_rate_position_m=optimiser.learning_rate_position_m,
         learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
+        learning_rate_pitch_rad=math.radians(optimiser.learning_rate_pitch_deg),
+        learning_rate_height_m=optimiser.learning_rate_height_m,
+        learning_rate_zoom=optimiser.learning_rate_zoom,
         schedule=optimiser.schedule,
         weight_decay=optimiser.weight_decay,
         multiplier_learning_rate=_multiplier_settings(config)[0],

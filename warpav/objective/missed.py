@@ -81,8 +81,8 @@ class ProbabilityLook:
             scene: The scene.
             measures: Of this render, from `Renderer.measure`.
             image: Its colours in all views, vec3 [view, row, column]; None: they are drawn here.
-            window_rad: Fields of view over the panoramas, from `windows_over_panorama`; None where each camera has one
-                view.
+            window_rad: Fields of view over the panoramas, from `windows_over_panorama` or `CameraMount.windows`; None
+                where each camera has one view.
             softness_rad: Of the windows' edges [rad].
         """
         appearance = Appearance.of(renderer, scene, measures=measures, image=image)
@@ -126,6 +126,7 @@ def add_missed_loss(
     rotation_count: int,
     place: int,
     loss: wp.array,
+    window_rad: wp.array | None = None,
 ) -> wp.array:
     """The expected number of missed objects, recorded on the active tape.
 
@@ -138,13 +139,14 @@ def add_missed_loss(
         rotation_count: Views of every camera.
         place: Where to write.
         loss: float [loss]; the element at ``place`` is written.
+        window_rad: The windows of ``look``, where they move with the cameras: from `CameraMount.windows`, on the tape.
 
     Returns:
         Probability that each camera finds each object, float [camera, object].
     """
     device = loss.device
-    position, rotation = views.position_ego_m, views.camera_from_ego
-    probability = model.on_tape(look.appearance, position, rotation).probability
+    pose = views.position_ego_m, views.camera_from_ego, views.log_zoom
+    probability = model.on_tape(look.appearance, *pose).probability
     shape = detected.shape
     best_view = wp.zeros(shape, dtype=wp.int32, device=device)
     in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
@@ -158,11 +160,12 @@ def add_missed_loss(
             device=device,
             record_tape=False,
         )
-        for solid_angle, total in ((look.in_window, in_window_sr), (look.visible, around_sr)):
+        in_window = look.in_window.on_tape(*pose, window_rad)
+        for solid_angle, total in ((in_window, in_window_sr), (look.visible.on_tape(*pose), around_sr)):
             wp.launch(
                 missed_loss.sum_over_panorama_kernel,
                 dim=shape,
-                inputs=[solid_angle.on_tape(position, rotation), rotation_count],
+                inputs=[solid_angle, rotation_count],
                 outputs=[total],
                 device=device,
             )
