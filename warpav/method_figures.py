@@ -32,7 +32,7 @@ from warpav.figures import (
     start_and_end_handles,
 )
 from warpav.gallery import trajectory
-from warpav.objective.mount import X_M, Y_M, mount_pose_of_rig
+from warpav.objective.mount import X_M, Y_M
 from warpav.problem import (
     Problem,
     begin_descent,
@@ -129,7 +129,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
         if path_m is None:
             raise InputError(f"{run.path}: run folder: expected at least two iterations, got fewer")
         is_listed = config.rig.start == "random" and config.optimiser.starts == 1
-        start, began_as = mount_pose_of_rig(began), None if is_listed else began
+        start, began_as = problem.objective.mount.mount_pose_of_rig(began), None if is_listed else began
         kept = _Way(began, path_m, run.rig("final"))
     loose = problem_on(traffic, free, networks, probability)
     lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")
