@@ -494,6 +494,13 @@ class LossConfig(Section):
         lt=1.0,
         description="missed: how much of a probability is what the detector really found, at the end of a run",
     )
+    combine: Literal["any", "best"] = Field(
+        default="any", description="missed: any camera may find an object (noisy or), or the surest one alone counts"
+    )
+    probability: Literal["fitted", "visible_share"] = Field(
+        default="fitted",
+        description="missed: fitted to the detector, or plainly the share of an object's whole box that is visible",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> LossConfig:

@@ -9,19 +9,28 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from warpav.config import Config, changed_config, dump_config, option_values
-from warpav.errors import InputError
+from warpav.config import Config, changed_config, dump_config, option_values, overridden_option
+from warpav.errors import InputError, OptionError
 from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
-from warpav.experiment.arms import Arm, constraint_loss, find_rig_of
+from warpav.experiment.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
 from warpav.experiment.gradient_magnitude import measure_gradient_magnitudes
-from warpav.problem import Problem, Traffic, load_networks, load_traffic, optimiser_settings, problem_on, traffic_part
+from warpav.problem import (
+    Problem,
+    Traffic,
+    load_networks,
+    load_traffic,
+    optimiser_settings,
+    problem_on,
+    same_scenes,
+    traffic_part,
+)
 from warpav.recipe import digest
 from warpav.results import RUNS_FOLDER, environment, write_json
 from warpav.rig.rig import write_rig
@@ -50,6 +59,10 @@ class Experiment:
         options: Overrides of that configuration.
         quick: More of them that make it end in minutes.
         quick_runs: Run seeds with these.
+        quick_arms: Names of the arms that take part then; None: all.
+        reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
+        objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
+            its arm is judged by.
     """
 
     name: str
@@ -59,6 +72,47 @@ class Experiment:
     options: tuple[str, ...] = ()
     quick: tuple[str, ...] = ()
     quick_runs: int = 2
+    quick_arms: tuple[str, ...] | None = None
+    reference: str | None = None
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def made_quick(self) -> Experiment:
+        """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
+        arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
+        return replace(self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs)
+
+
+def overrides_of(experiment: Experiment, overrides: Sequence[str], *, quick: bool) -> list[str]:
+    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
+
+    Raises:
+        InputError: The user's set what its arms differ in.
+    """
+    own = {overridden_option(each): arm for arm in experiment.arms for each in arm.overrides}
+    for override in overrides:
+        option = overridden_option(override)
+        if option in own:
+            raise InputError(
+                f"command line ({override}): {option}: expected an option that the arms of {experiment.name} leave "
+                f"alone, got one that arm {own[option].name} sets; warpav optimise takes it"
+            )
+    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
+
+
+def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
+    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's.
+
+    Raises:
+        OptionError: There is no arm of a name, or the experiment has none to choose from.
+    """
+    if text is None:
+        return None
+    own = {arm.name: arm for arm in experiment.arms}
+    if GRADIENTS in own:
+        raise OptionError(
+            "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
+        )
+    return [find_arm(each.strip(), own) for each in dict.fromkeys(text.split(","))]
 
 
 @dataclass(frozen=True)
@@ -71,6 +125,7 @@ class ArmTask:
         render_budget: Scene renders that it may spend; None: see `warpav.experiment.arms`.
         folder: Folder of the results, absolute.
         made_with: Hash of all that the result depends on but the seed.
+        objectives: As of `Experiment`.
     """
 
     arm: Arm
@@ -78,6 +133,7 @@ class ArmTask:
     render_budget: int | None
     folder: Path
     made_with: str
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -133,9 +189,11 @@ class _TrafficOfProcess:
 
     def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
         key = traffic_part(config)
-        if self._traffic is None or key != self._key:
+        if self._traffic is None or self._key is None or not same_scenes(key, self._key):
             self._traffic = None  # two of them may not fit into memory
             self._traffic, self._key = load_traffic(config, display), key
+        elif key != self._key:
+            self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
 
 
@@ -177,7 +235,7 @@ def run_experiment(
             arm.check(config, render_budget)
     _try_networks(arms, config, display)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
-    tasks = _tasks(arms, config, runs, render_budget, folder / RESULTS)
+    tasks = tasks_of(arms, config, runs, render_budget, folder / RESULTS, objectives=experiment.objectives)
     _open_folder(folder, experiment, config, render_budget)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
@@ -244,7 +302,9 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     return {
         "metrics": asdict(metrics),
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "overrides": list(task.arm.overrides),
         "training_objective": found.training_objective,
+        "validation_objectives": _validation_objectives(task, found),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
         **found.notes,
         "renders": found.renders,
@@ -256,6 +316,18 @@ def _rig(task: ArmTask) -> dict[str, Any]:
         "rig": yaml.safe_load(rig_file.read_text(encoding="utf-8")),
         "history": found.history,
     }
+
+
+def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
+    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses than the judge's."""
+    values: dict[str, float | None] = {}
+    for name, overrides in task.objectives.items():
+        values[name] = None
+        if found.mount_pose is not None:
+            judge = _problem(changed_config(task.arm.judged_config(task.config), overrides))
+            scenes = judge.assigned(judge.validation, found.began_as)
+            values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
+    return values
 
 
 def _gradients(task: ArmTask) -> dict[str, Any]:
@@ -278,7 +350,16 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
     }
 
 
-def _tasks(arms: Sequence[Arm], config: Config, runs: int, render_budget: int | None, folder: Path) -> list[ArmTask]:
+def tasks_of(
+    arms: Sequence[Arm],
+    config: Config,
+    runs: int,
+    render_budget: int | None,
+    folder: Path,
+    *,
+    objectives: Mapping[str, tuple[str, ...]],
+) -> list[ArmTask]:
+    """One task for every run of every arm; see `run_experiment`."""
     config = _with_absolute_paths(config)
     tasks = []
     for arm in arms:
@@ -288,10 +369,11 @@ def _tasks(arms: Sequence[Arm], config: Config, runs: int, render_budget: int | 
             render_budget,
             _unseeded(arm.judged_config(config)),
             _unseeded(arm.search_config(config)),
+            sorted(objectives.items()),
         )
         for k in range(runs if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with))
+            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with, objectives))
     return tasks
 
 

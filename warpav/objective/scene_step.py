@@ -98,6 +98,7 @@ def losses_of_look(
             detected,
             stage,
             rotation_count=renderer.view_count // camera_count,
+            settings=settings,
             place=MISSED,
             loss=loss,
         )
