@@ -224,6 +224,8 @@ def evaluate_rig(
     rig: Rig,
     scenes: Sequence[AssignedScene],
     objective: ThesisObjective,
+    *,
+    with_objective: bool = True,
 ) -> ArmMetrics:
     """Metrics of a rig on scenes.
 
@@ -232,9 +234,10 @@ def evaluate_rig(
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
         objective: Knows the mount, the detector and the limits of a match. The objective is None for a rig whose
             cameras are not all of the mount's model; everything else is measured with the rig's own cameras.
+        with_objective: Whether to measure the objective at all.
     """
     mount: CameraMount = objective.mount
-    has_objective = common_model(rig) == mount.camera and len(rig.cameras) == objective.camera_count
+    has_objective = with_objective and common_model(rig) == mount.camera and len(rig.cameras) == objective.camera_count
     observer = None
     if not has_objective:
         observer = RigObserver(

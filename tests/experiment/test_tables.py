@@ -162,8 +162,12 @@ def test_arms_are_compared_scene_by_scene(rng):
     assert difference["alike"].mean == pytest.approx(recalls["ours"].mean - recalls["alike"].mean, abs=1e-12)
     text = table.markdown().splitlines()
     assert text[2].startswith("| ours | 3 | 0.")
-    assert text[4].startswith("|  |  | +0.")
-    assert text[4].endswith("]* |")
+    assert text[3].startswith("|  |  | [0.")
+    assert text[6].startswith("|  |  | +0.")
+    assert text[6].endswith("* |  |  |")
+    assert " p=0.0" in text[6]
+    low, high = (getattr(table.intervals["tp_detection_rate"]["ours"], end) for end in ("low", "high"))
+    assert low < recalls["ours"].mean < high
     assert "No result: never ran." in text
     with pytest.raises(ValueError, match="got 'never ran'"):
         compare_results(results, "never ran")

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
@@ -39,6 +39,8 @@ from warpav.sources import device_name, load_scenes
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
 
+Task = TypeVar("Task")
+
 SCHEMA = 1
 GRADIENTS = "gradients"
 """Method of an arm that finds no rig but measures gradients (tables I and V)."""
@@ -60,6 +62,8 @@ class Experiment:
         quick: More of them that make it end in minutes.
         quick_runs: Run seeds with these.
         quick_arms: Names of the arms that take part then; None: all.
+        runs_of: Run seeds of the arms, by name, that take another number.
+        quick_runs_of: The same of the small version.
         reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
         objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
             its arm is judged by.
@@ -73,22 +77,35 @@ class Experiment:
     quick: tuple[str, ...] = ()
     quick_runs: int = 2
     quick_arms: tuple[str, ...] | None = None
+    runs_of: Mapping[str, int] = field(default_factory=dict)
+    quick_runs_of: Mapping[str, int] = field(default_factory=dict)
     reference: str | None = None
     objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def made_quick(self) -> Experiment:
         """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
         arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
-        return replace(self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs)
+        return replace(
+            self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs, runs_of=self.quick_runs_of
+        )
 
 
-def overrides_of(experiment: Experiment, overrides: Sequence[str], *, quick: bool) -> list[str]:
+def overrides_of(
+    experiment: Experiment, overrides: Sequence[str], *, arms: Sequence[Arm] | None = None, quick: bool
+) -> list[str]:
     """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
 
+    Args:
+        experiment: The experiment.
+        overrides: The user's.
+        arms: The arms that take part; None: all of the experiment's.
+        quick: Whether it is the small version.
+
     Raises:
-        InputError: The user's set what its arms differ in.
+        InputError: The user's set what the arms differ in.
     """
-    own = {overridden_option(each): arm for arm in experiment.arms for each in arm.overrides}
+    taking_part = (experiment.made_quick() if quick else experiment).arms if arms is None else arms
+    own = {overridden_option(each): arm for arm in taking_part for each in arm.own_overrides}
     for override in overrides:
         option = overridden_option(override)
         if option in own:
@@ -163,21 +180,25 @@ class Finished:
     done: int
 
 
-class _Quiet:
+class Quiet:
     """A display that shows nothing: tasks run in other processes, or beside others."""
 
     def say(self, text: str) -> None:
+        """Nothing."""
         del text
 
     def stage(self, description: str) -> None:
+        """Nothing."""
         del description
 
     def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
+        """Pass the items on."""
         del description, count
         yield from items
 
 
-_QUIET: Any = _Quiet()
+QUIET: Any = Quiet()
+"""Shows nothing."""
 
 
 class _TrafficOfProcess:
@@ -225,6 +246,7 @@ def run_experiment(
         InputError: Something in the input is wrong, or the folder holds something else.
         KeyboardInterrupt: The user stopped it; what is finished stays.
     """
+    runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
     for option, value in (("--runs", runs), ("--budget", render_budget)):
         if value is not None and value < 1:
@@ -235,7 +257,8 @@ def run_experiment(
             arm.check(config, render_budget)
     _try_networks(arms, config, display)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
-    tasks = tasks_of(arms, config, runs, render_budget, folder / RESULTS, objectives=experiment.objectives)
+    runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
+    tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
     _open_folder(folder, experiment, config, render_budget)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
@@ -244,8 +267,8 @@ def run_experiment(
     try:
         if waiting:
             _make_scenes_ready(config, display)
-        outcomes = _outcomes(waiting, config, folder)
-        for outcome in display.steps("runs", outcomes, count=len(waiting)) if waiting else ():
+        done = outcomes(run_arm, waiting, config, folder)
+        for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
             display.say(_line(outcome))
             if outcome.error is not None:
                 failed.append(f"{outcome.task.name}: {outcome.error}")
@@ -264,7 +287,7 @@ def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
     results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
     for task in tasks:
         if task.file.is_file():
-            results[task.arm.name].append(_read_json(task.file))
+            results[task.arm.name].append(read_json(task.file))
     return results
 
 
@@ -285,8 +308,8 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
 
 
 def _problem(config: Config) -> Problem:
-    networks = load_networks(config, _QUIET)
-    return problem_on(traffic_of_process(config, _QUIET), config, networks)
+    networks = load_networks(config, QUIET)
+    return problem_on(traffic_of_process(config, QUIET), config, networks)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
@@ -350,34 +373,32 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
     }
 
 
-def tasks_of(
+def _tasks(
     arms: Sequence[Arm],
     config: Config,
-    runs: int,
+    runs_of: Mapping[str, int],
     render_budget: int | None,
     folder: Path,
-    *,
     objectives: Mapping[str, tuple[str, ...]],
 ) -> list[ArmTask]:
-    """One task for every run of every arm; see `run_experiment`."""
-    config = _with_absolute_paths(config)
+    config = with_absolute_paths(config)
     tasks = []
     for arm in arms:
         made_with = digest(
             SCHEMA,
             arm.method,
             render_budget,
-            _unseeded(arm.judged_config(config)),
-            _unseeded(arm.search_config(config)),
+            unseeded(arm.judged_config(config)),
+            unseeded(arm.search_config(config)),
             sorted(objectives.items()),
         )
-        for k in range(runs if arm.is_seeded else 1):
+        for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
             tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with, objectives))
     return tasks
 
 
-def _unseeded(config: Config) -> str:
+def unseeded(config: Config) -> str:
     """All options on which a result depends, but the seed."""
     return json.dumps(_options(config))
 
@@ -392,7 +413,7 @@ def _options(config: Config) -> dict[str, Any]:
     return json.loads(json.dumps(values))
 
 
-def _with_absolute_paths(config: Config) -> Config:
+def with_absolute_paths(config: Config) -> Config:
     """The same configuration for processes that work in other folders."""
     overrides = []
     for option, value in (
@@ -421,7 +442,7 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
     }
     if file.is_file():
         if any((folder / RESULTS).glob("*.json")):
-            _check_same(file, _read_json(file), description)
+            _check_same(file, read_json(file), description)
             return
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
@@ -477,7 +498,7 @@ def _is_there(task: ArmTask) -> bool:
     """
     if not task.file.is_file():
         return False
-    result = _read_json(task.file)
+    result = read_json(task.file)
     if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
         raise InputError(
             f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
@@ -518,10 +539,13 @@ def _make_scenes_ready(config: Config, display: RunDisplay) -> None:
         next(load_scenes(config, seeds))
 
 
-def _outcomes(tasks: Sequence[ArmTask], config: Config, folder: Path) -> Iterator[Outcome[ArmTask, dict[str, Any]]]:
+def outcomes(
+    function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
+) -> Iterator[Outcome[Task, dict[str, Any]]]:
+    """Do tasks where the configuration says; what becomes of them, as they finish."""
     executor = config.executor
     return run_tasks(
-        run_arm,
+        function,
         tasks,
         executor=executor.name,
         worker_count=executor.workers,
@@ -549,7 +573,12 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
     return f"{name}: {shown}  {result['renders']} renders  {took}"
 
 
-def _read_json(file: Path) -> Any:  # noqa: ANN401
+def read_json(file: Path) -> Any:  # noqa: ANN401 (whatever JSON holds)
+    """The content of a result.
+
+    Raises:
+        InputError: It cannot be read.
+    """
     try:
         return json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
