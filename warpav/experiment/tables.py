@@ -261,7 +261,7 @@ class ArmsTable:
             "An arm's first line: mean over runs ± standard deviation from run to run; second: its 95 % interval; "
             f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
             "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
-            "their objects, all else is a mean over scenes there.",
+            "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
             "Violation: the worst of all runs; seconds: of a search, on whatever else the machine did.",
             *self.remarks,
             *gone,
@@ -302,11 +302,18 @@ class ArmsTable:
     def _lines(self, arm: str) -> list[list[str]]:
         ends = ["-" if end is None else form.format(end) for end, form in self._ends(arm)]
         numbers = [arm, str(self.runs[arm]), *(str(self.numbers[metric][arm]) for metric in self.numbers), *ends]
-        lines = [numbers, ["", "", *(_interval_text(self.intervals[metric][arm]) for metric in self.numbers), "", ""]]
+        lines = [numbers, ["", "", *(self._interval_text(metric, arm) for metric in self.numbers), "", ""]]
         if arm != self.reference:
             found = [_difference_text(self.differences[metric][arm]) for metric in self.numbers]
             lines.append(["", "", *found, "", ""])
         return lines
+
+    def _interval_text(self, metric: str, arm: str) -> str:
+        interval, number = self.intervals[metric][arm], self.numbers[metric][arm].mean
+        if interval.mean is None or interval.low is None or number is None:
+            return ""
+        mean = f"{interval.mean:.3f} " if abs(interval.mean - number) > 5e-4 else ""
+        return f"{mean}[{interval.low:.3f}, {interval.high:.3f}]"
 
     def _ends(self, arm: str) -> list[tuple[float | None, str]]:
         return [(self.violation_m[arm], "{:g}"), (self.seconds[arm], "{:.0f}")]
@@ -366,10 +373,6 @@ def _each(runs: Sequence[Mapping[str, Any]], part: str, name: str) -> list[float
     """A number of every run that has it."""
     found = [run.get(part, {}).get(name) for run in runs]
     return [number for number in found if number is not None]
-
-
-def _interval_text(estimate: Difference) -> str:
-    return "" if estimate.low is None else f"[{estimate.low:.3f}, {estimate.high:.3f}]"
 
 
 def _difference_text(difference: Difference) -> str:
