@@ -103,7 +103,8 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
         page: Markdown file.
 
     Raises:
-        InputError: There is no folder, or one without a summary, two experiments have one name, or the page cannot be written.
+        InputError: A folder is missing or without a summary, two experiments have one name, or the page cannot be
+            written.
     """
     if not folders:
         raise InputError("experiment results: expected folders of experiments such as runs/open, got none")
