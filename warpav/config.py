@@ -574,7 +574,10 @@ class BaselineConfig(Section):
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
 
 
-METHOD_LOSSES = {"thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0}, "default": {"missed": 1.0}}
+METHOD_LOSSES: dict[str, dict[str, Any]] = {
+    "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},
+    "default": {"missed": 1.0},
+}
 """Weights of the losses where the configuration says nothing, by method."""
 
 

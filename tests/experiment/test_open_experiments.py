@@ -227,8 +227,9 @@ def test_open_prints_and_writes_its_table_and_goals(copied, scenes, capsys):
     assert written["violation_m"] == dict.fromkeys(("gradient", "highest", "random", "nuscenes"), 0.0)
     assert len(written["goals"]) == 13
     result = json.loads((copied / "results" / "gradient_1.json").read_text())
-    assert result["validation_objectives"]["own"] == pytest.approx(result["training_objective"], rel=1e-5)
-    assert json.loads((copied / "results" / "nuscenes_0.json").read_text())["validation_objectives"] == {"own": None}
+    assert result["validation_objectives"]["configured"] == pytest.approx(result["training_objective"], rel=1e-5)
+    moved = json.loads((copied / "results" / "nuscenes_0.json").read_text())
+    assert moved["validation_objectives"] == {"configured": None}
 
 
 def test_an_open_experiment_goes_on_where_it_stopped(copied, scenes, capsys):
@@ -256,9 +257,9 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
     written = json.loads((folder / "correlation.json").read_text())
     assert [rig["arm"] for rig in written["rigs"]] == ["random_rig"] * 2 + ["random_place"] * 2 + ["highest"]
     for rig in written["rigs"]:
-        assert rig["objectives"]["own"] > 0.0
+        assert rig["objectives"]["configured"] > 0.0
         assert rig["objectives"]["thesis"] > 0.0
-    assert len({rig["objectives"]["own"] for rig in written["rigs"]}) > 3
+    assert len({rig["objectives"]["configured"] for rig in written["rigs"]}) > 3
     assert (folder / "correlation.png").is_file()
     assert "not measured: objective ranks 100 random rigs" in capsys.readouterr().out
 
@@ -354,7 +355,7 @@ def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_director
     assert "losses.detector_share: expected an option that the arms of ablations leave alone" in complaint(
         capsys, "experiment", "ablations", "losses.detector_share=0.5"
     )
-    assert "got 'gradiant'; did you mean gradient?" in complaint(
-        capsys, "experiment", "open", *overrides(scenes, *PLAIN), "--arms", "gradiant"
+    assert "got 'gradientt'; did you mean gradient?" in complaint(
+        capsys, "experiment", "open", *overrides(scenes, *PLAIN), "--arms", "gradientt"
     )
     assert not list(copied.glob("rescored*"))

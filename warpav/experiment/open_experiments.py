@@ -30,7 +30,7 @@ RUNS = 10
 REFERENCE = "gradient"
 """The default method, with which all others are compared."""
 
-OWN = "own"
+CONFIGURED = "configured"
 """Name of the objective that the arms are judged by."""
 
 PRESETS = ("nuscenes", "argoverse2")
@@ -81,7 +81,7 @@ def _experiments() -> dict[str, Experiment]:
         Arm("random_rig", "random_rig"),
         Arm("random_place", "start", search_overrides=("rig.start=random",)),
     )
-    own: dict[str, tuple[str, ...]] = {OWN: ()}
+    own: dict[str, tuple[str, ...]] = {CONFIGURED: ()}
     return {
         "open": Experiment(
             "open",
