@@ -158,6 +158,7 @@ def test_goals_that_are_not_reached_are_said_to_be(rng):
     assert told[0].endswith("(worst of 14 runs 0.001 m, by gradient)")
     assert told[1].endswith("(0 of 3 runs; difference +0.0100 to +0.0100)")
     assert "0.7010 against highest 0.8000, random 0.7500, cma 0.7800" in told[3]
+    assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("no rig can, for 110% of it is above 1")
     assert told[11].startswith("not reached: recall at least 10% above nuscenes's")
 
 

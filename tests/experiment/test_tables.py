@@ -164,7 +164,7 @@ def test_arms_are_compared_scene_by_scene(rng):
     assert text[2].startswith("| ours | 3 | 0.")
     assert text[3].startswith("|  |  | [0.")
     assert text[6].startswith("|  |  | +0.")
-    assert text[6].endswith("* |  |  |")
+    assert text[6].endswith("* |  |  |  |")
     assert " p=0.0" in text[6]
     low, high = (getattr(table.intervals["tp_detection_rate"]["ours"], end) for end in ("low", "high"))
     assert low < recalls["ours"].mean < high

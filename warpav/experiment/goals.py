@@ -175,4 +175,6 @@ def _above_preset(preset: str, results: Results, resamples: int) -> Goal:
         resamples=resamples,
     )
     numbers = f"{recall[0]:.4f} against {recall[1]:.4f}, {gain:+.1%}; difference {_interval(difference)}"
+    if (1.0 + PRESET_GAIN_MIN) * recall[1] > 1.0:
+        numbers += f"; no rig can, for {1.0 + PRESET_GAIN_MIN:.0%} of it is above 1"
     return Goal(text, gain >= PRESET_GAIN_MIN, numbers)

@@ -198,6 +198,7 @@ def _remarks(name: str, config: Config) -> tuple[str, ...]:
     return (
         f"Searches compare rigs on {ranked} training scenes, drawn once a run. The gradient method steps on all "
         "training scenes and compares rigs on all validation scenes; these looks are paid from the same budget.",
+        "thesis_gradient takes as many steps, and looks at the validation scenes twice only.",
         "Presets and gradient_as_ arms have their own number of cameras.",
     )
 

@@ -236,6 +236,7 @@ class ArmsTable:
         numbers: By metric and arm: mean over runs, and standard deviation.
         intervals: By metric and arm: the mean's 95 % interval over scenes and runs.
         violation_m: Worst violation of the constraints in any run, by arm [m].
+        renders: Mean scene renders of a search, by arm.
         seconds: Mean time of a search, by arm [s].
         differences: By metric and arm: the reference less the arm, with its 95 % interval; p-values are corrected by
             Holm's method for the number of arms, metric by metric.
@@ -248,6 +249,7 @@ class ArmsTable:
     numbers: dict[str, dict[str, Cell]]
     intervals: dict[str, dict[str, Difference]]
     violation_m: dict[str, float | None]
+    renders: dict[str, float | None]
     seconds: dict[str, float | None]
     differences: dict[str, dict[str, Difference]]
     missing: tuple[str, ...]
@@ -262,7 +264,7 @@ class ArmsTable:
             f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
             "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
             "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
-            "Violation: the worst of all runs; seconds: of a search, on whatever else the machine did.",
+            "Violation: the worst of all runs. Renders (a scene to all cameras) and seconds: of a search, mean over runs.",
             *self.remarks,
             *gone,
         )
@@ -297,15 +299,16 @@ class ArmsTable:
 
     @property
     def _headings(self) -> list[str]:
-        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "seconds"]
+        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "renders", "seconds"]
 
     def _lines(self, arm: str) -> list[list[str]]:
         ends = ["-" if end is None else form.format(end) for end, form in self._ends(arm)]
         numbers = [arm, str(self.runs[arm]), *(str(self.numbers[metric][arm]) for metric in self.numbers), *ends]
-        lines = [numbers, ["", "", *(self._interval_text(metric, arm) for metric in self.numbers), "", ""]]
+        blank = [""] * len(ends)
+        lines = [numbers, ["", "", *(self._interval_text(metric, arm) for metric in self.numbers), *blank]]
         if arm != self.reference:
             found = [_difference_text(self.differences[metric][arm]) for metric in self.numbers]
-            lines.append(["", "", *found, "", ""])
+            lines.append(["", "", *found, *blank])
         return lines
 
     def _interval_text(self, metric: str, arm: str) -> str:
@@ -316,7 +319,7 @@ class ArmsTable:
         return f"{mean}[{interval.low:.3f}, {interval.high:.3f}]"
 
     def _ends(self, arm: str) -> list[tuple[float | None, str]]:
-        return [(self.violation_m[arm], "{:g}"), (self.seconds[arm], "{:.0f}")]
+        return [(self.violation_m[arm], "{:g}"), (self.renders[arm], "{:.0f}"), (self.seconds[arm], "{:.0f}")]
 
 
 def compare_results(
@@ -363,6 +366,7 @@ def compare_results(
         violation_m={
             arm: max(_each(runs, "metrics", "constraint_violation"), default=None) for arm, runs in there.items()
         },
+        renders={arm: _cell([run.get("renders") for run in runs]).mean for arm, runs in there.items()},
         seconds={arm: _cell(_each(runs, "seconds", "search")).mean for arm, runs in there.items()},
         differences=differences,
         missing=tuple(arm for arm in results if arm not in there),
