@@ -24,6 +24,9 @@ SPREADS_MAX = {"tp_detection_rate": 0.02, "ap50_pooled": 0.015}
 PRESET_GAIN_MIN = 0.10
 """Least relative gain of recall above a preset with as many cameras."""
 
+ELSEWHERE = "thesis_gradient"
+"""The arm that searches under other constraints than it is judged by."""
+
 TOLERANCE = 1e-6
 """Objectives that differ by less are the same: rounding of float32."""
 
@@ -84,12 +87,18 @@ def goals_of(results: Results, table: ArmsTable, presets: Sequence[str], *, resa
 
 
 def _no_violation(results: Results) -> Goal:
-    by_arm = {arm: [run["metrics"]["constraint_violation"] for run in runs] for arm, runs in results.items() if runs}
-    worst = max(by_arm, key=lambda arm: max(by_arm[arm]))
-    number = max(by_arm[worst])
-    count = sum(map(len, by_arm.values()))
-    numbers = f"worst of {count} runs {number:g} m" + (f", by {worst}" if number else "")
-    return Goal("constraint violation 0 on every run of every arm", number == 0.0, numbers)
+    by_arm = {arm: max(run["metrics"]["constraint_violation"] for run in runs) for arm, runs in results.items() if runs}
+    elsewhere = by_arm.pop(ELSEWHERE, None)
+    count = sum(len(results[arm]) for arm in by_arm)
+    if not by_arm:
+        return Goal("constraint violation 0 on every run", None, "no other arm has run")
+    worst = max(by_arm, key=by_arm.__getitem__)
+    numbers = f"worst of {count} runs {by_arm[worst]:g} m" + (f", by {worst}" if by_arm[worst] else "")
+    text = "constraint violation 0 on every run of every arm"
+    if elsewhere is not None:
+        text += f" but {ELSEWHERE}, which keeps to the thesis's rectangle"
+        numbers += f"; {ELSEWHERE} up to {elsewhere:.3f} m outside the mountable zone"
+    return Goal(text, by_arm[worst] == 0.0, numbers)
 
 
 def _below_baselines(scenes: str, results: Results, reference: Sequence[Mapping[str, Any]]) -> Goal:

@@ -264,7 +264,7 @@ class ArmsTable:
             f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
             "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
             "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
-            "Violation: the worst of all runs. Renders (a scene to all cameras) and seconds: of a search, mean over runs.",
+            "Violation: the worst run. Renders (scenes, in all cameras) and seconds: of a search, on average.",
             *self.remarks,
             *gone,
         )
