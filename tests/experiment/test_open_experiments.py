@@ -252,6 +252,13 @@ def test_an_open_experiment_goes_on_where_it_stopped(copied, scenes, capsys):
     shown = capsys.readouterr().out
     assert "5 of 6 results are in" in shown
     assert "1 new results" in shown
+    # what is there already is shown, whatever is asked for now
+    assert (
+        main(["experiment", "open", *overrides(scenes, *PLAIN), "--arms", "start", "--runs", "1", "--out", str(copied)])
+        == 0
+    )
+    arms = list(json.loads((copied / "open.json").read_text())["runs"])
+    assert arms == ["gradient", "highest", "random", "nuscenes", "start"]
 
 
 def test_ablations_leave_out_what_changes_nothing(working_directory, scenes, capsys):
@@ -335,6 +342,7 @@ def test_results_become_a_page(copied, working_directory, capsys):
         published = json.loads((page.parent / "results" / f"{name}.json").read_text())
         assert [(run["arm"], run["seed"]) for run in published["runs"]][:2] == [("gradient", 0), ("gradient", 1)]
         assert all(len(run["recall_of_scene"]) == 2 for run in published["runs"])
+        assert published["options"]["scenes.folder"] == "street"
     with pytest.raises(InputError, match=r"results\.txt: --out: expected a Markdown file"):
         write_results_page([copied], working_directory / "results.txt")
     with pytest.raises(InputError, match="expected experiments of different names, got open twice"):

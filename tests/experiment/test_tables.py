@@ -167,7 +167,7 @@ def test_arms_are_compared_scene_by_scene(rng):
     assert " p=0.0" in text[6]
     low, high = (getattr(table.intervals["tp_detection_rate"]["ours"], end) for end in ("low", "high"))
     assert low < recalls["ours"].mean < high
-    assert "No result: never ran." in text
+    assert "- No result: never ran." in text
     with pytest.raises(ValueError, match="got 'never ran'"):
         compare_results(results, "never ran")
 

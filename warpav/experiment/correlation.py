@@ -60,7 +60,7 @@ class Correlations:
         lines = ["| " + " | ".join(head) + " |", "| --- | ---: | --- | ---: | ---: |"]
         lines += ["| " + " | ".join(cells) + " |" for cells in self._lines()]
         picture = ["", f"![Objective and held-out metrics of every rig]({self.figure})"] if self.figure else []
-        return "\n".join([*lines, *picture, "", *self.notes, ""])
+        return "\n".join([*lines, *picture, "", *(f"- {note}" for note in self.notes), ""])
 
     def terminal(self) -> Group:
         """The table for the console."""

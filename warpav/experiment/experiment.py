@@ -291,6 +291,18 @@ def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
     return results
 
 
+def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
+    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    found = [read_json(file) for file in sorted((folder / RESULTS).glob("*.json"))]
+    there = {run["arm"] for run in found}
+    arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
+    return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
+
+
 def run_arm(task: ArmTask) -> dict[str, Any]:
     """Do a task, write its result, and return the result without its history."""
     began = time.perf_counter()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from warpav.config import Config
 from warpav.experiment.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
 from warpav.experiment.correlation import RANDOM_GROUPS, correlate, correlation_goal
-from warpav.experiment.experiment import Experiment, Finished, run_experiment
+from warpav.experiment.experiment import Experiment, Finished, results_in, run_experiment
 from warpav.experiment.goals import Goal, goals_of, goals_text
 from warpav.experiment.statistics import RESAMPLES
 from warpav.experiment.summary import write_summary
@@ -156,6 +156,10 @@ def run_open(
         out=out,
         display=display,
     )
+    in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
+    # earlier runs of the same configuration count as well; arms without a result are named
+    done = replace(done, results={**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))})
+    done = replace(done, results={arm: done.results[arm] for arm in in_order if arm in done.results})
     display.stage("intervals")
     if name == "correlation":
         table: Any = correlate(done.results, done.folder / "correlation.png", resamples=resamples)
@@ -188,7 +192,7 @@ def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None
     text = table.markdown() + (f"\n{goals_text(goals)}" if goals else "")
     write_text(done.folder / f"{name}.md", text)
     write_json(done.folder / f"{name}.json", {**table.data(), "goals": [goal.data() for goal in goals]})
-    write_summary(done.folder, name, done.results, text, goals)
+    write_summary(done.folder, done.results, text, goals)
 
 
 def _remarks(name: str, config: Config) -> tuple[str, ...]:

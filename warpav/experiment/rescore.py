@@ -27,6 +27,7 @@ from warpav.experiment.experiment import (
     Finished,
     outcomes,
     read_json,
+    results_in,
     traffic_of_process,
     unseeded,
     with_absolute_paths,
@@ -201,7 +202,7 @@ def run_rescore(
         text = table.markdown() + "\n" + "\n".join(f"- {goal}" for goal in goals) + "\n"
         write_text(out / "rescored.md", text)
         write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
-        write_summary(out, title, after, text, goals)
+        write_summary(out, after, text, goals)
         display.show(table.terminal())
         for goal in goals:
             display.say(str(goal))
@@ -217,17 +218,16 @@ def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
     Raises:
         InputError: There are none, or a file cannot be read.
     """
-    if not (folder / DESCRIPTION).is_file():
-        raise InputError(f"{folder}: expected the folder of an experiment with a {DESCRIPTION}, got none")
-    found = [read_json(file) for file in sorted((folder / RESULTS).glob("*.json"))]
-    found = [run for run in found if "metrics" in run and (folder / RESULTS / f"{_name(run)}.yaml").is_file()]
-    if not found:
-        raise InputError(f"{folder / RESULTS}: expected rigs, got none; run the experiment first")
     order: list[str] = []
     if (folder / SUMMARY).is_file():
         order = [run["arm"] for run in read_json(folder / SUMMARY)["runs"]]
-    arms = list(dict.fromkeys([*order, *(run["arm"] for run in found)]))
-    return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
+    found = {
+        arm: [run for run in runs if "metrics" in run and "rig" in run]
+        for arm, runs in results_in(folder, order).items()
+    }
+    if not any(found.values()):
+        raise InputError(f"{folder / RESULTS}: expected rigs, got none; run the experiment first")
+    return found
 
 
 def rescore_rig(task: RescoreTask) -> dict[str, Any]:

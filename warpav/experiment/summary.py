@@ -7,6 +7,7 @@ text of the summaries of some experiments.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from warpav.errors import InputError
 from warpav.experiment.experiment import DESCRIPTION, read_json
 from warpav.experiment.goals import Goal
 from warpav.experiment.tables import COMPARED, Results
-from warpav.results import write_json, write_text
+from warpav.results import command_line, write_json, write_text
 
 SCHEMA = 1
 SUMMARY = "summary.json"
@@ -24,12 +25,11 @@ _VERSIONS = ("warpav", "git_commit", "python", "platform", "device", "packages")
 _DIGITS = 5
 
 
-def write_summary(folder: Path, name: str, results: Results, text: str, goals: Sequence[Goal]) -> None:
+def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goal]) -> None:
     """Write what is published of an experiment.
 
     Args:
         folder: Its folder, with its description and its environment.
-        name: What it is called.
         results: Results by arm.
         text: Its table as Markdown; lines with pictures are left out.
         goals: What it was to reach.
@@ -39,17 +39,26 @@ def write_summary(folder: Path, name: str, results: Results, text: str, goals: S
         folder / SUMMARY,
         {
             "schema": SCHEMA,
-            "experiment": name,
-            "command": made["command"],
-            "date": made["started"],
+            "experiment": described["experiment"],
+            "command": " ".join(map(_without_folders, command_line().split())),
+            "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": {key: made[key] for key in _VERSIONS},
             "render_budget": described.get("render_budget"),
-            "options": described["options"],
+            "options": {
+                name: _without_folders(value) if isinstance(value, str) else value
+                for name, value in described["options"].items()
+            },
             "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
             "goals": [goal.data() for goal in goals],
             "runs": [_run(run) for runs in results.values() for run in runs],
         },
     )
+
+
+def _without_folders(word: str) -> str:
+    """A word of a command, or a value, with the name alone of a file that it gives with an absolute path."""
+    key, equals, value = word.rpartition("=")
+    return f"{key}{equals}{Path(value).name}" if value.startswith("/") else word
 
 
 def _run(run: Mapping[str, Any]) -> dict[str, Any]:

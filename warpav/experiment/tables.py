@@ -274,7 +274,7 @@ class ArmsTable:
         head = ["arm", "runs", *self._headings]
         lines = [_markdown_row(head), _markdown_row(["---"] + ["---:"] * (len(head) - 1))]
         lines += [_markdown_row(cells) for arm in self.runs for cells in self._lines(arm)]
-        return "\n".join([*lines, "", *self.notes, ""])
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
 
     def terminal(self) -> Group:
         """The table for the console."""
