@@ -38,9 +38,9 @@ PRESETS = ("nuscenes", "argoverse2")
 
 _QUICK = (
     "scenes.train_seeds=0..29",
-    "scenes.validation_seeds=150..157",
-    "scenes.test_seeds=1000..1015",
-    "run.iterations=20",
+    "scenes.validation_seeds=150..161",
+    "scenes.test_seeds=1000..1023",
+    "run.iterations=30",
     "run.batch_size=8",
     "optimiser.starts=8",
     "baselines.random_scenes=8",
