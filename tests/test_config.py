@@ -6,7 +6,8 @@ import pytest
 
 from warpav.config import Config, config_names, dump_config, load_config, option_values, placed_config
 from warpav.errors import InputError, OptionError
-from warpav.sources import camera_model
+from warpav.objective.mount import FreeRanges
+from warpav.sources import camera_model, free_ranges
 
 
 @pytest.fixture
@@ -115,6 +116,17 @@ def test_cameras_take_lenses():
     assert load_config(None, []).camera.distortion == ()
 
 
+def test_what_is_free_has_bounds_in_units_and_reads_back():
+    config = load_config(None, ["rig.free.pitch_deg=[-20, 0.2 rad]", "rig.free.height_m=['5 cm', 0.4]"])
+    assert config.rig.free.pitch_deg == (-20.0, pytest.approx(math.degrees(0.2)))
+    assert config.rig.free.height_m == (pytest.approx(0.05), 0.4)
+    assert config.rig.free.fov_deg is None
+    ranges = free_ranges(config)
+    assert ranges.pitch_rad == (pytest.approx(math.radians(-20.0)), pytest.approx(0.2))
+    assert (ranges.height_m, ranges.fov_rad) == (config.rig.free.height_m, None)
+    assert free_ranges(load_config(None, [])) == FreeRanges()
+
+
 def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
     config = load_config(yaml_file("rig: {cameras: 3}\n"), ["rig.cameras=5", "rig.cameras=6"])
     assert config.rig.cameras == 6
@@ -130,7 +142,7 @@ def test_option_values_are_flat_and_complete():
 FILE_MISTAKES = [
     (
         "rig:\n  cameras: 4\n  min_spacng_m: 0.3\n",
-        "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, height_offset_m, min_spacing_m, "
+        "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, height_offset_m, min_spacing_m, free, "
         "got 'min_spacng_m'; did you mean rig.min_spacing_m?",
     ),
     ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
@@ -188,11 +200,44 @@ FILE_MISTAKES = [
     ),
     ("losses: {in_frame_rotation: -1}\n", "mine.yaml:1: losses.in_frame_rotation: expected a number from 0, got -1;"),
     (
-        "losses: {in_frame_rotation: 0, detected_area: 0}\n",
-        "mine.yaml:1: losses.in_frame_rotation: expected at least one weight above 0, got only zeros",
+        "losses: {in_frame_rotation: 0, missed: 0}\n",
+        "mine.yaml:1: losses.missed: expected at least one weight above 0, got only zeros",
     ),
     ("run: {batch_size: 31}\n", "mine.yaml:1: run.batch_size: expected at most the 30 training scene(s), got 31"),
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
+    (
+        "rig:\n  free:\n    fov_deg: [110, 60]\n",
+        "mine.yaml:3: rig.free.fov_deg: expected two angles from 10 deg to 170 deg, the lower one first, such as "
+        "[60, 110], or null, got [110, 60]",
+    ),
+    ("rig: {free: {pitch_deg: 5}}\n", "mine.yaml:1: rig.free.pitch_deg: expected two angles from -60 deg to 60 deg"),
+    ("rig: {free: {pitch_deg: [a, 5]}}\n", "mine.yaml:1: rig.free.pitch_deg: expected two angles from -60 deg to 60"),
+    ("rig: {free: {height_m: [-0.1, 0.4]}}\n", "mine.yaml:1: rig.free.height_m: expected two heights from 0 m to 2 m"),
+    (
+        "rig: {free: {tilt_deg: [0, 1]}}\n",
+        "mine.yaml:1: rig.free.tilt_deg: expected one of pitch_deg, height_m, fov_deg",
+    ),
+    (
+        "rig: {free: {height_m: [0.3, 40 cm]}}\n",
+        "mine.yaml:1: rig.free.height_m: expected bounds that hold the 0.25 of rig.height_offset_m, got [0.3, 0.4]",
+    ),
+    ("rig: {free: {pitch_deg: [2, 8]}}\n", "mine.yaml:1: rig.free.pitch_deg: expected bounds that hold the 0 of level"),
+    (
+        "camera: {fov_deg: 50}\nrig: {free: {fov_deg: [60, 110]}}\n",
+        "mine.yaml:2: rig.free.fov_deg: expected bounds that hold the 50 of camera.fov_deg, got [60.0, 110.0]",
+    ),
+    (
+        "method: thesis\nrig: {free: {pitch_deg: [-5, 5]}}\n",
+        "mine.yaml:2: rig.free.pitch_deg: expected null, as the thesis moves x, y and yaw alone, got [-5.0, 5.0];",
+    ),
+    (
+        "camera: {lens: fisheye}\nrig: {free: {fov_deg: [60, 110]}}\n",
+        "mine.yaml:2: rig.free.fov_deg: expected null or a pinhole, got [60.0, 110.0] for a fisheye lens",
+    ),
+    (
+        "losses: {angular_coverage: 1}\nrig: {free: {fov_deg: [60, 110]}}\n",
+        "mine.yaml:2: rig.free.fov_deg: expected null, as losses.angular_coverage takes one field of view for all",
+    ),
     ("rig: {cameras: 4}\nrig: {}\n", "mine.yaml:2: rig: expected every key once, got it again (first in line 1)"),
     ("rig:\n\tcameras: 4\n", "mine.yaml:2: expected valid YAML, got a syntax error:"),
     ("rig: !!python/object:x.y {}\n", "mine.yaml:1: rig: expected plain YAML, got the tag"),

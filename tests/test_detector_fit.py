@@ -48,6 +48,15 @@ def test_scenes_of_files_are_shared_out(tmp_path):
         chosen_seeds(few, None, None)
 
 
+def test_a_fit_is_for_what_is_free():
+    fixed = detector_use(load_config("quick"))
+    assert "rig.free" not in fixed.settings
+    free = detector_use(load_config("quick", ["rig.free.height_m=[0.1, 0.4]"]))
+    assert free.settings["rig.free"] == {"height_m": [0.1, 0.4]}
+    wider = detector_use(load_config("quick", ["rig.free.height_m=[0.05, 0.4]"]))
+    assert len({fixed.identity, free.identity, wider.identity}) == 3
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

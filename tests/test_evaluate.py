@@ -9,15 +9,15 @@ import pytest
 from tests.driving_scene import SKY, ConstantDetector, block, car, roof, vehicle
 from tests.render.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
+from warpav.detection.probability import DetectionProbability
 from warpav.evaluate import (
     PAIRED_METRICS,
     GroupRecall,
     assign_to_nearest_cameras,
-    common_model,
     evaluate_rig,
 )
 from warpav.objective.losses import LossSettings
-from warpav.objective.mount import CameraMount, views_of_rig
+from warpav.objective.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion, Renderer
@@ -27,6 +27,7 @@ from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 96, math.pi / 2)
 WIDE = CameraModel(96, 96, 2.0)
+MISSED_ALONE = LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0)
 
 
 def scene_of(*places, wall=None, name="case"):
@@ -78,10 +79,15 @@ class ScriptedDetector:
         return self.detectors.pop(0).detect(images_rgb)
 
 
-def objective_of(detector, camera_count=2):
-    mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
+def objective_of(detector, camera_count=2, free=None):
+    mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free)
     return ThesisObjective(
-        mount, detector, camera_count=camera_count, settings=LossSettings(), occlusion=Occlusion.EXACT
+        mount,
+        detector,
+        camera_count=camera_count,
+        settings=LossSettings() if free is None else MISSED_ALONE,
+        occlusion=Occlusion.EXACT,
+        probability=DetectionProbability.blank(),
     )
 
 
@@ -208,9 +214,14 @@ def test_violations_are_reported(scenes):
     assert metrics.min_camera_distance_m == pytest.approx(0.1)
 
 
-def test_common_model():
-    assert common_model(rig_of()) == MODEL
-    assert common_model(rig_of((MODEL, WIDE))) is None
+def test_a_rig_of_other_zooms_has_an_objective_where_they_are_free(scenes):
+    rig = rig_of((MODEL, MODEL.zoomed(0.2)))
+    fixed = evaluate_rig(rig, scenes[:1], objective_of(ConstantDetector.silent(1)))
+    assert fixed.objective is None
+    free = objective_of(ConstantDetector.silent(2), free=FreeRanges(fov_rad=(1.2, 1.8)))
+    found = evaluate_rig(rig, scenes[:1], free)
+    assert found.objective is not None
+    assert found.tp_in_frame_rate == fixed.tp_in_frame_rate
 
 
 def test_vehicles_follow_the_camera_that_looks_their_way(scenes):

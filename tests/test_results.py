@@ -42,7 +42,12 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
     assert folder.path.as_posix() == "runs/quick"
     assert folder.config() == load_config("quick")
     environment = folder.environment()
-    assert environment["seeds"] == {"run": 0, "train": list(range(30)), "test": list(range(1000, 1010))}
+    assert environment["seeds"] == {
+        "run": 0,
+        "train": list(range(30)),
+        "validation": [],
+        "test": list(range(1000, 1010)),
+    }
     assert environment["packages"]["numpy"] == np.__version__
     assert {"warpav", "python", "platform", "device", "command", "started", "git_commit"} <= set(environment)
     assert (folder.path / "checkpoints").is_dir()

@@ -255,7 +255,7 @@ def test_captured_scenes_are_kept_in_the_users_cache(working_directory, monkeypa
 def problem(folder, *overrides):
     """What a run loads: training on scene 3, a test on scene 4 of a folder."""
     seeds = ["scenes.train_seeds=[3]", "scenes.test_seeds=[4]", "run.batch_size=1", "segregation.rotations=4"]
-    cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32"]
+    cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:
         return load_problem(load_config("quick", [*files, *seeds, *cameras, *overrides]), display)
@@ -290,7 +290,7 @@ def test_ego_vehicles_may_reach_less_far_down_but_not_differ_otherwise(collectio
 
 @pytest.mark.slow
 def test_the_main_job_runs_on_captured_scenes(collection, capsys):
-    argv = ["run.iterations=1", "rig.cameras=2", "camera.width_px=96", "camera.height_px=96"]
+    argv = ["run.iterations=1", "rig.cameras=2", "camera.width_px=96", "camera.height_px=96", "method=thesis"]
     argv += ["baselines.random_samples=1", "run.out=run", *captured_config("kept")]
     assert main(["optimise", *argv]) == 0
     folder = RunFolder.open("run")

@@ -373,7 +373,7 @@ def assert_one_line(capsys, message):
     ("words", "message"),
     [
         (["14", "--out", "sheet.jpg"], r"sheet.jpg: --out: expected a name that ends in .png, got '.jpg'"),
-        (["10", "--out", "10.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 14, 15, 16, got 10"),
+        (["3", "--out", "3.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, got 3"),
         (["four", "--out", "4.png"], "command line"),
         (["4"], "--out"),
         (["4", "--out", "4.png", "--seed", "-1"], "--seed: expected an integer from 0, got -1"),

@@ -374,22 +374,44 @@ def scenes_show(
 
 @scenes_app.command(name="figure")
 def scenes_figure(
-    number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 9, or 14 to 16.")],
+    number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 12, or 14 to 16.")],
     /,
-    *,
+    *overrides: Overrides,
     out: Annotated[Path, Parameter(help="PNG file to write.")],
     seed: Annotated[int | None, Parameter(help="Record this embedded situation for it; by default 3.")] = None,
     capture: Annotated[Path | None, Parameter(help="Instead, a capture.")] = None,
     scenes: Annotated[Path | None, Parameter(help="For figure 8: folder of scenes, scene_SEED.glb.")] = None,
+    run: Annotated[str | None, Parameter(help="For figures 10 and 11: run folder; by default it runs now.")] = None,
+    config: Annotated[
+        str | None, Parameter(help="For figures 10 to 12: configuration; by default that of the run folder, or quick.")
+    ] = None,
 ) -> None:
     """Draw a figure of the thesis.
 
     4: image types. 5: stages from images to meshes. 6: sphere. 7: window filter. 8: where vehicles stand.
-    9: mount surface. 14 to 16: all colour, depth and instance images.
+    9: mount surface. 10: ways of the cameras without constraints. 11: views before and after optimisation, and of
+    test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
     """
-    from warpav.scene_figures.by_number import draw_figure
+    from warpav.scene_figures.by_number import RIG_NUMBERS, draw_figure
 
-    _say(f"wrote {draw_figure(number, out, seed=seed, capture_folder=capture, scenes_folder=scenes)}")
+    if number not in RIG_NUMBERS:
+        if overrides or run or config:
+            raise InputError(
+                f"figure {number}: expected no --run, --config or key=value; they go with figures 10 to 12"
+            )
+        _say(f"wrote {draw_figure(number, out, seed=seed, capture_folder=capture, scenes_folder=scenes)}")
+        return
+    if seed is not None or capture is not None or scenes is not None:
+        raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
+    from warpav.console import RunDisplay
+    from warpav.method_figures import draw_method_figure
+    from warpav.results import RunFolder
+    from warpav.sources import HIGHEST, config_for
+
+    folder = None if run is None else RunFolder.open(run)
+    with config_for(run or HIGHEST, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+        file = draw_method_figure(number, out, settings, run=folder, display=display)
+    _say(f"wrote {file}")
 
 
 @scenes_app.command(name="heatmap")

@@ -297,8 +297,71 @@ class ReconstructionConfig(Section):
     )
 
 
+def _range_reader(unit_factor: Mapping[str, float], expected: str, *, low: float, high: float) -> BeforeValidator:
+    def number(value: object) -> float | None:
+        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]+)\s*", str(value))
+        if isinstance(value, str) and match and match[2] in unit_factor:
+            with contextlib.suppress(ValueError):
+                return float(match[1]) * unit_factor[match[2]]
+        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+    def read(value: object) -> tuple[float, float] | None:
+        if value is None:
+            return None
+        ends = [number(end) for end in value] if isinstance(value, (list, tuple)) else []
+        if len(ends) != 2 or ends[0] is None or ends[1] is None or not low <= ends[0] < ends[1] <= high:
+            _mistake(f"expected {expected}, or null, got {_shown(value)}")
+        return ends[0], ends[1]
+
+    return BeforeValidator(read)
+
+
+_PITCHES_TEXT = "two angles from -60 deg to 60 deg, the lower one first, such as [-20, 20]"
+_HEIGHTS_TEXT = "two heights from 0 m to 2 m, the lower one first, such as [0.05, 0.4]"
+_FOVS_TEXT = "two angles from 10 deg to 170 deg, the lower one first, such as [60, 110]"
+_RANGE_AS_LIST = PlainSerializer(lambda value: None if value is None else list(value))
+_RANGE_SCHEMA = WithJsonSchema(
+    {"anyOf": [{"type": "array", "items": _NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
+)
+
+Range = tuple[float, float] | None
+PitchRange = Annotated[
+    Range,
+    _range_reader(DEGREES_PER_UNIT, _PITCHES_TEXT, low=-60.0, high=60.0),
+    _RANGE_AS_LIST,
+    Expectation(_PITCHES_TEXT),
+    _RANGE_SCHEMA,
+]
+HeightRange = Annotated[
+    Range,
+    _range_reader(METRES_PER_UNIT, _HEIGHTS_TEXT, low=0.0, high=2.0),
+    _RANGE_AS_LIST,
+    Expectation(_HEIGHTS_TEXT),
+    _RANGE_SCHEMA,
+]
+FovRange = Annotated[
+    Range,
+    _range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=170.0),
+    _RANGE_AS_LIST,
+    Expectation(_FOVS_TEXT),
+    _RANGE_SCHEMA,
+]
+
+
+class FreeConfig(Section):
+    """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
+
+    pitch_deg: PitchRange = Field(default=None, description="bounds of each camera's pitch, nose-down positive")
+    height_m: HeightRange = Field(
+        default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
+    )
+    fov_deg: FovRange = Field(
+        default=None, description="bounds of each camera's horizontal field of view, around camera.fov_deg"
+    )
+
+
 class RigConfig(Section):
-    """How many cameras there are, where they start, and how close they may come."""
+    """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
     cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
     start: Annotated[str, BeforeValidator(_read_start), Expectation("random, highest or the path of a rig YAML")] = (
@@ -311,6 +374,7 @@ class RigConfig(Section):
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
     )
     min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="least distance between two cameras")
+    free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
 
 
 class CameraConfig(Section):
@@ -534,6 +598,18 @@ class OptimiserConfig(Section):
     learning_rate_yaw_deg: Degrees = Field(
         default=round(math.degrees(0.25), 4), gt=0.0, le=180.0, description="AdamW step of a yaw angle"
     )
+    learning_rate_pitch_deg: Degrees = Field(
+        default=2.0, gt=0.0, le=180.0, description="AdamW step of a pitch, where rig.free.pitch_deg frees it"
+    )
+    learning_rate_height_m: Metres = Field(
+        default=0.02, gt=0.0, le=2.0, description="AdamW step of a height, where rig.free.height_m frees it"
+    )
+    learning_rate_zoom: float = Field(
+        default=0.02,
+        gt=0.0,
+        le=1.0,
+        description="AdamW step of the logarithm of a focal length, where rig.free.fov_deg frees it",
+    )
     schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
     weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
     multiplier_learning_rate: float | None = Field(
@@ -648,6 +724,7 @@ class Config(Section):
                 "run.batch_size",
                 "scenes.train_seeds",
             )
+        self._check_free()
         if self.segregation.rotations < self.rig.cameras:
             _mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -655,6 +732,44 @@ class Config(Section):
                 "rig.cameras",
             )
         return self
+
+    def _check_free(self) -> None:
+        free = self.rig.free
+        configured = {
+            "pitch_deg": (0.0, "level cameras", "rig.free.pitch_deg"),
+            "height_m": (self.rig.height_offset_m, "rig.height_offset_m", "rig.height_offset_m"),
+            "fov_deg": (self.camera.fov_deg, "camera.fov_deg", "camera.fov_deg"),
+        }
+        for name, (value, what, option) in configured.items():
+            pair = getattr(free, name)
+            if pair is None:
+                continue
+            fields = dict.fromkeys((f"rig.free.{name}", option))
+            if not pair[0] <= value <= pair[1]:
+                text = f"expected bounds that hold the {value:g} of {what}, got {_shown(pair)}"
+                _mistake(text, *fields)
+            if self.method == "thesis":
+                _mistake(
+                    f"expected null, as the thesis moves x, y and yaw alone, got {_shown(pair)}; take method: default",
+                    f"rig.free.{name}",
+                    "method",
+                )
+        if free.fov_deg is None:
+            return
+        if self.camera.lens != "pinhole":
+            text = f"expected null or a pinhole, got {_shown(free.fov_deg)} for a {self.camera.lens} lens"
+            _mistake(text, "rig.free.fov_deg", "camera.lens")
+        alike = [name for name in METHOD_LOSSES["thesis"] if getattr(self.losses, name)]
+        alike += [
+            name for name in ("surface_blockage", "object_visibility", "angular_coverage") if getattr(self.losses, name)
+        ]
+        if alike:
+            _mistake(
+                f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
+                f"{_shown(free.fov_deg)}",
+                "rig.free.fov_deg",
+                f"losses.{alike[0]}",
+            )
 
 
 def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Config:

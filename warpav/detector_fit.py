@@ -31,6 +31,7 @@ from warpav.sources import (
     camera_model,
     checked_device,
     detector_use,
+    free_ranges,
     load_detector,
     load_scenes,
     mount_surface,
@@ -204,6 +205,7 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 model,
                 height_offset_m=config.rig.height_offset_m,
                 count=-(-VIEWS_PER_SCENE // at_once) * at_once,
+                **vars(free_ranges(config)),
             )
             yield Sightings.join(
                 [

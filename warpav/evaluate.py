@@ -24,7 +24,6 @@ from warpav.objective.mount import CameraMount, views_of_rig
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import AMODAL_AREA, Measures, Occlusion, Renderer
-from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig
 
 # metrics that exist per scene, and so can be compared scene by scene
@@ -186,12 +185,6 @@ class RigObserver:
         return looks
 
 
-def common_model(rig: Rig) -> CameraModel | None:
-    """The camera model that all cameras of a rig share, None if they differ."""
-    models = {camera.model for camera in rig.cameras}
-    return models.pop() if len(models) == 1 else None
-
-
 def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
     """Scenes whose vehicles belong to the camera that looks the way of their orientation.
 
@@ -233,11 +226,13 @@ def evaluate_rig(
         rig: The rig, anywhere in the ego frame.
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
         objective: Knows the mount, the detector and the limits of a match. The objective is None for a rig whose
-            cameras are not all of the mount's model; everything else is measured with the rig's own cameras.
+            cameras are not all of the mount's model (of any zoom, where that is free); everything else is measured with
+            the rig's own cameras.
         with_objective: Whether to measure the objective at all.
     """
     mount: CameraMount = objective.mount
-    has_objective = with_objective and common_model(rig) == mount.camera and len(rig.cameras) == objective.camera_count
+    is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
+    has_objective = with_objective and is_of_mount and len(rig.cameras) == objective.camera_count
     observer = None
     if not has_objective:
         observer = RigObserver(

@@ -234,52 +234,19 @@ def rig_top_view(
         figure = new_figure(WIDTH_INCH, 6.0)
         axis = figure.subplots()
         draw_vehicle(axis, ego)
-        image = draw_height_map(axis, mount_surface, colours=_pale_map())
+        image = draw_height_map(axis, mount_surface, colours=pale_map())
         if shows_zone:
             draw_zone_border(axis, mount_surface)
-        if trajectory_m is not None:
-            step = np.asarray(trajectory_m, dtype=np.float64)
-            for index in range(step.shape[1]):
-                axis.plot(*step[:, index, :2].T, color="white", linewidth=4.0, zorder=5)
-                axis.plot(*step[:, index, :2].T, color=hex_colour(camera_rgb(index)), linewidth=1.8, zorder=6)
-        for index, camera in enumerate(rig.cameras):
-            colour = hex_colour(camera_rgb(index))
-            if rig_initial is not None and index < len(rig_initial.cameras):
-                start = rig_initial.cameras[index].position_m
-                axis.plot(
-                    start[0],
-                    start[1],
-                    "o",
-                    markersize=8,
-                    markerfacecolor="white",
-                    markeredgecolor=colour,
-                    markeredgewidth=1.8,
-                    zorder=7,
-                )
-            outline = sector_polygon_m(camera, radius_m=sector_radius_m)
-            axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
-            axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
-            axis.plot(
-                camera.position_m[0],
-                camera.position_m[1],
-                "o",
-                markersize=10,
-                markerfacecolor=colour,
-                markeredgecolor="white",
-                markeredgewidth=1.5,
-                zorder=8,
-            )
-            arc_middle = outline[1:][(len(outline) - 1) // 2]
-            direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
-            label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
-            side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
-            axis.text(*label, camera.name, color=colour, ha=side, va="center", fontweight="bold", zorder=9)
-            axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
+        draw_cameras(
+            axis,
+            rig,
+            rig_initial=rig_initial,
+            trajectory_m=trajectory_m,
+            sector_radius_m=sector_radius_m,
+            has_names=True,
+        )
         if rig_initial is not None:
-            grey = hex_colour(MUTED_RGB)
-            axis.plot([], [], "o", markersize=8, markerfacecolor="white", markeredgecolor=grey, label="start")
-            axis.plot([], [], "o", markersize=9, color=grey, label="end")
-            axis.legend(loc="upper left")
+            axis.legend(handles=start_and_end_handles(), loc="upper left")
         axis.set_aspect("equal")
         axis.use_sticky_edges = False
         axis.margins(0.04)
@@ -307,8 +274,6 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
     column_count = max((len(panels) for panels in rows.values()), default=0)
     if column_count == 0:
         raise InputError(f"{path}: there is no image to draw")
-    from matplotlib.lines import Line2D
-
     sample = next(panels[0].image_rgb for panels in rows.values() if panels)
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
     row_inch = edge_inch * sample.shape[0] / sample.shape[1] + 0.3
@@ -319,15 +284,9 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
             for column, axis in enumerate(axes):
                 axis.set(xticks=[], yticks=[], frame_on=False)
                 if column < len(panels):
-                    _draw_panel(axis, panels[column])
+                    draw_detections(axis, panels[column])
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-        handles = [
-            Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="found"),
-            Line2D([], [], color=hex_colour(MISS_RGB), linewidth=2.2, linestyle=(0, (3, 2)), label="missed"),
-            Line2D([], [], color=hex_colour(FALSE_POSITIVE_RGB), linewidth=2.2, label="false alarm"),
-            Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=4)
         return save_figure(figure, path)
 
 
@@ -347,6 +306,64 @@ def _smallest_distance_m(position_m: object) -> float:
     if len(first) == 0:
         return math.nan
     return float(np.linalg.norm(position[first] - position[second], axis=1).min())
+
+
+def draw_cameras(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    rig: Rig,
+    *,
+    rig_initial: Rig | None = None,
+    trajectory_m: np.ndarray | None = None,
+    sector_radius_m: float | None = None,
+    has_names: bool = False,
+) -> None:
+    """Draw cameras from above, x pointing right, each in its colour; arguments as in `rig_top_view`.
+
+    Args:
+        axis: Where to draw.
+        rig: The cameras at the end.
+        rig_initial: The cameras at the start, drawn hollow.
+        trajectory_m: Their paths.
+        sector_radius_m: How far the sectors are drawn [m]; None: not at all.
+        has_names: Whether every sector carries its camera's name.
+    """
+    if trajectory_m is not None:
+        step = np.asarray(trajectory_m, dtype=np.float64)
+        for index in range(step.shape[1]):
+            axis.plot(*step[:, index, :2].T, color="white", linewidth=4.0, zorder=5)
+            axis.plot(*step[:, index, :2].T, color=hex_colour(camera_rgb(index)), linewidth=1.8, zorder=6)
+    for index, camera in enumerate(rig.cameras):
+        colour = hex_colour(camera_rgb(index))
+        if rig_initial is not None and index < len(rig_initial.cameras):
+            start = rig_initial.cameras[index].position_m
+            hollow = {"markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.8}
+            axis.plot(start[0], start[1], "o", markersize=8, zorder=7, **hollow)
+        solid = {"markerfacecolor": colour, "markeredgecolor": "white", "markeredgewidth": 1.5}
+        axis.plot(camera.position_m[0], camera.position_m[1], "o", markersize=10, zorder=8, **solid)
+        if sector_radius_m is None:
+            continue
+        outline = sector_polygon_m(camera, radius_m=sector_radius_m)
+        axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
+        axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
+        if not has_names:
+            continue
+        arc_middle = outline[1:][(len(outline) - 1) // 2]
+        direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
+        label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
+        side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
+        axis.text(*label, camera.name, color=colour, ha=side, va="center", fontweight="bold", zorder=9)
+        axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
+
+
+def start_and_end_handles() -> list[Any]:
+    """What tells in a legend which cameras are those at the start."""
+    from matplotlib.lines import Line2D
+
+    grey = hex_colour(MUTED_RGB)
+    return [
+        Line2D([], [], linestyle="", marker="o", markersize=8, color=grey, markerfacecolor="white", label="start"),
+        Line2D([], [], linestyle="", marker="o", markersize=9, color=grey, label="end"),
+    ]
 
 
 def draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
@@ -384,28 +401,44 @@ def draw_zone_border(axis: Any, mount_surface: MountSurface) -> None:  # noqa: A
     axis.contour(x_m, y_m, distance_m, levels=[0.0], colors=hex_colour(INK_RGB), linewidths=1.0, zorder=3)
 
 
-def _pale_map() -> Any:  # noqa: ANN401 (matplotlib)
+def pale_map() -> Any:  # noqa: ANN401 (matplotlib)
     """Greys that leave room for the colours of the cameras: low is light, high is darker."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("pale", ["#f4f6f9", "#a9b5c6"])
 
 
-def _draw_panel(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (matplotlib)
+def detection_handles() -> list[Any]:
+    """What tells in a legend what the colours of `draw_detections` mean."""
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="found"),
+        Line2D([], [], color=hex_colour(MISS_RGB), linewidth=2.2, linestyle=(0, (3, 2)), label="missed"),
+        Line2D([], [], color=hex_colour(FALSE_POSITIVE_RGB), linewidth=2.2, label="false alarm"),
+        Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
+    ]
+
+
+def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw an image with its boxes, in the colours of `detections_sheet`."""
     height, width = panel.image_rgb.shape[:2]
     axis.imshow(panel.image_rgb, extent=(0, width, height, 0), interpolation="antialiased")
     match = np.asarray(panel.detection_of_truth, dtype=int)
     truth = np.asarray(panel.truth_box_px, dtype=np.float64).reshape(-1, 4)
     detection = np.asarray(panel.detection_box_px, dtype=np.float64).reshape(-1, 4)
     present = np.isfinite(truth).all(axis=1)
-    for box, found in zip(truth[present], match[present] >= 0, strict=True):
-        if found:
-            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9)
-        else:
-            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)))
     found_index = set(match[present & (match >= 0)].tolist())
     for index, box in enumerate(detection):
-        _draw_box(axis, box, TRUE_POSITIVE_RGB if index in found_index else FALSE_POSITIVE_RGB, linewidth=1.6)
+        is_found = index in found_index
+        colour = TRUE_POSITIVE_RGB if is_found else FALSE_POSITIVE_RGB
+        # many false alarms must not cover what was found, nor that what was not
+        _draw_box(axis, box, colour, linewidth=1.6 if is_found else 1.2, zorder=4 if is_found else 2)
+    for box, found in zip(truth[present], match[present] >= 0, strict=True):
+        if found:
+            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9, zorder=3)
+        else:
+            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set_xlim(0, width)
     axis.set_ylim(height, 0)
     axis.set_title(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.config import Config, RigConfig, RunConfig
+from warpav.config import Config, RigConfig, RunConfig, changed_config
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.detector_fit import fit_detector
@@ -22,7 +22,7 @@ from warpav.errors import InputError, OptionError
 from warpav.evaluate import assign_to_nearest_cameras
 from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
-from warpav.objective.mount import CameraMount, mount_pose_of_rig
+from warpav.objective.mount import CameraMount
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
@@ -46,6 +46,9 @@ from warpav.sources import (
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
     from warpav.detection.onnx_detector import OnnxDetector
+
+LEAST_FIT_SCENES = 20
+"""Training scenes of the user's own on which p(detected) can be fitted and judged."""
 
 EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
@@ -158,10 +161,11 @@ def load_problem(config: Config, display: RunDisplay) -> Problem:
     Raises:
         InputError: The device, the detector or a scene cannot be used.
     """
-    networks = load_networks(config, display)
+    networks = load_networks(config)
     traffic = load_traffic(config, display)
+    probability = load_probability(config, display)
     display.stage("sharing the vehicles among the cameras")
-    return problem_on(traffic, config, networks)
+    return problem_on(traffic, config, networks, probability)
 
 
 def traffic_part(config: Config) -> Config:
@@ -172,7 +176,7 @@ def traffic_part(config: Config) -> Config:
         scenes=config.scenes,
         capture=config.capture,
         reconstruction=config.reconstruction,
-        rig=RigConfig(height_offset_m=config.rig.height_offset_m),
+        rig=RigConfig(height_offset_m=config.rig.height_offset_m, free=config.rig.free),
         camera=config.camera,
         mount=config.mount,
     )
@@ -226,16 +230,14 @@ class Networks:
     Attributes:
         detector: The detector.
         differentiable: The same network, differentiable; None where no loss needs it.
-        probability: How probably it finds an object; likewise.
     """
 
     detector: OnnxDetector
     differentiable: DifferentiableDetector | None
-    probability: DetectionProbability | None
 
 
-def load_networks(config: Config, display: RunDisplay) -> Networks:
-    """Load the detector, and what the losses of the configuration need of it.
+def load_networks(config: Config) -> Networks:
+    """Load the detector, differentiable as well where the losses of the configuration need it.
 
     Raises:
         InputError: The device or the detector cannot be used.
@@ -245,16 +247,27 @@ def load_networks(config: Config, display: RunDisplay) -> Networks:
     differentiable = None
     if config.losses.detector_gradient > 0.0:
         differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
-    probability = load_probability(config, display) if config.losses.missed > 0.0 else None
-    return Networks(detector, differentiable, probability)
+    return Networks(detector, differentiable)
 
 
-def load_probability(config: Config, display: RunDisplay) -> DetectionProbability:
-    """The model of detection probability of the configured detector and its surroundings; fitted now if there is none.
+def load_probability(config: Config, display: RunDisplay) -> DetectionProbability | None:
+    """The model of detection probability, where the losses need one; fitted now if there is none yet.
+
+    It is that of the configured detector and its surroundings. Where there are too few scenes of the user's own to fit
+    it on, the embedded ones stand for them.
 
     Raises:
         InputError: It cannot be fitted or read, or was fitted on scenes that the result is judged by.
     """
+    if config.losses.missed == 0.0:
+        return None
+    scene_count = len(config.scenes.train_seeds)
+    if config.scenes.source != "town" and scene_count < LEAST_FIT_SCENES:
+        display.say(
+            f"p(detected) is that of the embedded scenes: to fit it on others takes {LEAST_FIT_SCENES}, "
+            f"scenes.train_seeds has {scene_count}"
+        )
+        config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
     use = detector_use(config)
     if stored_file(use) is None:
         display.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
@@ -270,13 +283,16 @@ def load_probability(config: Config, display: RunDisplay) -> DetectionProbabilit
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
 
-def problem_on(traffic: Traffic, config: Config, networks: Networks) -> Problem:
+def problem_on(
+    traffic: Traffic, config: Config, networks: Networks, probability: DetectionProbability | None
+) -> Problem:
     """What rigs are measured against, on scenes that are there already.
 
     Args:
         traffic: Of `load_traffic`, from this configuration or from one with the same `traffic_part`.
         config: The configuration.
         networks: Of `load_networks`, from this configuration.
+        probability: Of `load_probability`, likewise.
     """
     areas = traffic.areas(config.segregation.rotations)
     train_count = len(traffic.train)
@@ -314,7 +330,7 @@ def problem_on(traffic: Traffic, config: Config, networks: Networks) -> Problem:
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
-        probability=networks.probability,
+        probability=probability,
         differentiable_detector=networks.differentiable,
     )
     train, held_out = assigned[:train_count], assigned[train_count:]
@@ -371,7 +387,7 @@ def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> D
 
     Args:
         problem: What to lower.
-        start: Its mount poses, float32 [camera, 5].
+        start: Its mount poses, float32 [camera, 7].
         began_as: Whose cameras take the orientations, see `Problem.assigned`.
     """
     return Descent(
@@ -405,14 +421,14 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     """Mount poses that the optimiser starts from: those of ``rig``, or as ``rig.start`` says.
 
     Returns:
-        float32 [camera, 5], the precision that the optimiser keeps: a start that stays the best is the same rig.
+        float32 [camera, 7], the precision that the optimiser keeps: a start that stays the best is the same rig.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
     config, constraints = problem.config, problem.objective.constraints
     if rig is not None:
-        return mount_pose_of_rig(rig)
+        return problem.objective.mount.start_pose_of_rig(rig)
     if config.rig.start == "highest":
         pose = highest_mount_pose(constraints, config.rig.cameras)
     else:
@@ -438,6 +454,9 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         batch_size=config.run.batch_size,
         learning_rate_position_m=optimiser.learning_rate_position_m,
         learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
+        learning_rate_pitch_rad=math.radians(optimiser.learning_rate_pitch_deg),
+        learning_rate_height_m=optimiser.learning_rate_height_m,
+        learning_rate_zoom=optimiser.learning_rate_zoom,
         schedule=optimiser.schedule,
         weight_decay=optimiser.weight_decay,
         multiplier_learning_rate=_multiplier_settings(config)[0],

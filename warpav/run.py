@@ -116,7 +116,7 @@ def compare(
 
     Args:
         problem: What to measure against.
-        mount_poses: Mount poses by the name of the arm, [camera, 5].
+        mount_poses: Mount poses by the name of the arm, [camera, 7].
         began_as: The rig that these began as; None when camera k took orientation k.
         display: Where to show it.
     """

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from warpav.detection.probability import DetectorUse
     from warpav.geometry.mesh import Mesh
     from warpav.objective.constraints import Constraints
-    from warpav.objective.mount import CameraMount
+    from warpav.objective.mount import CameraMount, FreeRanges
     from warpav.scene.scene import Scene
 
 HIGHEST = "highest"
@@ -250,6 +250,7 @@ def detector_use(config: Config) -> DetectorUse:
     from warpav.detection.probability import DetectorUse
 
     model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
+    free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}
     return DetectorUse(
         model,
         {
@@ -260,8 +261,22 @@ def detector_use(config: Config) -> DetectorUse:
             ),
             "rig.height_offset_m": config.rig.height_offset_m,
             "visibility.occlusion": config.visibility.occlusion,
+            **({"rig.free": free} if free else {}),
         },
     )
+
+
+def free_ranges(config: Config) -> FreeRanges:
+    """What may differ from camera to camera besides x, y and yaw."""
+    from warpav.objective.mount import FreeRanges
+
+    free = config.rig.free
+    angles = (
+        None if pair is None else (math.radians(pair[0]), math.radians(pair[1]))
+        for pair in (free.pitch_deg, free.fov_deg)
+    )
+    pitch_rad, fov_rad = angles
+    return FreeRanges(pitch_rad=pitch_rad, height_m=free.height_m, fov_rad=fov_rad)
 
 
 def camera_mount(config: Config, ego: Mesh) -> CameraMount:
@@ -273,6 +288,7 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
         camera=camera_model(config),
         height_offset_m=config.rig.height_offset_m,
         device=checked_device(config.device),
+        free=free_ranges(config),
     )
 
 

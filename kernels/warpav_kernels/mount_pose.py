@@ -42,7 +42,9 @@ Y_M = wp.constant(1)
 YAW_RAD = wp.constant(2)
 PITCH_RAD = wp.constant(3)
 ROLL_RAD = wp.constant(4)
-MOUNT_POSE_SIZE = wp.constant(5)
+RISE_M = wp.constant(5)  # above the height at which cameras stand as configured
+LOG_ZOOM = wp.constant(6)  # logarithm of the focal length over that of the configured camera
+MOUNT_POSE_SIZE = wp.constant(7)
 
 
 @wp.kernel
@@ -58,19 +60,22 @@ def place_on_surface_kernel(
     # out
     position_ego_m: wp.array[wp.vec3],
     camera_from_ego: wp.array[wp.mat33],
+    log_zoom: wp.array[float],
 ):
     """Pose of every view: each camera on the mount surface, turned by every rotational addition about the vertical.
+
+    All views of a camera have its zoom.
 
     Equation: 3 (as printed)
 
     Launch: ``dim=camera_count``; one thread per camera, so that its pose's gradient is summed in a fixed order; its
     views are camera * rotation_count + rotation.
-    Writes: every element of ``position_ego_m`` and ``camera_from_ego`` once.
+    Writes: every element of ``position_ego_m``, ``camera_from_ego`` and ``log_zoom`` once.
     """
     camera = wp.tid()
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
-    z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m
+    z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m + mount_pose[camera, RISE_M]
     for rotation in range(rotation_count):
         v = camera * rotation_count + rotation
         position_ego_m[v] = wp.vec3(x_m, y_m, z_m)
@@ -78,4 +83,40 @@ def place_on_surface_kernel(
         yaw_rad = mount_pose[camera, YAW_RAD] + float(rotation) * rotation_step_rad
         camera_from_ego[v] = camera_from_ego_rotation(
             yaw_rad, mount_pose[camera, PITCH_RAD], mount_pose[camera, ROLL_RAD]
+        )
+        log_zoom[v] = mount_pose[camera, LOG_ZOOM]
+
+
+@wp.kernel
+def place_windows_kernel(
+    # in
+    camera_from_ego: wp.array[wp.mat33],
+    log_zoom: wp.array[float],
+    rotation_count: int,
+    half_tangent: wp.vec2,
+    # out
+    window_rad: wp.array[wp.vec4],
+):
+    """The field of view of every pinhole camera as a window in each view of its panorama.
+
+    ``half_tangent`` holds the tangents of half the width and half the height of the field of view at zoom 0. A window
+    is the azimuth (to the left) and the elevation of its centre, in the axes of the view, its half width and its half
+    height.
+
+    Launch: ``dim=camera_count``; one thread per camera, so that its gradient is summed in a fixed order.
+    Writes: every element of ``window_rad`` [view] once.
+    """
+    camera = wp.tid()
+    ahead = camera * rotation_count
+    for rotation in range(rotation_count):
+        v = ahead + rotation
+        # the camera's axis in the axes of the view
+        axis = camera_from_ego[v] * (wp.transpose(camera_from_ego[ahead]) * wp.vec3(0.0, 0.0, 1.0))
+        level = wp.sqrt(axis[0] * axis[0] + axis[2] * axis[2])
+        shrink = wp.exp(-log_zoom[v])
+        window_rad[v] = wp.vec4(
+            wp.atan2(-axis[0], axis[2]),
+            wp.atan2(-axis[1], level),
+            wp.atan(half_tangent[0] * shrink),
+            wp.atan(half_tangent[1] * shrink),
         )

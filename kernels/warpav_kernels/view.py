@@ -112,13 +112,15 @@ def place_views_kernel(
     intrinsics_px: wp.array[wp.vec4],
     near_m: wp.array[float],
     lens: wp.array[Lens],
+    log_zoom: wp.array[float],
     supersampling: int,
     # out
     view: wp.array[View],
 ):
     """Gather each view's pose and lens into one struct.
 
-    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels.
+    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_zoom`` is the
+    logarithm of what the focal lengths are multiplied by.
 
     Launch: ``dim=view_count``; one thread per view. Not taped.
     Writes: every element of ``view`` once.
@@ -129,7 +131,8 @@ def place_views_kernel(
     placed = View()
     placed.position_ego_m = position_ego_m[i]
     placed.camera_from_ego = camera_from_ego[i]
-    placed.focal = wp.vec2(intrinsics[0] * scale, intrinsics[1] * scale)
+    focal_scale = scale * wp.exp(log_zoom[i])
+    placed.focal = wp.vec2(intrinsics[0] * focal_scale, intrinsics[1] * focal_scale)
     placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
     placed.lens = lens[i]

@@ -27,7 +27,7 @@ class Steps:
         surface = MountSurface(np.full((64, 64), workload.height_m[0] - 0.25, np.float32), np.array([-3.0, -3.0]), 0.1)
         mount = CameraMount(surface, camera=model, height_offset_m=0.25, device=device)
         cameras = len(workload.pose)
-        self.start = np.zeros((cameras, 5), np.float32)
+        self.start = np.zeros((cameras, 7), np.float32)
         self.start[:, :3] = workload.pose[:, [1, 0, 2]]  # the workload's z is the ego frame's x
         self.pose = wp.array(self.start, dtype=float, device=device, requires_grad=True)
         self.device = device

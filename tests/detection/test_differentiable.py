@@ -182,7 +182,7 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
         detector_loss_of(
             renderer,
             scene,
-            PlacedViews(position, position, rotation),
+            PlacedViews(position, position, rotation, wp.zeros(len(poses), dtype=float)),
             measures,
             detector,
             truth_box_px=truth_px,
@@ -260,7 +260,7 @@ def objective_with(detector, **scales):
     )
 
 
-POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0, 0.0, 0.0]], np.float32)
 
 
 def test_the_loss_joins_the_objective_and_its_gradient():

@@ -1,5 +1,6 @@
 """Fitting the probability of detection: known curves are found again, scores equal their definitions."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -138,3 +139,35 @@ def test_cameras_stand_on_the_surface(rng):
     assert (place[:, :2] <= surface.bounds_m[1]).all()
     np.testing.assert_allclose(place[:, 2], surface.height_at_m(place[:, :2]) + 0.25)
     assert np.ptp([camera.yaw_rad for camera in cameras]) > 5.0
+
+
+def test_cameras_fill_the_free_ranges_and_level_ones_stay_the_same(rng):
+    surface = roof()
+    ranges = {"pitch_rad": (-0.3, 0.2), "height_m": (0.05, 0.6), "fov_rad": (1.0, 1.9)}
+    count = 400
+    cameras = random_cameras(np.random.default_rng(1), surface, MODEL, height_offset_m=0.25, count=count, **ranges)
+    place = np.array([camera.position_m for camera in cameras])
+    height = place[:, 2] - surface.height_at_m(place[:, :2])
+    found = [[camera.pitch_rad for camera in cameras], height, [camera.model.fov_rad for camera in cameras]]
+    for values, (low, high) in zip(found, ranges.values(), strict=True):
+        assert low - 1e-9 <= np.min(values) < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < np.max(values) <= high + 1e-9
+    assert np.median(np.log(np.tan(0.5 * np.array(found[2])))) == pytest.approx(
+        0.5 * (math.log(math.tan(0.5)) + math.log(math.tan(0.95))), abs=0.1
+    )
+    level = random_cameras(np.random.default_rng(1), surface, MODEL, height_offset_m=0.25, count=count)
+    np.testing.assert_array_equal([camera.position_m[:2] for camera in level], place[:, :2])
+    assert [camera.yaw_rad for camera in level] == [camera.yaw_rad for camera in cameras]
+    assert {camera.model for camera in level} == {MODEL}
+
+
+def test_each_camera_is_looked_through_by_its_own_lens(device):
+    renderer, scene = Renderer([MODEL] * 2, device=device), packed_street(device)
+    [one] = random_cameras(np.random.default_rng(2), roof(), MODEL, height_offset_m=0.2, count=1)
+    narrow = dataclasses.replace(one, model=MODEL.zoomed(0.4))
+    limits = {"seed": 8, "confidence_min": 0.1, "iou_min": 0.5}
+    same = look(renderer, scene, [one, one], ConstantDetector.silent(2), **limits)
+    both = look(renderer, scene, [narrow, one], ConstantDetector.silent(2), **limits)
+    count = len(same) // 2
+    np.testing.assert_array_equal(both.feature[-count:], same.feature[-count:])
+    assert both.feature[:, VISIBLE_SIZE].max() > same.feature[:, VISIBLE_SIZE].max() + 0.2

@@ -47,7 +47,8 @@ class Arrays:
 def linearise_measures(new):
     at, turned = new(size=(VIEWS, 3), dtype=wp.vec3), new.rotations(VIEWS)
     shape = (VIEWS, VEHICLES, 2)
-    inputs = [at, turned, wp.clone(at, requires_grad=True), wp.clone(turned, requires_grad=True), new(size=VIEWS)]
+    inputs = [at, turned, wp.clone(at, requires_grad=True), wp.clone(turned, requires_grad=True)]
+    inputs += [new(size=VIEWS), new(size=VIEWS)]
     inputs += [new(size=shape), new(size=(*shape, 3), dtype=wp.vec3), new(size=(*shape, 3), dtype=wp.vec3)]
     return VIEWS, [*inputs, new(size=shape)], [new(np.zeros(shape))]
 
@@ -61,15 +62,26 @@ def linearise_window(new):
 def place_on_surface(new):
     # in the middle of cells of half a metre, because the slope jumps between them; and beyond the border
     place = np.array([[0.8, -0.2], [1.2, 4.0]])
-    pose = new(np.c_[place, new.rng.uniform(-1.0, 1.0, (CAMERAS, 3))])
+    pose = new(np.c_[place, new.rng.uniform(-1.0, 1.0, (CAMERAS, 5))])
     inputs = [pose, new(size=(5, 4)), wp.vec2(0.0, -1.0), 0.5, 0.2, ROTATIONS, math.pi]
     views = CAMERAS * ROTATIONS
-    return CAMERAS, inputs, [new(np.zeros((views, 3)), wp.vec3), new(np.zeros((views, 3, 3)), wp.mat33)]
+    return (
+        CAMERAS,
+        inputs,
+        [new(np.zeros((views, 3)), wp.vec3), new(np.zeros((views, 3, 3)), wp.mat33), new(np.zeros(views))],
+    )
+
+
+def place_windows(new):
+    # near the axes of views that are turned by half a turn; neither straight ahead nor straight up
+    views = CAMERAS * ROTATIONS
+    inputs = [new.rotations(views), new(size=views), ROTATIONS, wp.vec2(1.0, 0.6)]
+    return CAMERAS, inputs, [new(np.zeros((views, 4)), wp.vec4)]
 
 
 def out_of_bounds_loss(new):
     # two cameras beyond different bounds, one inside
-    pose = new(np.c_[[[-0.4, 0.5], [1.3, 1.6], [0.5, 0.4]], np.zeros((3, 3))])
+    pose = new(np.c_[[[-0.4, 0.5], [1.3, 1.6], [0.5, 0.4]], np.zeros((3, 5))])
     return 1, [pose, wp.vec2(0.0, 0.0), wp.vec2(1.0, 1.0)], [new(np.zeros(2))]
 
 
@@ -80,7 +92,7 @@ def camera_spacing_loss(new):
 
 
 def in_frame_rotation_loss(new):
-    pose = new(size=(CAMERAS, 5), low=-0.3, high=0.3)
+    pose = new(size=(CAMERAS, 7), low=-0.3, high=0.3)
     bearing = new([[0.9, 0.5], [0.0, 0.0], [2.9, 2.4]], wp.vec2)
     bearing.requires_grad = False
     sight = new.integers([placement_losses.IN_FRAME, placement_losses.NEVER_SEEN, placement_losses.SEEN_OUT_OF_FRAME])
@@ -114,7 +126,7 @@ def surface_blockage_loss(new):
 
 def angular_coverage_loss(new):
     # of three ranges of 1.5 rad one ends before the next, two overlap
-    pose = new(np.c_[np.zeros((3, 2)), [3.0, 0.2, -1.0], np.zeros((3, 2))])
+    pose = new(np.c_[np.zeros((3, 2)), [3.0, 0.2, -1.0], np.zeros((3, 4))])
     return 1, [pose, new.integers([2, 0, 1]), new.integers([1, 0, 0]), 1.5], [new(np.zeros(5))]
 
 
@@ -150,7 +162,7 @@ def box_solid_angle(new):
 
 def zone_excess(new):
     # in the middle of cells of half a metre; beyond the border, and beyond a corner
-    pose = new(np.c_[[[0.8, -0.2], [1.2, 4.0], [-1.0, -2.5]], np.zeros((3, 3))])
+    pose = new(np.c_[[[0.8, -0.2], [1.2, 4.0], [-1.0, -2.5]], np.zeros((3, 5))])
     return 3, [pose, new(size=(5, 4)), wp.vec2(0.0, -1.0), 0.5, 0.05], [new(np.zeros(3))]
 
 
@@ -209,6 +221,7 @@ CASES = {
     linearise.linearise_measures_kernel: linearise_measures,
     linearise.linearise_window_kernel: linearise_window,
     mount_pose.place_on_surface_kernel: place_on_surface,
+    mount_pose.place_windows_kernel: place_windows,
     constraint_losses.out_of_bounds_loss_kernel: out_of_bounds_loss,
     constraint_losses.camera_spacing_loss_kernel: camera_spacing_loss,
     constraint_losses.zone_excess_kernel: zone_excess,

@@ -40,9 +40,9 @@ def oracle(pose, surface, model):
     """Centres and rotations in double precision; Eq. 3 adds a multiple of the closest divisor to the yaw."""
     count, step = rotational_additions(model.fov_rad)
     centre, rotation = [], []
-    for x, y, yaw, pitch, roll in np.asarray(pose, float):
+    for x, y, yaw, pitch, roll, rise, _ in np.asarray(pose, float):
         for a in range(count):
-            centre.append([x, y, surface.height_at_m(np.array([x, y])) + OFFSET_M])
+            centre.append([x, y, surface.height_at_m(np.array([x, y])) + OFFSET_M + rise])
             rotation.append((rotation_from_yaw_pitch_roll(yaw + a * step, pitch, roll) @ FLU_FROM_RDF).T)
     return np.array(centre), np.array(rotation)
 
@@ -50,7 +50,10 @@ def oracle(pose, surface, model):
 def random_pose(rng, count):
     low, high = roof().bounds_m
     return np.c_[
-        rng.uniform(low, high, (count, 2)), rng.uniform(-4, 4, count), rng.uniform(-1.4, 1.4, (count, 2))
+        rng.uniform(low, high, (count, 2)),
+        rng.uniform(-4, 4, count),
+        rng.uniform(-1.4, 1.4, (count, 2)),
+        rng.uniform(-0.2, 0.3, (count, 2)),
     ].astype(np.float32)
 
 
@@ -69,7 +72,7 @@ def test_views_stand_on_the_surface_and_turn_all_round(device, rng, fov_deg):
 def test_height_beyond_the_border_is_the_borders(device):
     low, high = roof().bounds_m
     outside = [low - 1.0, high + 1.0, [low[0] - 3.0, 0.0], [1.0, high[1] + 0.005], low, high]
-    pose = np.c_[np.array(outside), np.zeros((6, 3))].astype(np.float32)
+    pose = np.c_[np.array(outside), np.zeros((6, 5))].astype(np.float32)
     centre, _, _ = placed(pose, device)
     np.testing.assert_allclose(centre, oracle(pose, roof(), MODEL)[0], atol=2e-6)
 
@@ -77,12 +80,12 @@ def test_height_beyond_the_border_is_the_borders(device):
 def test_a_surface_of_two_by_two_cells_is_enough(device):
     surface = flat_surface([0.0, 0.0], [0.1, 0.1])
     surface.height_m[:] = [[1.0, 2.0], [3.0, 5.0]]
-    pose = np.array([[0.05, 0.05, 0, 0, 0], [0.1, 0.1, 0, 0, 0], [0.025, 0.1, 0, 0, 0]], np.float32)
+    pose = np.array([[0.05, 0.05, 0, 0, 0, 0, 0], [0.1, 0.1, 0, 0, 0, 0, 0], [0.025, 0.1, 0, 0, 0, 0, 0]], np.float32)
     centre, _, _ = placed(pose, device, surface=surface)
     np.testing.assert_allclose(centre[::4, 2] - OFFSET_M, [2.75, 5.0, 2.75], atol=1e-5)
 
 
-def test_gradient_to_all_five_numbers_matches_differences(device, rng):
+def test_gradient_to_the_six_numbers_of_the_pose_matches_differences(device, rng):
     pose = random_pose(rng, 12)
     # stay off the lines between cells, where the slope jumps
     origin, cell = roof().origin_m, roof().cell_m
@@ -97,7 +100,7 @@ def test_gradient_to_all_five_numbers_matches_differences(device, rng):
         return per_view.reshape(12, 4).sum(axis=1)
 
     step = 1e-4
-    for i in range(5):
+    for i in range(6):
         high, low = pose.astype(float), pose.astype(float)
         high[:, i] += step
         low[:, i] -= step
@@ -109,7 +112,7 @@ def test_gradient_to_all_five_numbers_matches_differences(device, rng):
 
 def test_height_does_not_pull_beyond_the_border(device):
     low, high = roof().bounds_m
-    pose = np.array([[low[0] - 0.5, 0.3, 0, 0, 0], [1.5, high[1] + 0.5, 0, 0, 0]], np.float32)
+    pose = np.array([[low[0] - 0.5, 0.3, 0, 0, 0, 0, 0], [1.5, high[1] + 0.5, 0, 0, 0, 0, 0]], np.float32)
     up = np.zeros((8, 3), np.float32)
     up[:, 2] = 1.0
     _, _, gradient = placed(pose, device, gradient_of=(up, np.zeros((8, 3, 3), np.float32)))

@@ -84,10 +84,10 @@ def quotient(above, below):
 
 @pytest.mark.equation(5, 6)
 def test_out_of_bounds_grows_exponentially(device):
-    pose = [[1.3, 0.0, 0.4, 0, 0], [-0.5, -1.7, 0.0, 0, 0]]
+    pose = [[1.3, 0.0, 0.4, 0, 0, 0, 0], [-0.5, -1.7, 0.0, 0, 0, 0, 0]]
     loss, gradient = constraint_losses(pose, device, SURFACE)
     assert loss[0] == pytest.approx(math.exp(0.3) + math.exp(0.7) - 2.0, rel=1e-5)
-    expected = np.zeros((2, 5))
+    expected = np.zeros((2, 7))
     expected[0, X_M], expected[1, Y_M] = math.exp(0.3), -math.exp(0.7)
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
 
@@ -96,7 +96,7 @@ def test_out_of_bounds_grows_exponentially(device):
 def test_one_pair_too_close_pushes_apart_with_equal_force(device):
     # the thesis's settings: four cameras, 0.2 m
     between = np.array([0.06, 0.08])
-    pose = np.zeros((4, 5))
+    pose = np.zeros((4, 7))
     pose[:, :2] = [[0.0, 0.0], between, [0.8, -0.8], [-0.8, 0.8]]
     loss, gradient = constraint_losses(pose, device, SURFACE, 0.2, weight=(0.0, 1.0))
     assert loss[1] == pytest.approx((0.2 - 0.1) / 0.2 / 6.0, rel=1e-4)
@@ -113,7 +113,7 @@ def test_in_frame_rotation_towards_a_ball(device, side):
     yaw, distance, radius = 0.3, 6.0, 0.8
     middle = yaw + side * math.radians(82.0)  # seen by one rotational addition only
     place = [0.2 + distance * math.cos(middle), 0.1 + distance * math.sin(middle), 1.75]
-    pose = [[0.2, 0.1, yaw, 0.0, 0.0]]
+    pose = [[0.2, 0.1, yaw, 0.0, 0.0, 0.0, 0.0]]
     loss, gradient = losses_in(scene_of([ball(radius, place)]), [0], pose, device, "in_frame_rotation")
     # its near end in the image of the view beside: at height of the camera the outline is where the tangents touch
     end = math.radians(82.0 - 90.0) - math.asin(radius / distance)
@@ -130,7 +130,7 @@ def car_across_the_seam(yaw):
     bearing = yaw + math.radians(38.0)
     place = np.array([0.2 + 8.0 * math.cos(bearing), 0.1 + 8.0 * math.sin(bearing), 0.75])
     mesh = cuboid([4.2, 1.8, 1.5], place, (0.0, 0.0, yaw + 0.4))
-    return mesh, np.array([[0.2, 0.1, yaw, 0.0, 0.0]])
+    return mesh, np.array([[0.2, 0.1, yaw, 0.0, 0.0, 0.0, 0.0]])
 
 
 def around(mesh, pose):
@@ -183,7 +183,7 @@ def test_object_visibility_is_the_detected_area_of_a_perfect_detector(device, rn
     value[:, :, 2] = value[:, :, 0]  # every box holds all that is visible
     assigned = [0, 1, -1, 1, 0]
     options = {"min_detected_area": 0.9, "object_visibility": 1.0}
-    loss, _ = placement_losses(value, assigned, np.zeros((2, 5)), device, **options)
+    loss, _ = placement_losses(value, assigned, np.zeros((2, 7)), device, **options)
     assert loss[1] > 0.1
     assert loss[OBJECTIVES.index("object_visibility")] == pytest.approx(loss[1], rel=1e-4)  # epsilon is in one only
 
@@ -193,7 +193,7 @@ def test_object_visibility_is_the_detected_area_of_a_perfect_detector(device, rn
 # one camera looks over the long edge of the bonnet, the other stands nearer to it and sees more
 BONNET = cuboid([1.6, 1.0, 0.6], [1.9, 0.2, 1.2])
 BLOCKED = cuboid([4.2, 1.8, 1.5], [12.0, 0.8, 0.75], (0.0, 0.0, 0.3))
-BEHIND = np.array([[0.1, 0.4, 0.05, 0.0, 0.0], [0.8, 0.3, -0.02, 0.0, 0.0]])
+BEHIND = np.array([[0.1, 0.4, 0.05, 0.0, 0.0, 0.0, 0.0], [0.8, 0.3, -0.02, 0.0, 0.0, 0.0, 0.0]])
 
 
 def unblocked(view, car=BLOCKED, ego=BONNET):
@@ -250,7 +250,7 @@ def test_surface_blockage_matches_the_oracle_on_masks(device, rng, min_visibilit
         loss, _ = placement_losses(
             value,
             assigned,
-            np.zeros((cameras, 5)),
+            np.zeros((cameras, 7)),
             device,
             unblocked=[free, still, still],
             surface_blockage=1.0,
@@ -266,7 +266,7 @@ def test_surface_blockage_matches_the_oracle_on_masks(device, rng, min_visibilit
 
 def angular_coverage(yaw_rad, device, fov_rad=0.5 * math.pi):
     """Loss and its gradient to every yaw."""
-    pose = np.zeros((len(yaw_rad), 5))
+    pose = np.zeros((len(yaw_rad), 7))
     pose[:, YAW_RAD] = yaw_rad
     value = np.zeros((len(yaw_rad) * round(2.0 * math.pi / fov_rad), 1, MEASURE_COUNT))
     loss, gradient = placement_losses(
@@ -278,7 +278,7 @@ def angular_coverage(yaw_rad, device, fov_rad=0.5 * math.pi):
         weight=[name == "angular_coverage" for name in OBJECTIVES],
         angular_coverage=1.0,
     )
-    assert not gradient[:, [i for i in range(5) if i != YAW_RAD]].any()
+    assert not gradient[:, [i for i in range(7) if i != YAW_RAD]].any()
     return loss[OBJECTIVES.index("angular_coverage")], gradient[:, YAW_RAD]
 
 
@@ -346,7 +346,7 @@ def test_constraints_are_scaled_like_the_largest_objective():
 def test_the_unblocked_areas_have_to_be_there(device):
     value = np.zeros((4, 1, MEASURE_COUNT))
     with pytest.raises(ValueError, match="needs the unblocked areas"):
-        placement_losses(value, [0], np.zeros((1, 5)), device, surface_blockage=1.0)
+        placement_losses(value, [0], np.zeros((1, 7)), device, surface_blockage=1.0)
     scene = DeviceScene.pack(scene_of([CAR], ego=FAR_AWAY), device=device)
     renderer = Renderer([MODEL], device=device)
     renderer.render(

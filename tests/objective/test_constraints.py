@@ -255,7 +255,7 @@ def test_inequalities_match_oracle_and_differences(device, rng, surface):
         place = (
             surface.origin_m + (np.floor((place - surface.origin_m) / cell) + rng.uniform(0.2, 0.8, (count, 2))) * cell
         )
-        array = wp.array(np.c_[place, np.zeros((count, 3))], dtype=float, device=device, requires_grad=True)
+        array = wp.array(np.c_[place, np.zeros((count, 5))], dtype=float, device=device, requires_grad=True)
         tape = wp.Tape()
         with tape:
             found = constraints.losses_of(mount.place(array), mount.rotation_count)
@@ -268,11 +268,12 @@ def test_inequalities_match_oracle_and_differences(device, rng, surface):
             step[index] = 1e-6
             gradient[index] = np.dot(weight, excess(place + step) - excess(place - step)) / 2e-6
         np.testing.assert_allclose(array.grad.numpy()[:, :2], gradient, atol=1e-3)
-        assert not array.grad.numpy()[:, 2:].any()
+        # beside the place only the height matters, to the spacing
+        assert not array.grad.numpy()[:, [2, 3, 4, 6]].any()
 
 
 def test_views_of_another_number_of_cameras_are_refused(device):
     mount = CameraMount(SURFACE, camera=CameraModel(64, 64), height_offset_m=0.25, device=device)
-    views = mount.place(wp.zeros((3, 5), dtype=float, device=device))
+    views = mount.place(wp.zeros((3, 7), dtype=float, device=device))
     with pytest.raises(ValueError, match="expected 4 cameras, got 3"):
         zone(SURFACE, 4).losses_of(views, mount.rotation_count)

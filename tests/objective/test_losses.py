@@ -50,7 +50,7 @@ def constraint_losses(pose, device, surface, min_spacing_m=0.5, weight=(1.0, 0.0
 
 def scattered_poses(rng, camera_count):
     """Cameras, some of them beyond the bounds of `SURFACE`."""
-    return np.c_[rng.uniform([-3.0, -2.0], [3.0, 2.0], (camera_count, 2)), rng.normal(size=(camera_count, 3))].astype(
+    return np.c_[rng.uniform([-3.0, -2.0], [3.0, 2.0], (camera_count, 2)), rng.normal(size=(camera_count, 5))].astype(
         np.float32
     )
 
@@ -69,7 +69,7 @@ def test_out_of_bounds_loss_matches_oracle(device, rng):
 
 @pytest.mark.equation(5)
 def test_out_of_bounds_loss_is_zero_inside(device, rng):
-    pose = np.c_[rng.uniform([-2.0, -1.0], [2.0, 1.0], (6, 2)), np.zeros((6, 3))]
+    pose = np.c_[rng.uniform([-2.0, -1.0], [2.0, 1.0], (6, 2)), np.zeros((6, 5))]
     loss, gradient = constraint_losses(pose, device, SURFACE)
     assert loss[0] == 0.0
     assert not gradient.any()
@@ -80,7 +80,7 @@ def test_out_of_bounds_loss_is_zero_inside(device, rng):
 @pytest.mark.parametrize("camera_count", [2, 3, 5])
 def test_camera_spacing_loss_matches_oracle(device, rng, surface, camera_count):
     def loss_at(place):
-        pose = np.c_[place, np.zeros((camera_count, 3))]
+        pose = np.c_[place, np.zeros((camera_count, 5))]
         return thesis.camera_distancing_loss(placed_by_oracle(pose, surface, MODEL)[0][::4], 0.5)
 
     origin, cell, reached = surface.origin_m, surface.cell_m, 0
@@ -89,7 +89,7 @@ def test_camera_spacing_loss_matches_oracle(device, rng, surface, camera_count):
         place = rng.uniform(0.5 * (low + high) - 0.35, 0.5 * (low + high) + 0.35, (camera_count, 2))
         # off the lines between cells, where the slope of the surface jumps
         place = origin + (np.floor((place - origin) / cell) + rng.uniform(0.2, 0.8, place.shape)) * cell
-        pose = np.c_[place, np.zeros((camera_count, 3))].astype(np.float32)
+        pose = np.c_[place, np.zeros((camera_count, 5))].astype(np.float32)
         loss, gradient = constraint_losses(pose, device, surface, weight=(0.0, 1.0))
         assert loss[1] == pytest.approx(loss_at(pose[:, :2].astype(float)), rel=1e-4, abs=1e-6)
         np.testing.assert_allclose(gradient[:, :2], differences(loss_at, pose[:, :2], 1e-6), atol=2e-3)
@@ -104,7 +104,7 @@ def test_cameras_far_apart_cost_nothing(device):
 
 
 def test_cameras_at_one_place_cost_one_and_give_a_finite_gradient(device):
-    loss, gradient = constraint_losses(np.zeros((2, 5)), device, SURFACE, weight=(0.0, 1.0))
+    loss, gradient = constraint_losses(np.zeros((2, 7)), device, SURFACE, weight=(0.0, 1.0))
     assert loss[1] == pytest.approx(1.0)
     assert np.isfinite(gradient).all()
 
@@ -145,6 +145,7 @@ def placement_losses(
             wp.zeros(value.shape, dtype=float, device=device),
             wp.clone(views.position_ego_m, requires_grad=False),
             wp.clone(views.camera_from_ego, requires_grad=False),
+            wp.clone(views.log_zoom, requires_grad=False),
         )
 
     measures = measured(value, per_shift, per_spin)
@@ -216,7 +217,7 @@ def bearing_of(column):
     ],
 )
 def test_in_frame_rotation_loss_of_one_vehicle(device, yaw_rad, left_column, column_count):
-    pose = [[0.2, 0.1, yaw_rad, 0.0, 0.0]]
+    pose = [[0.2, 0.1, yaw_rad, 0.0, 0.0, 0.0, 0.0]]
     silhouette = band(left_column, column_count)
     value = measures_of(silhouette[None, None])
     loss, gradient = placement_losses(value, [0], pose, device, epsilon=1e-2)
@@ -242,8 +243,8 @@ def test_in_frame_rotation_loss_of_one_vehicle(device, yaw_rad, left_column, col
 def test_turning_towards_a_vehicle_lowers_the_in_frame_rotation_loss(device):
     to_the_left = measures_of(band(-20, 8)[None, None])
     to_the_right = measures_of(band(50, 8)[None, None])
-    _, left = placement_losses(to_the_left, [0], np.zeros((1, 5)), device)
-    _, right = placement_losses(to_the_right, [0], np.zeros((1, 5)), device)
+    _, left = placement_losses(to_the_left, [0], np.zeros((1, 7)), device)
+    _, right = placement_losses(to_the_right, [0], np.zeros((1, 7)), device)
     # yaw is left-positive: descent raises it for a vehicle to the left
     assert left[0, 2] == pytest.approx(-1.0 / math.pi)
     assert right[0, 2] == pytest.approx(1.0 / math.pi)
@@ -258,7 +259,7 @@ def test_in_frame_rotation_loss_is_the_mean_over_assigned_vehicles(device, rng):
             silhouettes[camera, k] = band(rng.integers(-64, 64), rng.integers(2, 30))
     silhouettes[1, 4] = False
     assigned = np.array([0, 2, -1, 1, 1, 0])
-    pose = np.c_[rng.uniform(-1, 1, (3, 2)), rng.uniform(-4, 4, 3), np.zeros((3, 2))].astype(np.float32)
+    pose = np.c_[rng.uniform(-1, 1, (3, 2)), rng.uniform(-4, 4, 3), np.zeros((3, 4))].astype(np.float32)
     value = measures_of(silhouettes)
     loss, gradient = placement_losses(value, assigned, pose, device, epsilon=1e-2)
     vehicles = []
@@ -278,7 +279,7 @@ def test_a_scene_without_assigned_vehicles_costs_nothing(device):
         "object_visibility": 1.0,
         "unblocked": [np.zeros((4, 1))] + [np.zeros((4, 1, 3))] * 2,
     }
-    loss, gradient = placement_losses(value, [-1], np.zeros((1, 5)), device, weight=(1.0,) * 4, **settings)
+    loss, gradient = placement_losses(value, [-1], np.zeros((1, 7)), device, weight=(1.0,) * 4, **settings)
     np.testing.assert_array_equal(loss, 0.0)
     assert not gradient.any()
 
@@ -308,7 +309,7 @@ def test_detected_area_loss_matches_oracle(device, rng, epsilon, min_visibility)
         value[4:, 3] = 0.0
         assigned = np.array([0, 1, -1, 1, 0, 0])
         loss, _ = placement_losses(
-            value, assigned, np.zeros((2, 5)), device, epsilon=epsilon, min_detected_area=min_visibility
+            value, assigned, np.zeros((2, 7)), device, epsilon=epsilon, min_detected_area=min_visibility
         )
         items = [
             (silhouettes[camera, k], boxes[camera, k] if boxes[camera, k].any() else None)
@@ -329,7 +330,7 @@ def test_a_well_detected_vehicle_costs_nothing_and_an_undetected_one_nearly_ever
     value[1, :, [AMODAL_AREA, VISIBLE_AREA]] = 20.0
     value[0, 0, BOX_AREA] = 80.0
     settings = {"epsilon": 1e-5, "min_detected_area": 0.5}
-    pose, device_loss = np.zeros((1, 5)), []
+    pose, device_loss = np.zeros((1, 7)), []
     for assigned in ([0, -1], [-1, 0]):
         device_loss.append(placement_losses(value, assigned, pose, device, **settings)[0][1])
     assert device_loss[0] == 0.0
@@ -344,7 +345,7 @@ def test_hiding_a_vehicle_costs_nothing_as_printed_and_something_against_the_veh
         value[0, 0, [VISIBLE_AREA, BOX_AREA]] = shown
         for reference in Reference:
             settings = {"reference": reference, "min_detected_area": 1.0, "epsilon": 0.0}
-            loss[reference, shown] = placement_losses(value, [0], np.zeros((1, 5)), device, **settings)[0][1]
+            loss[reference, shown] = placement_losses(value, [0], np.zeros((1, 7)), device, **settings)[0][1]
     assert loss[Reference.NON_OCCLUDED, 100.0] == loss[Reference.NON_OCCLUDED, 50.0] == 0.0
     assert loss[Reference.ALONE, 100.0] == 0.0
     assert loss[Reference.ALONE, 50.0] == pytest.approx(0.5)
@@ -359,7 +360,9 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
     per_shift = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
     per_spin = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
     assigned = np.array([0, 1, -1, 1, 0, 0])
-    pose = np.c_[rng.uniform(-0.9, 0.9, (2, 2)), rng.uniform(-3, 3, 2), rng.uniform(-0.4, 0.4, (2, 2))]
+    pose = np.c_[
+        rng.uniform(-0.9, 0.9, (2, 2)), rng.uniform(-3, 3, 2), rng.uniform(-0.4, 0.4, (2, 2)), np.zeros((2, 2))
+    ]
     pose = pose.astype(np.float32)
     loss, gradient = placement_losses(
         value,
@@ -406,7 +409,7 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
     loss, gradient = placement_losses(
         value,
         [0],
-        np.zeros((1, 5)),
+        np.zeros((1, 7)),
         device,
         per_shift=jacobian,
         per_spin=jacobian,

@@ -16,15 +16,20 @@ from warpav.detection.probability import (
 )
 from warpav.objective.losses import LossSettings
 from warpav.objective.missed import Stage
-from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
+from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.objective.objective import AssignedScene, ThesisObjective
 from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(128, 128)
-POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0]], np.float32)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0, 0.0, 0.0]], np.float32)
 KNOTS = 7
 TRUTH_SAMPLES, JITTERS = 4, 8
+FREE = FreeRanges(
+    pitch_rad=(math.radians(-20.0), math.radians(20.0)),
+    height_m=(0.05, 0.6),
+    fov_rad=(math.radians(60.0), math.radians(110.0)),
+)
 
 
 def probability_model(rng):
@@ -40,10 +45,10 @@ def probability_model(rng):
     return DetectionProbability(start, step, coefficient, -0.5)
 
 
-def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, **settings):
+def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
     scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
     return ThesisObjective(
-        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device),
+        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
         detector or ConstantDetector.silent(cameras),
         camera_count=cameras,
         settings=LossSettings(**scales),
@@ -136,28 +141,47 @@ def test_the_visible_share_may_stand_for_the_probability(device, rng):
 
 
 # Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.
-@pytest.mark.slow
-@pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
-def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
+def mean_gradients(rng, stage, device, *, numbers, spread, pose=POSE, free=None):
+    """Our gradient and that of finer renders to some numbers with their steps, mean over jittered poses."""
     scenes = scenes_of(device, 10)
-    objective, fine = objective_of(device, supersampling=2), objective_of(device, supersampling=TRUTH_SAMPLES)
-    numbers = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006))
+    objective, fine = (objective_of(device, supersampling=n, free=free) for n in (2, TRUTH_SAMPLES))
     ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
     for _ in range(JITTERS):
-        at = POSE + rng.uniform(-0.05, 0.05, POSE.shape).astype(np.float32) * [1.0, 1.0, 0.2, 0.2, 0.0]
+        at = pose + rng.uniform(-1.0, 1.0, pose.shape).astype(np.float32) * spread
         gradient = objective.evaluate(at, scenes, gradient=True, stage=stage).gradient
-        ours += gradient[:, [X_M, Y_M, YAW_RAD]] / JITTERS
+        ours += gradient[:, [number for number, _ in numbers]] / JITTERS
         for camera in range(2):
             for column, (number, step) in enumerate(numbers):
                 values = []
                 for sign in (1.0, -1.0):
-                    pose = at.copy()
-                    pose[camera, number] += sign * step
-                    values.append(fine.evaluate(pose, scenes, stage=stage).terms["missed"])
+                    moved = at.copy()
+                    moved[camera, number] += sign * step
+                    values.append(fine.evaluate(moved, scenes, stage=stage).terms["missed"])
                 truth[camera, column] += (values[0] - values[1]) / (2.0 * step) / JITTERS
+    return ours, truth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
+def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
+    numbers, spread = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006)), [0.05, 0.05, 0.01, 0.01, 0.0, 0.0, 0.0]
+    ours, truth = mean_gradients(rng, stage, device, numbers=numbers, spread=spread)
     ours, truth = ours * [1.0, 1.0, 0.2], truth * [1.0, 1.0, 0.2]
     # seen .994, .999, .998
     assert (ours * truth).sum() > 0.99 * np.linalg.norm(ours) * np.linalg.norm(truth)
+
+
+# Cameras that look up, so that the lower border of the image cuts cars; near the roof, which hides some from low ones.
+@pytest.mark.slow
+@pytest.mark.parametrize(("stage", "rise_m"), [(Stage(), -0.1), (Stage(1.0), -0.05)], ids=["end", "panorama"])
+def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, stage, rise_m):
+    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, rise_m, 0.3], np.float32)
+    numbers, spread = ((PITCH_RAD, 0.01), (RISE_M, 0.02), (LOG_ZOOM, 0.03)), [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1]
+    ours, truth = mean_gradients(rng, stage, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
+    error = np.linalg.norm(ours - truth, axis=0) / np.linalg.norm(truth, axis=0)
+    # seen .04, .11, .03 at the end, .002, .04, .003 over the panorama
+    assert (error < [0.1, 0.25, 0.1]).all()
+    assert (np.linalg.norm(truth, axis=0) > 0.02).all()
 
 
 def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):
@@ -188,10 +212,28 @@ def test_repeats_bit_by_bit_and_gradient_is_optional(device):
         assert objective.evaluate(POSE, scenes, stage=stage).terms == first.terms == again.terms
 
 
-def test_a_rig_from_elsewhere_has_the_same_value(device):
-    objective, [scene] = objective_of(device), scenes_of(device, 10)
-    _, _, value = objective.observe_rig(objective.mount.rig(POSE), scene)
-    assert value == pytest.approx(objective.evaluate(POSE, [scene]).objective, rel=1e-4)
+@pytest.mark.parametrize("free", [None, FREE], ids=["fixed", "free"])
+def test_a_rig_from_elsewhere_has_the_same_value(device, free):
+    objective, [scene] = objective_of(device, free=free), scenes_of(device, 10)
+    pose = POSE if free is None else POSE + np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.2, -0.2], np.float32)
+    _, _, value = objective.observe_rig(objective.mount.rig(pose), scene)
+    assert value == pytest.approx(objective.evaluate(pose, [scene]).objective, rel=1e-4)
+    assert (free is None) == (objective.evaluate(POSE, [scene]).objective == pytest.approx(value, rel=1e-3))
+
+
+def test_what_is_free_changes_nothing_while_it_is_as_configured(device):
+    scenes = scenes_of(device, 10, 4)
+    fixed, free = objective_of(device), objective_of(device, free=FREE)
+    one, other = (each.evaluate(POSE, scenes, gradient=True, stage=Stage()) for each in (fixed, free))
+    assert one.terms == other.terms
+    np.testing.assert_array_equal(one.gradient, other.gradient)
+
+
+def test_the_losses_of_the_thesis_refuse_a_free_field_of_view():
+    with pytest.raises(ValueError, match="need one field of view for all cameras"):
+        objective_of(free=FREE, in_frame_rotation=1.0)
+    pitch_alone = FreeRanges(pitch_rad=(-0.1, 0.1))
+    assert objective_of(free=pitch_alone, in_frame_rotation=1.0).settings.needs_panorama
 
 
 def test_a_scene_without_road_users_misses_none(device):
@@ -211,3 +253,24 @@ def test_a_model_is_needed():
             camera_count=2,
             settings=LossSettings(missed=1.0),
         )
+
+
+def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
+    scenes = scenes_of("cpu", 10, 4)
+    change = np.zeros((3, *POSE.shape), np.float32)
+    change[:, :, [PITCH_RAD, RISE_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
+
+    def results():
+        objective = objective_of(free=FREE)
+        return [
+            objective.evaluate(POSE + each, scenes, gradient=True, stage=stage)
+            for each in change
+            for stage in (Stage(), Stage(0.6))
+        ]
+
+    launched = results()
+    monkeypatch.setattr("warpav.render.renderer._available_cores", lambda: 1)  # one thread records
+    for one, other in zip(launched, results(), strict=True):
+        assert one.terms == other.terms
+        np.testing.assert_array_equal(one.gradient, other.gradient)
+    assert len({each.total for each in launched}) == len(launched)

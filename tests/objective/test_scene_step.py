@@ -12,7 +12,7 @@ from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(128, 128)
-POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0]], np.float32)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0, 0.0, 0.0]], np.float32)
 SEED = np.array([1.0, 10.0, 3.0, 2.0, 1.5, 0.0], np.float32)
 
 
@@ -82,7 +82,7 @@ def test_steps_repeat_bit_by_bit(device):
 
 def test_a_recording_that_ran_out_of_room_is_made_again(device):
     steps, fresh = Steps(device, recorded=True), Steps(device, recorded=False)
-    far_above = np.array([[0.0, 0.0, 0.0, -1.5, 0.0]] * 2, np.float32)  # sees hardly a car
+    far_above = np.array([[0.0, 0.0, 0.0, -1.5, 0.0, 0.0, 0.0]] * 2, np.float32)  # sees hardly a car
     for _ in range(3):
         steps.at(far_above)
     while True:

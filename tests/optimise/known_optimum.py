@@ -177,14 +177,14 @@ def exhaustive(value, space, rig_of, *, counts=(13, 7, 24), kept=6, halvings=4):
 
 def single(point):
     """The rig of one camera at x, y [m], yaw [rad]."""
-    return np.array([[*point, 0.0, 0.0]])
+    return np.array([[*point, 0.0, 0.0, 0.0, 0.0]])
 
 
 def turned(point):
     """Four cameras, each a quarter turn about the origin from the one before; the first at x, y [m], yaw [rad]."""
     turn = 0.5 * math.pi * np.arange(4)
     x, y, yaw = point
-    rig = np.zeros((4, 5))
+    rig = np.zeros((4, 7))
     rig[:, X_M] = np.cos(turn) * x - np.sin(turn) * y
     rig[:, Y_M] = np.sin(turn) * x + np.cos(turn) * y
     rig[:, YAW_RAD] = yaw + turn

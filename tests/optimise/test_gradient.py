@@ -19,7 +19,7 @@ from warpav.optimise.gradient import Descent, MultiplierAscent, OptimiserSetting
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(64, 64, math.pi / 2)
-START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0]])
+START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0, 0.0, 0.0]])
 SETTINGS = OptimiserSettings(
     iterations=25,
     batch_size=2,
@@ -150,7 +150,7 @@ class Slope:
     def evaluate(self, mount_pose, scenes, *, multiplier=None, gradient=False, stage=None):
         if gradient:
             self.multipliers.append(multiplier)
-        slope = np.arange(1, 11, dtype=np.float32).reshape(2, 5) * [[1], [-1]]
+        slope = np.arange(1, 15, dtype=np.float32).reshape(2, 7) * [[1], [-1]]
         return Evaluation(
             total=self.total,
             objective=float(len(self.multipliers)),
@@ -175,7 +175,7 @@ def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
         np.testing.assert_allclose(list(record.multipliers.values()), multiplier.value, atol=1e-5)
         np.testing.assert_allclose(slope.multipliers[i], multiplier.value, atol=1e-5)
         share = 1.0 if schedule == "constant" else 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * i / 7))
-        pose.step(gradient * [1, 1, 1, 0, 0], np.array([0.25, 0.25, 0.25, 0.0, 0.0]) * share)
+        pose.step(gradient * [1, 1, 1, 0, 0, 0, 0], np.array([0.25] * 3 + [0.0] * 4) * share)
         multiplier.step(np.array([0.5, 0.0]), np.full(2, -0.25))
     # the thesis turns cameras about the vertical only
     np.testing.assert_array_equal(descent.state()["pose_value"][:, 3:], START[:, 3:])
@@ -212,8 +212,8 @@ def test_state_holds_every_number_of_the_optimiser(finished):
     state = descent.state()
     assert int(state["iteration"]) == 25
     assert int(state["pose_step_number"]) == int(state["multiplier_step_number"]) == 25
-    assert state["pose_first_moment"].shape == state["pose_second_moment"].shape == (10,)
-    assert state["pose_value"].shape == (2, 5)
+    assert state["pose_first_moment"].shape == state["pose_second_moment"].shape == (14,)
+    assert state["pose_value"].shape == (2, 7)
     assert state["multiplier_value"].shape == (2,)
 
 

@@ -151,7 +151,7 @@ def test_searches_beat_chance_on_a_bowl(method, most, camera_count):
 
 @needs_cma
 def test_cma_starts_where_it_is_told():
-    good = np.array([[0.4, -0.35, 0.9, 0, 0], [1.7, 0.4, -2.4, 0, 0]])
+    good = np.array([[0.4, -0.35, 0.9, 0, 0, 0, 0], [1.7, 0.4, -2.4, 0, 0, 0, 0]])
     near = search(functools.partial(cma_es, start=good), renders=40)
     assert near.value < search(cma_es, renders=40).value
 
@@ -247,7 +247,7 @@ def test_within_ends_the_block_and_not_the_search():
 def test_only_feasible_rigs_are_recorded():
     budget = BudgetedValue(bowl(2), space_of(2), renders_per_value=2, render_budget=10)
     with pytest.raises(ValueError, match="only rigs that satisfy the constraints"):
-        budget.record(np.zeros((2, 5)), 0.0)
+        budget.record(np.zeros((2, 7)), 0.0)
 
 
 # the space
@@ -326,7 +326,7 @@ def test_nonsense_ranges_are_refused():
     space = space_of(2)
     with pytest.raises(ValueError, match="low must not exceed high"):
         SearchSpace(MOUNT, CONSTRAINTS, space.high, space.low)
-    with pytest.raises(ValueError, match=r"low and high must be \[camera, 5\]"):
+    with pytest.raises(ValueError, match=r"low and high must be \[camera, 7\]"):
         SearchSpace(MOUNT, CONSTRAINTS, space.low[:1], space.high)
 
 

@@ -282,7 +282,7 @@ def test_taped_gradients_match_the_truth_of_the_benchmark(device, workload_folde
         surface = flat_surface([-5.0, -5.0], [5.0, 5.0], height_m=float(data["cam_y"][lens]))
         mount = CameraMount(surface, camera=model, height_offset_m=0.0, device=device)
         assert mount.rotation_count == 4
-        pose = wp.array([[z, x, yaw, 0.0, 0.0]], dtype=float, device=device, requires_grad=True)
+        pose = wp.array([[z, x, yaw, 0.0, 0.0, 0.0, 0.0]], dtype=float, device=device, requires_grad=True)
         tape = wp.Tape()
         with tape:
             views = mount.place(pose)

@@ -381,3 +381,28 @@ def test_gradients_of_colours_without_distortion_are_a_pinholes(device, rng):
     weight = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
     expected, ours = (colour_gradient(scene, model, pose, weight, device) for model in (pinhole, undistorted))
     assert relative_error(ours, expected) < 1e-4  # seen 3e-7
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "fisheye"])
+def test_views_that_are_zoomed_on_the_device_are_those_of_zoomed_lenses(device, lens):
+    model, zooms = CameraModel(96, 72, 1.4, lens=lens), np.array([0.4, 0.0, -0.2], np.float32)
+    scene, poses = DeviceScene.pack(two_cars(), device=device), poses_round_the_cars(3)
+    expected = measured(scene, poses, [model.zoomed(float(zoom)) for zoom in zooms], 2, device)
+    renderer = Renderer([model] * 3, supersampling=2, device=device)
+    position, rotation = on_device(poses, device)
+    log_zoom = wp.array(zooms, dtype=float, device=device)
+    renderer.render(scene, position, rotation, log_zoom=log_zoom)
+    found = renderer.measure(scene)
+    np.testing.assert_allclose(found.value.numpy(), expected.value.numpy(), rtol=1e-4, atol=2e-2)
+    np.testing.assert_array_equal(found.value.numpy()[1], expected.value.numpy()[1])
+    # at the zooms at which it was rendered the value is the rendered one, and what moves is counted from there
+    np.testing.assert_array_equal(found.on_tape(position, rotation, log_zoom).numpy(), found.value.numpy())
+    np.testing.assert_array_equal(found.on_tape(position, rotation).numpy(), found.value.numpy())
+    step = found.on_tape(position, rotation, wp.array(zooms + np.float32(0.01), dtype=float, device=device)).numpy()
+    np.testing.assert_allclose(step - found.value.numpy(), 0.01 * found.per_zoom.numpy(), rtol=1e-2, atol=1e-2)
+    # and the next render is as the lenses say again
+    renderer.render(scene, position, rotation)
+    plain = measured(scene, poses, [model] * 3, 2, device)
+    np.testing.assert_array_equal(renderer.measure(scene).value.numpy(), plain.value.numpy())
+    with pytest.raises(ValueError, match="log_zoom must be one for each of 3 views"):
+        renderer.render(scene, position, rotation, log_zoom=wp.zeros(2, dtype=float, device=device))

@@ -204,3 +204,33 @@ def test_a_camera_that_sees_all_round_need_not_turn():
 def test_a_camera_model_refuses(changes, message):
     with pytest.raises(ValueError, match=message):
         CameraModel(**changes)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        CameraModel(640, 480, 1.2),
+        CameraModel(640, 480, 1.2, lens="brown_conrady", distortion=BARREL[:4]),
+        CameraModel(640, 480, 2.4, lens="fisheye", distortion=KB4),
+        CameraModel(640, 480, 3.0, lens="panorama"),
+        calibrated("brown_conrady", BARREL),
+    ],
+)
+def test_a_zoom_makes_focal_lengths_longer_and_nothing_else(model):
+    for log_zoom in (0.3, -0.05):
+        zoomed = model.zoomed(log_zoom)
+        expected = model.intrinsics.copy()
+        expected[[0, 1], [0, 1]] *= math.exp(log_zoom)
+        np.testing.assert_allclose(zoomed.intrinsics, expected, rtol=1e-6)
+        assert (zoomed.fov_rad < model.fov_rad) == (log_zoom > 0.0)
+        assert zoomed.log_zoom_over(model) == pytest.approx(log_zoom, abs=1e-6)
+        assert zoomed.is_zoom_of(model)
+        assert (zoomed.focal_px is None) == (model.focal_px is None)
+    assert model.zoomed(0.0) is model
+    assert model.log_zoom_over(model) == 0.0
+    assert not dataclasses.replace(model, near_m=0.2).is_zoom_of(model)
+
+
+def test_a_zoom_that_the_lens_cannot_see_is_refused():
+    with pytest.raises(ValueError, match="panorama"):
+        CameraModel(640, 480, 6.0, lens="panorama").zoomed(-0.5)

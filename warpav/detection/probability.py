@@ -231,7 +231,7 @@ class DetectionProbability:
             appearance: What a render showed from these very views.
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
-            log_zoom: Logarithm of each view's focal length over the rendered one, float [view]; None: 0.
+            log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
         """
         measure = appearance.measures.on_tape(position_ego_m, camera_from_ego, log_zoom)
         in_frame_sr = appearance.in_frame.on_tape(position_ego_m, camera_from_ego, log_zoom)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -76,14 +77,41 @@ class Sightings:
 
 
 def random_cameras(
-    rng: np.random.Generator, surface: MountSurface, model: CameraModel, *, height_offset_m: float, count: int
+    rng: np.random.Generator,
+    surface: MountSurface,
+    model: CameraModel,
+    *,
+    height_offset_m: float,
+    count: int,
+    pitch_rad: tuple[float, float] | None = None,
+    height_m: tuple[float, float] | None = None,
+    fov_rad: tuple[float, float] | None = None,
 ) -> list[RigCamera]:
-    """Cameras anywhere on a mount surface, level, and turned anywhere: where an optimisation may lead them."""
+    """Cameras anywhere on a mount surface, turned anywhere: where an optimisation may lead them.
+
+    Args:
+        rng: Random numbers.
+        surface: Where they stand.
+        model: Their model.
+        height_offset_m: Their height above the surface [m].
+        count: How many.
+        pitch_rad: Range of their pitches [rad]; None: they look level.
+        height_m: Range of their heights above the surface [m]; None: ``height_offset_m``.
+        fov_rad: Range of their fields of view [rad], uniform in the logarithm of the focal length; None: the model's.
+    """
     place_m = rng.uniform(*surface.bounds_m, size=(count, 2))
-    height_m = surface.height_at_m(place_m) + height_offset_m
     yaw_rad = rng.uniform(-math.pi, math.pi, count)
+    pitches_rad = np.zeros(count) if pitch_rad is None else rng.uniform(*pitch_rad, count)
+    offset_m = height_offset_m if height_m is None else rng.uniform(*height_m, count)
+    z_m = surface.height_at_m(place_m) + offset_m
+    models = [model] * count
+    if fov_rad is not None:
+        low, high = (dataclasses.replace(model, fov_rad=angle).log_zoom_over(model) for angle in fov_rad[::-1])
+        models = [model.zoomed(float(log_zoom)) for log_zoom in rng.uniform(low, high, count)]
     return [
-        RigCamera(f"camera_{i}", np.array([*place_m[i], height_m[i]]), float(yaw_rad[i]), 0.0, 0.0, model)
+        RigCamera(
+            f"camera_{i}", np.array([*place_m[i], z_m[i]]), float(yaw_rad[i]), float(pitches_rad[i]), 0.0, models[i]
+        )
         for i in range(count)
     ]
 
@@ -98,10 +126,10 @@ def look(
     confidence_min: float,
     iou_min: float,
 ) -> Sightings:
-    """Show a scene to the detector through cameras of the renderer's lenses, as many as it has views.
+    """Show a scene to the detector through cameras, as many as the renderer has views and of its size of image.
 
     Args:
-        renderer: Renders them.
+        renderer: Renders them; it takes their lenses.
         scene: The scene.
         cameras: One for every view.
         detector: Whose chances are wanted.
@@ -114,6 +142,7 @@ def look(
     position_ego_m = wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
     turn = transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
     camera_from_ego = wp.array(turn, dtype=wp.mat33, device=device)
+    renderer.set_lenses([camera.model for camera in cameras])
     renderer.render(scene, position_ego_m, camera_from_ego)
     image = renderer.rgb(scene)
     observation = observe(

@@ -25,6 +25,7 @@ from warpav.problem import (
     Problem,
     Traffic,
     load_networks,
+    load_probability,
     load_traffic,
     optimiser_settings,
     problem_on,
@@ -320,8 +321,8 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
 
 
 def _problem(config: Config) -> Problem:
-    networks = load_networks(config, QUIET)
-    return problem_on(traffic_of_process(config, QUIET), config, networks)
+    networks, probability = load_networks(config), load_probability(config, QUIET)
+    return problem_on(traffic_of_process(config, QUIET), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
@@ -531,7 +532,8 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
             losses = each.losses
             needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
             if needs not in tried:
-                load_networks(each, display)
+                load_networks(each)
+                load_probability(each, display)
                 tried.append(needs)
 
 

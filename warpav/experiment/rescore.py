@@ -173,7 +173,7 @@ def run_rescore(
     config = with_absolute_paths(changed_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
     tasks = [_task(run, config, folder, out) for runs in before.values() for run in runs]
-    load_networks(config, display)  # what is wrong with the detector shows before anything else begins
+    load_networks(config)  # what is wrong with the detector shows before anything else begins
     (out / RESULTS).mkdir(parents=True, exist_ok=True)
     described = read_json(folder / DESCRIPTION)
     title = f"{described['experiment']} rescored {name}"
@@ -235,7 +235,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     began = time.perf_counter()
     config = task.config
     traffic = traffic_of_process(config, QUIET)
-    problem = problem_on(traffic, config, load_networks(config, QUIET))
+    problem = problem_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     metrics = asdict(evaluate_rig(rig, problem.test, problem.objective, with_objective=False))
     old = read_json(task.source / RESULTS / f"{task.name}.json")

@@ -74,8 +74,10 @@ def detector_loss_of(
         return (float(result.loss.sum()) + unseen_loss) / len(assigned)
 
     with tape:
-        measure = measures.on_tape(views.position_ego_m, views.camera_from_ego)
-    image = renderer.rgb_on_tape(tape, scene, views.position_ego_m, views.camera_from_ego, shown_view=shown_view)
+        measure = measures.on_tape(views.position_ego_m, views.camera_from_ego, views.log_zoom)
+    image = renderer.rgb_on_tape(
+        tape, scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom, shown_view=shown_view
+    )
     result = detector.loss(image, *objects, weight=np.full(len(vehicle), weight / len(assigned)))
     assert result.image_gradient is not None
     assert result.box_gradient is not None

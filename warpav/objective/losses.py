@@ -138,6 +138,7 @@ def placement_losses_of(
     Raises:
         ValueError: ``unblocked`` is needed and not there.
     """
+    # the bearings and ranges of these losses take one field of view for all cameras, see `ThesisObjective`
     if settings.surface_blockage > 0.0 and unblocked is None:
         raise ValueError("settings.surface_blockage needs the unblocked areas")
     device = rendered.value.device
@@ -174,7 +175,7 @@ def placement_losses_of(
         outputs=[vehicle_loss],
         device=device,
     )
-    measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego)
+    measure = rendered.on_tape(views.position_ego_m, views.camera_from_ego, views.log_zoom)
     area_around = wp.zeros(vehicle_count, dtype=float, device=device, requires_grad=True)
     wp.launch(
         placement_losses.sum_area_around_kernel,
@@ -244,7 +245,7 @@ def _add_surface_blockage(
         device=device,
         record_tape=False,
     )
-    unblocked_area = unblocked.on_tape(views.position_ego_m, views.camera_from_ego)
+    unblocked_area = unblocked.on_tape(views.position_ego_m, views.camera_from_ego, views.log_zoom)
     wp.launch(
         placement_losses.surface_blockage_loss_kernel,
         dim=vehicle_count,

@@ -82,8 +82,8 @@ class ProbabilityLook:
             scene: The scene.
             measures: Of this render, from `Renderer.measure`.
             image: Its colours in all views, vec3 [view, row, column]; None: they are drawn here.
-            window_rad: Fields of view over the panoramas, from `windows_over_panorama`; None where each camera has one
-                view.
+            window_rad: Fields of view over the panoramas, from `windows_over_panorama` or `CameraMount.windows`; None
+                where each camera has one view.
             softness_rad: Of the windows' edges [rad].
         """
         appearance = Appearance.of(renderer, scene, measures=measures, image=image)
@@ -128,6 +128,7 @@ def add_missed_loss(
     settings: LossSettings,
     place: int,
     loss: wp.array,
+    window_rad: wp.array | None = None,
 ) -> wp.array:
     """The expected number of missed objects, recorded on the active tape.
 
@@ -141,13 +142,14 @@ def add_missed_loss(
         settings: Whether all cameras count, and what stands for the probability.
         place: Where to write.
         loss: float [loss]; the element at ``place`` is written.
+        window_rad: The windows of ``look``, where they move with the cameras: from `CameraMount.windows`, on the tape.
 
     Returns:
         Probability that each camera finds each object, float [camera, object].
     """
     device = loss.device
-    position, rotation = views.position_ego_m, views.camera_from_ego
-    seen = model.on_tape(look.appearance, position, rotation)
+    pose = views.position_ego_m, views.camera_from_ego, views.log_zoom
+    seen = model.on_tape(look.appearance, *pose)
     probability = seen.probability
     if settings.probability == "visible_share":
         probability = wp.zeros_like(seen.probability, requires_grad=True)
@@ -171,11 +173,12 @@ def add_missed_loss(
             device=device,
             record_tape=False,
         )
-        for solid_angle, total in ((look.in_window, in_window_sr), (look.visible, around_sr)):
+        in_window = look.in_window.on_tape(*pose, window_rad)
+        for solid_angle, total in ((in_window, in_window_sr), (look.visible.on_tape(*pose), around_sr)):
             wp.launch(
                 missed_loss.sum_over_panorama_kernel,
                 dim=shape,
-                inputs=[solid_angle.on_tape(position, rotation), rotation_count],
+                inputs=[solid_angle, rotation_count],
                 outputs=[total],
                 device=device,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,16 @@ import warp as wp
 
 from warpav.geometry.mount_surface import MountSurface
 from warpav.rig.camera import CameraModel, rotational_additions
+from warpav.rig.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav_kernels import mount_pose as kernels
 
 X_M, Y_M, YAW_RAD = int(kernels.X_M), int(kernels.Y_M), int(kernels.YAW_RAD)
 PITCH_RAD, ROLL_RAD = int(kernels.PITCH_RAD), int(kernels.ROLL_RAD)
+RISE_M, LOG_ZOOM = int(kernels.RISE_M), int(kernels.LOG_ZOOM)
 MOUNT_POSE_SIZE = int(kernels.MOUNT_POSE_SIZE)
+
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -22,49 +27,136 @@ class PlacedViews:
     """Poses of all views of a rig: view = camera * rotation_count + rotational addition.
 
     Attributes:
-        mount_pose: x, y [m], yaw, pitch, roll [rad] of every camera, float [camera, 5].
+        mount_pose: x, y [m], yaw, pitch, roll [rad], rise [m], log zoom of every camera, float [camera, 7].
         position_ego_m: Centre of every view [m], vec3 [view].
         camera_from_ego: Rotation from ego to camera axes of every view, mat33 [view].
+        log_zoom: Logarithm of every view's focal length over that of the mount's camera, float [view].
     """
 
     mount_pose: wp.array
     position_ego_m: wp.array
     camera_from_ego: wp.array
+    log_zoom: wp.array
+
+
+@dataclass(frozen=True)
+class FreeRanges:
+    """What may differ from camera to camera besides x, y and yaw, and how far: low and high; None: it stays fixed.
+
+    Attributes:
+        pitch_rad: Pitch, nose-down positive [rad].
+        height_m: Height of the camera's centre above the mount surface [m].
+        fov_rad: Horizontal field of view [rad], of a pinhole alone.
+    """
+
+    pitch_rad: tuple[float, float] | None = None
+    height_m: tuple[float, float] | None = None
+    fov_rad: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name, pair in vars(self).items():
+            if pair is not None and not -math.inf < pair[0] < pair[1] < math.inf:
+                raise ValueError(f"{name} must be a range, the lower end first, got {pair}")
 
 
 class CameraMount:
-    """A mount surface on the device, and the cameras that stand a fixed height above it."""
+    """A mount surface on the device, and the cameras that stand above it.
+
+    A camera is seven numbers, its mount pose: x, y [m], yaw, pitch, roll [rad]; its rise, by how much it stands higher
+    above the surface than configured [m]; its log zoom, the logarithm of its focal length over the configured one.
+    """
 
     def __init__(
-        self, surface: MountSurface, *, camera: CameraModel, height_offset_m: float, device: str = "cpu"
+        self,
+        surface: MountSurface,
+        *,
+        camera: CameraModel,
+        height_offset_m: float,
+        device: str = "cpu",
+        free: FreeRanges | None = None,
     ) -> None:
         """Mount for cameras of one model.
 
         Args:
             surface: Height map of the ego vehicle.
-            camera: The model that all cameras share; its field of view gives the rotational additions.
-            height_offset_m: Height of the camera centres above the surface [m].
+            camera: The model of all cameras at log zoom 0; the narrowest field of view gives the rotational additions.
+            height_offset_m: Height of the camera centres above the surface at rise 0 [m].
             device: Warp device.
+            free: What else may differ from camera to camera; None: nothing.
+
+        Raises:
+            ValueError: A range of ``free`` does not hold what is configured, or the lens is no pinhole and its field of
+                view is free.
         """
         self.surface = surface
         self.camera = camera
         self.height_offset_m = height_offset_m
         self.device = device
-        self.rotation_count, self.rotation_step_rad = rotational_additions(camera.fov_rad)
+        self.free = free = free or FreeRanges()
+        if free.fov_rad is not None and camera.lens is not Lens.PINHOLE:
+            raise ValueError(f"the field of view of a {camera.lens} lens cannot be free")
+        narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
+        self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
+        self.low, self.high = self._ends()
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
 
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest mount pose, float32 [7]; infinite where a number has no ends of its own."""
+        low, high = (np.full(MOUNT_POSE_SIZE, end, np.float32) for end in (-np.inf, np.inf))
+        free, camera = self.free, self.camera
+        ranges: dict[int, tuple[float, float]] = {}
+        if free.pitch_rad is not None:
+            ranges[PITCH_RAD] = free.pitch_rad
+        if free.height_m is not None:
+            ranges[RISE_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
+        if free.fov_rad is not None:
+            tangent = math.tan(0.5 * camera.fov_rad)
+            ranges[LOG_ZOOM] = (
+                math.log(tangent / math.tan(0.5 * free.fov_rad[1])),
+                math.log(tangent / math.tan(0.5 * free.fov_rad[0])),
+            )
+        for number, (least, greatest) in ranges.items():
+            if least > _ROUNDING or greatest < -_ROUNDING:
+                raise ValueError(f"the free ranges must hold what is configured, got {free}")
+            # rounded inwards, so that single precision is within as well
+            low[number], high[number] = least, greatest
+            if float(low[number]) < least:
+                low[number] = np.nextafter(low[number], np.float32(np.inf))
+            if float(high[number]) > greatest:
+                high[number] = np.nextafter(high[number], np.float32(-np.inf))
+        return low, high
+
+    @property
+    def is_free(self) -> np.ndarray:
+        """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
+        return np.isfinite(self.low)
+
+    def within(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The nearest mount poses [camera, 7] within the free ranges, of the same type."""
+        return np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
+
+    def has_model(self, model: CameraModel) -> bool:
+        """Whether a camera of this model can be one of the mount's."""
+        return model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera))
+
     def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
-        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose`` [camera, 5].
+        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
 
         Args:
-            mount_pose: x, y [m], yaw, pitch, roll [rad] of every camera, float [camera, 5].
+            mount_pose: Of every camera, float [camera, 7].
             rotation_count: Views of every camera; None: all rotational additions.
+
+        Raises:
+            ValueError: Not so many numbers for a camera.
         """
+        if mount_pose.ndim != 2 or mount_pose.shape[1] != MOUNT_POSE_SIZE:
+            raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
         camera_count = mount_pose.shape[0]
         rotation_count = self.rotation_count if rotation_count is None else rotation_count
         view_count = camera_count * rotation_count
         position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
         camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
+        log_zoom = wp.zeros(view_count, dtype=float, device=self.device, requires_grad=True)
         wp.launch(
             kernels.place_on_surface_kernel,
             dim=camera_count,
@@ -77,14 +169,48 @@ class CameraMount:
                 rotation_count,
                 self.rotation_step_rad,
             ],
-            outputs=[position_ego_m, camera_from_ego],
+            outputs=[position_ego_m, camera_from_ego, log_zoom],
             device=self.device,
         )
-        return PlacedViews(mount_pose, position_ego_m, camera_from_ego)
+        return PlacedViews(mount_pose, position_ego_m, camera_from_ego, log_zoom)
+
+    @property
+    def windows_move(self) -> bool:
+        """Whether the fields of view move over the panoramas, see `windows`: with free zooms and pitches."""
+        return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
+
+    def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
+        """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
+
+        Recorded on the active tape; gradients flow to the views' rotations and zooms.
+
+        Args:
+            views: Placed here, or by `views_of_rig`.
+            requires_grad: Whether gradients flow through the windows; without, they are mere numbers.
+
+        Returns:
+            vec4 [view].
+        """
+        half_width = math.tan(0.5 * self.camera.fov_rad)
+        view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
+        window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
+        wp.launch(
+            kernels.place_windows_kernel,
+            dim=camera_count,
+            inputs=[
+                views.camera_from_ego,
+                views.log_zoom,
+                view_count // camera_count,
+                wp.vec2(half_width, half_width * self.camera.height_px / self.camera.width_px),
+            ],
+            outputs=[window_rad],
+            device=self.device,
+        )
+        return window_rad
 
     def rig(self, mount_pose: np.ndarray) -> Rig:
-        """The rig whose cameras stand at ``mount_pose`` [camera, 5], named ``camera_0``, ``camera_1``, ..."""
-        height_m = self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m
+        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ..."""
+        height_m = self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, RISE_M]
         return Rig.create(
             [
                 RigCamera(
@@ -93,19 +219,45 @@ class CameraMount:
                     yaw_rad=float(pose[YAW_RAD]),
                     pitch_rad=float(pose[PITCH_RAD]),
                     roll_rad=float(pose[ROLL_RAD]),
-                    model=self.camera,
+                    model=self.camera.zoomed(float(pose[LOG_ZOOM])),
                 )
                 for i, pose in enumerate(mount_pose)
             ]
         )
 
+    def mount_pose_of_rig(self, rig: Rig) -> np.ndarray:
+        """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
 
-def mount_pose_of_rig(rig: Rig) -> np.ndarray:
-    """x, y [m], yaw, pitch, roll [rad] of every camera, float32 [camera, 5]; the height is the mount's business."""
-    return np.array([[*c.position_m[:2], c.yaw_rad, c.pitch_rad, c.roll_rad] for c in rig.cameras], np.float32)
+        Cameras of another model than the mount's give the zoom at which the mount's has their focal length.
+        """
+        rows = []
+        for camera in rig.cameras:
+            x_m, y_m, z_m = camera.position_m
+            rise_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
+            log_zoom = camera.model.log_zoom_over(self.camera)
+            rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, rise_m, log_zoom])
+        return np.array(rows, np.float32)
+
+    def start_pose_of_rig(self, rig: Rig) -> np.ndarray:
+        """The mount poses nearest to a rig's cameras that this mount allows, float32 [camera, 7].
+
+        Height and field of view are as configured where they are not free.
+        """
+        pose = self.mount_pose_of_rig(rig)
+        for number in (RISE_M, LOG_ZOOM):
+            if not self.is_free[number]:
+                pose[:, number] = 0.0
+        return self.within(pose)
 
 
-def views_of_rig(rig: Rig, *, rotation_count: int, rotation_step_rad: float, device: str = "cpu") -> PlacedViews:
+def views_of_rig(
+    rig: Rig,
+    *,
+    rotation_count: int,
+    rotation_step_rad: float,
+    device: str = "cpu",
+    mount: CameraMount | None = None,
+) -> PlacedViews:
     """Poses of all views of a rig that stands anywhere; nothing is taped.
 
     Args:
@@ -113,6 +265,7 @@ def views_of_rig(rig: Rig, *, rotation_count: int, rotation_step_rad: float, dev
         rotation_count: Rotational additions per camera.
         rotation_step_rad: Angle between them about the vertical [rad].
         device: Warp device.
+        mount: Height and zoom count from its own; None: they count from the rig's own, and are 0.
     """
     position, rotation = [], []
     for camera in rig.cameras:
@@ -122,8 +275,14 @@ def views_of_rig(rig: Rig, *, rotation_count: int, rotation_step_rad: float, dev
             turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
             position.append(transform[:3, 3])
             rotation.append((turn @ transform[:3, :3]).T)
+    if mount is not None:
+        pose = mount.mount_pose_of_rig(rig)
+    else:
+        flat = [[*c.position_m[:2], c.yaw_rad, c.pitch_rad, c.roll_rad, 0.0, 0.0] for c in rig.cameras]
+        pose = np.array(flat, np.float32)
     return PlacedViews(
-        wp.array(mount_pose_of_rig(rig), dtype=float, device=device),
+        wp.array(pose, dtype=float, device=device),
         wp.array(np.array(position, np.float32), dtype=wp.vec3, device=device),
         wp.array(np.array(rotation, np.float32), dtype=wp.mat33, device=device),
+        wp.array(np.repeat(pose[:, LOG_ZOOM], rotation_count), dtype=float, device=device),
     )

@@ -39,7 +39,7 @@ class Evaluation:
         total: The Lagrangian.
         objective: Scaled sum of the objectives, without constraints.
         terms: Every loss by name, unscaled; without those that have no scale and would have to be measured first.
-        gradient: Of the total to the mount poses, float32 [camera, 5]; None if it was not asked for.
+        gradient: Of the total to the mount poses, float32 [camera, 7]; None if it was not asked for.
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
         seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
             total [s].
@@ -127,12 +127,15 @@ class ThesisObjective:
             differentiable_detector: The network of the loss ``detector_gradient``; needed where its scale is not 0.
 
         Raises:
-            ValueError: One of them is needed and not there.
+            ValueError: One of them is needed and not there, or a loss of the thesis is to take part while the mount's
+                fields of view are free: all of these take one field of view for all cameras.
         """
         if settings.detector_gradient > 0.0 and differentiable_detector is None:
             raise ValueError("settings.detector_gradient needs a differentiable_detector")
         if settings.missed > 0.0 and probability is None:
             raise ValueError("settings.missed needs the probability of detection")
+        if settings.needs_panorama and mount.free.fov_rad is not None:
+            raise ValueError("the losses of the thesis need one field of view for all cameras, got free ones")
         self.mount = mount
         self.differentiable_detector = differentiable_detector if settings.detector_gradient > 0.0 else None
         self.probability = probability if settings.missed > 0.0 else None
@@ -175,7 +178,7 @@ class ThesisObjective:
         The losses of the thesis are means over scenes, ``missed`` is the mean over all their objects.
 
         Args:
-            mount_pose: x, y [m], yaw, pitch, roll [rad] of every camera, float [camera, 5].
+            mount_pose: As `CameraMount` counts them, float [camera, 7].
             scenes: The batch.
             multiplier: Lagrange multipliers, float [constraint]; None: 0.
             gradient: Whether to differentiate.
@@ -243,7 +246,7 @@ class ThesisObjective:
         return share
 
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
-        """Gradient of every loss by itself, unscaled, to the mount poses; float32 [camera, 5] by name.
+        """Gradient of every loss by itself, unscaled, to the mount poses; float32 [camera, 7] by name.
 
         Of the objectives those of ``settings.measured_objectives`` whose gradient comes through the placement losses,
         each the mean over the scenes; then the constraints.
@@ -442,9 +445,10 @@ class ThesisObjective:
             rotation_count=looks.rotation_count,
             rotation_step_rad=self.mount.rotation_step_rad,
             device=self.device,
+            mount=self.mount,
         )
         scene, renderer = assigned.scene, looks.renderers[0]
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego)
+        renderer.render(scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
         observation = observe(
             renderer,
             scene,

@@ -63,7 +63,8 @@ def losses_of_look(
         detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
         stage: How far along the optimisation is.
         image: What the cameras see ahead, vec3 [camera, row, column].
-        window_rad: See `windows_over_panorama`; None where every camera has one view.
+        window_rad: See `windows_over_panorama`; None where every camera has one view, or where fields of view and
+            pitches are free and the windows move with them.
 
     Returns:
         float [objective] in the order of `OBJECTIVES`, 0 where a loss is left out. Those of the thesis are means over
@@ -83,6 +84,11 @@ def losses_of_look(
         loss = wp.zeros(len(OBJECTIVES), dtype=float, device=measures.value.device, requires_grad=True)
     if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
         camera_count = detected.shape[0]
+        rotation_count = renderer.view_count // camera_count
+        moving_rad = None
+        if rotation_count > 1 and mount.windows_move:
+            moving_rad = mount.windows(views)
+            window_rad = mount.windows(views, requires_grad=False)
         look = ProbabilityLook.of(
             renderer,
             scene,
@@ -97,10 +103,11 @@ def losses_of_look(
             views,
             detected,
             stage,
-            rotation_count=renderer.view_count // camera_count,
+            rotation_count=rotation_count,
             settings=settings,
             place=MISSED,
             loss=loss,
+            window_rad=moving_rad,
         )
     return loss
 
@@ -138,7 +145,7 @@ class SceneStep:
             renderer: Renders all views; shared by the steps of all scenes. Every camera has as many of its views: all
                 rotational additions, or only that in which it really looks.
             assigned: The scene.
-            pose: Mount poses, float [camera, 5], with a gradient, to which `learn` adds.
+            pose: Mount poses, float [camera, 7], with a gradient, to which `learn` adds.
             seed: Weight of each placement loss in that gradient, float [loss].
             ahead_view: The view of each camera in which it looks straight ahead.
             settings: Parameters of the losses.
@@ -162,7 +169,7 @@ class SceneStep:
         self._probability, self._stage = probability, stage or StageOnDevice(str(device))
         self._detected = wp.zeros((camera_count, scene.vehicle_count), dtype=float, device=device)
         self._window_rad = None
-        if self._rotation_count > 1:
+        if self._rotation_count > 1 and not mount.windows_move:
             self._window_rad = windows_over_panorama(
                 mount.camera,
                 camera_count=camera_count,
@@ -214,7 +221,7 @@ class SceneStep:
 
     def _look(self) -> None:
         views = self._views()
-        self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego)
+        self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
         self.image = self._renderer.rgb(self.scene, self._ahead_view)
 
     def detector_loss(

@@ -20,7 +20,7 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
         camera_count: Number of cameras.
 
     Returns:
-        Mount poses, float64 [camera, 5].
+        Mount poses, float64 [camera, 7].
 
     Raises:
         InputError: The cameras do not fit.
@@ -43,7 +43,7 @@ def random_mount_pose(constraints: Constraints, yaw_rad: np.ndarray, *, rng: np.
         rng: Random numbers.
 
     Returns:
-        Mount poses, float64 [camera, 5].
+        Mount poses, float64 [camera, 7].
 
     Raises:
         InputError: The cameras do not fit.

@@ -13,7 +13,7 @@ import warp as wp
 from warpav.errors import InputError
 from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.missed import Stage
-from warpav.objective.mount import PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
+from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
 from warpav.optimise.segregation import BatchChooser, ShuffledBatches
 from warpav_kernels import update
@@ -28,6 +28,9 @@ class OptimiserSettings:
         batch_size: Scenes per step, at least 1.
         learning_rate_position_m: First step of x and y [m].
         learning_rate_yaw_rad: First step of the yaw [rad].
+        learning_rate_pitch_rad: First step of the pitch [rad], where that is free.
+        learning_rate_height_m: First step of the height above the surface [m], likewise.
+        learning_rate_zoom: First step of the logarithm of the focal length, likewise.
         schedule: ``constant``, or ``cosine`` from the first step down to a hundredth of it.
         weight_decay: Pull of AdamW towards 0.
         multiplier_learning_rate: Step of the multipliers: of AdamW, or of plain ascent where the constraints are
@@ -45,6 +48,9 @@ class OptimiserSettings:
     batch_size: int = 4
     learning_rate_position_m: float = 0.25
     learning_rate_yaw_rad: float = 0.25
+    learning_rate_pitch_rad: float = math.radians(2.0)
+    learning_rate_height_m: float = 0.02
+    learning_rate_zoom: float = 0.02
     schedule: str = "constant"
     weight_decay: float = 1e-3
     multiplier_learning_rate: float = 0.25
@@ -66,13 +72,14 @@ class IterationRecord:
         loss: The Lagrangian on the batch, at the poses before the step.
         terms: Every loss by name, unscaled.
         multipliers: Every Lagrange multiplier by name.
-        gradient_norm: L2 norm of the gradient to all positions and to all yaws.
+        gradient_norm: L2 norm of the gradient to all positions and to all angles; where it is free, to all zooms.
         positions_m: Camera centres in the ego frame before the step [m], [camera][3].
         yaw_deg: Yaw before the step [deg], [camera].
         seconds: Wall time: render, detect, backward, total [s].
         min_camera_distance_m: Smallest distance between two cameras [m].
         training_objective: Objective of the feasible poses on all validation scenes, None where it was not looked at.
         best_training_objective: The lowest of them so far, None before the first look.
+        free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
     """
 
     iteration: int
@@ -86,6 +93,7 @@ class IterationRecord:
     min_camera_distance_m: float | None
     training_objective: float | None
     best_training_objective: float | None
+    free: dict[str, list[float]] = field(default_factory=dict)
 
 
 class AdamW:
@@ -106,6 +114,10 @@ class AdamW:
     def value(self) -> np.ndarray:
         """The numbers now, a copy."""
         return self._value.numpy().reshape(self._shape).copy()
+
+    @value.setter
+    def value(self, value: np.ndarray) -> None:
+        self._value.assign(np.ascontiguousarray(value, np.float32).ravel())
 
     def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
         """One step; a negative step size ascends, 0 leaves a number as it is. Shapes as ``value``."""
@@ -175,7 +187,7 @@ class Descent:
         objective: What is lowered.
         scenes: The training scenes with their assigned cameras.
         settings: How to step.
-        start: Mount poses to start from, float [camera, 5].
+        start: Mount poses to start from, float [camera, 7].
         rng: Chooses the batches.
         validation: Scenes on which rigs are compared; None: the training scenes.
         candidates: Rigs that were looked at on all validation scenes, in order.
@@ -192,7 +204,8 @@ class Descent:
     def __post_init__(self) -> None:
         device = self.objective.device
         self.iteration = 0
-        self._pose = AdamW(self.start, weight_decay=self.settings.weight_decay, device=device)
+        self._mount: CameraMount = self.objective.mount
+        self._pose = AdamW(self._mount.within(self.start), weight_decay=self.settings.weight_decay, device=device)
         constraints = self.objective.constraints
         multiplier = np.zeros(len(constraints.names), np.float32)
         self._multiplier: AdamW | MultiplierAscent = (
@@ -205,8 +218,13 @@ class Descent:
         rate = np.zeros_like(self.start, dtype=np.float32)
         rate[:, [X_M, Y_M]] = self.settings.learning_rate_position_m
         rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
-        rate[:, [PITCH_RAD, ROLL_RAD]] = 0.0  # the thesis moves cameras in the plane and turns them about the vertical
-        self._rate = rate
+        # the others stay where they are: the thesis moves cameras in the plane and turns them about the vertical
+        rate[:, PITCH_RAD] = self.settings.learning_rate_pitch_rad
+        rate[:, RISE_M] = self.settings.learning_rate_height_m
+        rate[:, LOG_ZOOM] = self.settings.learning_rate_zoom
+        is_moved = self._mount.is_free.copy()
+        is_moved[[X_M, Y_M, YAW_RAD]] = True
+        self._rate = rate * is_moved
 
     def step(self) -> IterationRecord:
         """One batch, one step of the cameras, one of the multipliers.
@@ -228,6 +246,8 @@ class Descent:
             )
         record = self._record(pose, multiplier, gradient, result, look)
         self._pose.step(gradient, self._rate * self._schedule())
+        if self._mount.is_free.any():
+            self._pose.value = self._mount.within(self._pose.value)
         self._multiplier.step(multiplier_gradient, np.full(len(multiplier), -self.settings.multiplier_learning_rate))
         self.iteration += 1
         return record
@@ -300,21 +320,33 @@ class Descent:
         result: Evaluation,
         look: Candidate | None,
     ) -> IterationRecord:
-        position_m = np.array([camera.position_m for camera in self.objective.mount.rig(pose).cameras])
+        rig = self._mount.rig(pose)
+        position_m = np.array([camera.position_m for camera in rig.cameras])
         distance_m = min_camera_distance_m(position_m)
+        is_free = self._mount.is_free
+        free: dict[str, np.ndarray] = {}
+        norm = {
+            "position": gradient[:, [X_M, Y_M, *([RISE_M] if is_free[RISE_M] else [])]],
+            "rotation": gradient[:, [YAW_RAD, *([PITCH_RAD] if is_free[PITCH_RAD] else [])]],
+        }
+        if is_free[PITCH_RAD]:
+            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD])
+        if is_free[RISE_M]:
+            free["height_m"] = pose[:, RISE_M].astype(np.float64) + self._mount.height_offset_m
+        if is_free[LOG_ZOOM]:
+            free["fov_deg"] = np.degrees([camera.model.fov_rad for camera in rig.cameras])
+            norm["zoom"] = gradient[:, LOG_ZOOM]
         return IterationRecord(
             iteration=self.iteration,
             loss=result.total,
             terms=result.terms,
             multipliers=dict(zip(self.objective.constraints.names, multiplier.tolist(), strict=True)),
-            gradient_norm={
-                "position": float(np.linalg.norm(gradient[:, [X_M, Y_M]])),
-                "rotation": float(np.linalg.norm(gradient[:, YAW_RAD])),
-            },
+            gradient_norm={name: float(np.linalg.norm(part)) for name, part in norm.items()},
             positions_m=position_m.tolist(),
             yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
             seconds=result.seconds,
             min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
             training_objective=look.training_objective if look else None,
             best_training_objective=self.best.training_objective if self.candidates else None,
+            free={name: numbers.tolist() for name, numbers in free.items()},
         )

@@ -107,7 +107,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
     Args:
         value: Where to look.
         rng: Random numbers; NumPy's global ones are left alone.
-        start: Where the first search starts, float [camera, 5]; None, and after a restart: at the best of as many
+        start: Where the first search starts, float [camera, 7]; None, and after a restart: at the best of as many
             random rigs as a generation has, since where nothing is seen nothing can be learnt.
 
     Raises:
@@ -147,7 +147,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
 
 
 def _best_of(count: int, value: BudgetedValue, rng: np.random.Generator) -> np.ndarray:
-    """The best of some random rigs, float64 [camera, 5]."""
+    """The best of some random rigs, float64 [camera, 7]."""
     poses = [value.space.random(rng) for _ in range(count)]
     return poses[int(np.argmin([value(pose) for pose in poses]))]
 
@@ -163,7 +163,7 @@ def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray
 
 
 Sights = Callable[[np.ndarray], np.ndarray]
-"""What cameras see: mount poses [camera, 5], as many as a rig has, to bool [camera, object of all scenes]."""
+"""What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
 
 
 def detections_of(objective: ThesisObjective, scenes: Sequence[AssignedScene]) -> Sights:
@@ -298,7 +298,7 @@ class GradientStage:
         return affordable_iterations(self.settings, len(self.scenes), renders)
 
     def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
-        """Descend from a rig, float [camera, 5], with what is left of the budget.
+        """Descend from a rig, float [camera, 7], with what is left of the budget.
 
         Raises:
             BudgetSpentError: It does not pay for one iteration.
@@ -329,7 +329,7 @@ class GradientStage:
 def gradient_search(
     value: BudgetedValue, rng: np.random.Generator, *, stage: GradientStage, start: np.ndarray | None = None
 ) -> None:
-    """The gradient method from a rig, float [camera, 5]; None: a random one."""
+    """The gradient method from a rig, float [camera, 7]; None: a random one."""
     stage.run(value, rng, start=value.space.random(rng) if start is None else start)
 
 

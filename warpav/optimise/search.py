@@ -26,7 +26,7 @@ class SearchSpace:
     Attributes:
         mount: Where the cameras may stand.
         constraints: What the rigs must satisfy.
-        low: Least mount pose of every camera, float64 [camera, 5]; x and y are the mount surface's.
+        low: Least mount pose of every camera, float64 [camera, 7]; x and y are the mount surface's.
         high: Greatest mount pose of every camera, likewise. A yaw that is free over the whole circle has no ends.
     """
 
@@ -45,10 +45,10 @@ class SearchSpace:
         yaw_rad: np.ndarray | None = None,
         yaw_reach_rad: float = math.pi,
     ) -> SearchSpace:
-        """Cameras anywhere on the mount surface that look level.
+        """Cameras anywhere on the mount surface, as configured but for what is free.
 
         Args:
-            mount: Where the cameras may stand.
+            mount: Where the cameras may stand, and what else is free.
             camera_count: Number of cameras, at least 1.
             constraints: What the rigs must satisfy.
             yaw_rad: Middle of every camera's range of directions [rad], [camera]; None: evenly round the vehicle.
@@ -59,6 +59,7 @@ class SearchSpace:
         low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
+        low[:, mount.is_free], high[:, mount.is_free] = mount.low[mount.is_free], mount.high[mount.is_free]
         return cls(mount, constraints, low, high)
 
     def __post_init__(self) -> None:
@@ -76,7 +77,7 @@ class SearchSpace:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Which numbers are searched, bool [camera, 5]."""
+        """Which numbers are searched, bool [camera, 7]."""
         return self.high > self.low
 
     @cached_property
@@ -92,7 +93,7 @@ class SearchSpace:
         return int(np.count_nonzero(self.free))
 
     def pose_of(self, unit: np.ndarray) -> np.ndarray:
-        """The feasible rig nearest to a point of the unit cube, float32 [camera, 5].
+        """The feasible rig nearest to a point of the unit cube, float32 [camera, 7].
 
         Args:
             unit: The free numbers, camera by camera, any finite values [free]; those beyond 0..1 are brought back, yaws
@@ -110,7 +111,7 @@ class SearchSpace:
         return np.where(self.goes_round, np.mod(unit, 1.0), unit)
 
     def feasible(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The nearest rig that satisfies all constraints, float32 [camera, 5], the precision that objectives keep.
+        """The nearest rig that satisfies all constraints, float32 [camera, 7], the precision that objectives keep.
 
         Yaws are brought to -pi..pi.
 
@@ -120,14 +121,14 @@ class SearchSpace:
         pose = np.array(mount_pose, np.float64)
         pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]])
         pose[:, YAW_RAD] = (pose[:, YAW_RAD] + math.pi) % (2.0 * math.pi) - math.pi
-        return pose.astype(np.float32)
+        return self.mount.within(pose.astype(np.float32))
 
     def violation_m(self, mount_pose: np.ndarray) -> float:
         """By how much a rig breaks the constraints [m]; exactly 0 if it does not."""
         return self.constraints.violation_m(self.mount.rig(mount_pose))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """A feasible rig, uniform among them, float64 [camera, 5]; places as `random_mount_pose` draws them.
+        """A feasible rig, uniform among them, float64 [camera, 7]; places as `random_mount_pose` draws them.
 
         Raises:
             InputError: The cameras do not fit on the mount surface.
@@ -181,7 +182,7 @@ class SearchResult:
     """What a search found.
 
     Attributes:
-        mount_pose: The best rig, which satisfies all constraints, float32 [camera, 5].
+        mount_pose: The best rig, which satisfies all constraints, float32 [camera, 7].
         value: Its value.
         renders: Scene renders that were spent, never more than the budget.
         history: One entry for each rig that was looked at.
@@ -219,7 +220,7 @@ class BudgetedValue:
         """A fresh budget.
 
         Args:
-            value: Of a mount pose, float32 [camera, 5], always on the same scenes. What is not finite is never best.
+            value: Of a mount pose, float32 [camera, 7], always on the same scenes. What is not finite is never best.
             space: The rigs that may be tried.
             renders_per_value: Scene renders that a value costs, at least 1: the number of scenes.
             render_budget: Scene renders that may be spent, enough for at least one value.
@@ -260,7 +261,7 @@ class BudgetedValue:
 
     @property
     def best_mount_pose(self) -> np.ndarray | None:
-        """The best rig so far, float32 [camera, 5]; None before the first finite value."""
+        """The best rig so far, float32 [camera, 7]; None before the first finite value."""
         return None if self._best_pose is None else self._best_pose.copy()
 
     def __call__(self, mount_pose: np.ndarray) -> float:

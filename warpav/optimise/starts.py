@@ -16,7 +16,7 @@ HIGHEST_TURNS = 4
 
 
 def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Rigs to begin with, the most promising first, float32 [camera, 5] each; there is no end to them.
+    """Rigs to begin with, the most promising first, float32 [camera, 7] each; there is no end to them.
 
     The cameras around the highest point, as they are and turned by parts of the angle between them; then a scrambled
     Sobol sequence, each of its rigs moved to the nearest feasible one.
@@ -42,10 +42,10 @@ def best_start(value: BudgetedValue, count: int, rng: np.random.Generator, *, kn
         value: Where to look; a look at each rig is paid from its budget.
         count: How many, at least 1.
         rng: Scrambles the sequence.
-        known: A rig that is looked at first, float [camera, 5].
+        known: A rig that is looked at first, float [camera, 7].
 
     Returns:
-        float32 [camera, 5], feasible.
+        float32 [camera, 7], feasible.
 
     Raises:
         BudgetSpentError: There is not enough left for them.

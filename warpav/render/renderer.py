@@ -129,6 +129,7 @@ class Measures:
         per_zoom: Jacobian to the logarithm of the focal lengths, float [view, vehicle, measure].
         position_ego_m: Centres at which it was rendered, vec3 [view].
         camera_from_ego: Rotations at which it was rendered, mat33 [view].
+        log_zoom: Logarithms of focal lengths over the lenses' at which it was rendered, float [view].
     """
 
     value: wp.array
@@ -137,6 +138,7 @@ class Measures:
     per_zoom: wp.array
     position_ego_m: wp.array
     camera_from_ego: wp.array
+    log_zoom: wp.array
 
     def on_tape(
         self, position_ego_m: wp.array, camera_from_ego: wp.array, log_zoom: wp.array | None = None
@@ -148,12 +150,10 @@ class Measures:
         Args:
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
-            log_zoom: Logarithm of each view's focal length over the rendered one, float [view]; None: 0.
+            log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
         """
         device = self.value.device
         result = wp.empty_like(self.value, requires_grad=True)
-        if log_zoom is None:
-            log_zoom = wp.zeros(len(self.value), dtype=float, device=device)
         wp.launch(
             linearise.linearise_measures_kernel,
             dim=len(self.value),
@@ -162,7 +162,8 @@ class Measures:
                 camera_from_ego,
                 self.position_ego_m,
                 self.camera_from_ego,
-                log_zoom,
+                self.log_zoom if log_zoom is None else log_zoom,
+                self.log_zoom,
                 self.value,
                 self.per_shift,
                 self.per_spin,
@@ -200,7 +201,7 @@ class WindowMeasures(Measures):
         Args:
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
-            log_zoom: Logarithm of each view's focal length over the rendered one, float [view]; None: 0.
+            log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
             window_rad: The windows, as in `Renderer.window_area`, vec4 [view]; None: those that were measured.
         """
         still = super().on_tape(position_ego_m, camera_from_ego, log_zoom)
@@ -276,6 +277,7 @@ class Renderer:
         self._view = self._zeros(self.view_count, view.View)
         self._position_ego_m = self._zeros(self.view_count, wp.vec3)
         self._camera_from_ego = self._zeros(self.view_count, wp.mat33)
+        self._log_zoom = self._zeros(self.view_count, float)
         self._key = self._zeros((0, 0, 0), wp.int64)
         self._sample_count = self._zeros(1, wp.int64)
         self._needed_samples = self._zeros(1, wp.int64)
@@ -373,6 +375,7 @@ class Renderer:
         position_ego_m: wp.array,
         camera_from_ego: wp.array,
         *,
+        log_zoom: wp.array | None = None,
         content: Content = Content.ALL,
     ) -> None:
         """Decide which surface every sample sees, and what every vehicle covers alone. Nothing is taped.
@@ -381,22 +384,28 @@ class Renderer:
             scene: The scene, on this renderer's device.
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
+            log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: 0.
             content: What is wanted of the render.
 
         Raises:
             ValueError: Not one pose for every view, or the silhouettes together do not fit into one buffer.
         """
-        for name, array in (("position_ego_m", position_ego_m), ("camera_from_ego", camera_from_ego)):
-            if array.shape != (self.view_count,):
+        given = {"position_ego_m": position_ego_m, "camera_from_ego": camera_from_ego, "log_zoom": log_zoom}
+        for name, array in given.items():
+            if array is not None and array.shape != (self.view_count,):
                 raise ValueError(f"{name} must be one for each of {self.view_count} views, got {array.shape}")
         wp.copy(self._position_ego_m, position_ego_m)
         wp.copy(self._camera_from_ego, camera_from_ego)
+        if log_zoom is None:
+            self._log_zoom.zero_()
+        else:
+            wp.copy(self._log_zoom, log_zoom)
         self._launch(
             view.place_views_kernel,
             self.view_count,
             inputs=[
                 self._position_ego_m, self._camera_from_ego, self._intrinsics_px, self._near_m, self._lens,
-                self.supersampling,
+                self._log_zoom, self.supersampling,
             ],
             outputs=[self._view],
         )  # fmt: skip
@@ -755,6 +764,7 @@ class Renderer:
                 raise ValueError(f"the measures to write over must be {shape}, got {into.value.shape}")
             wp.copy(into.position_ego_m, self._position_ego_m)
             wp.copy(into.camera_from_ego, self._camera_from_ego)
+            wp.copy(into.log_zoom, self._log_zoom)
             return into
         return Measures(
             value=self._zeros(shape, float),
@@ -763,6 +773,7 @@ class Renderer:
             per_zoom=self._zeros(shape, float),
             position_ego_m=wp.clone(self._position_ego_m, requires_grad=False),
             camera_from_ego=wp.clone(self._camera_from_ego, requires_grad=False),
+            log_zoom=wp.clone(self._log_zoom, requires_grad=False),
         )
 
     def _sum_flow(self, scene: DeviceScene, flow: wp.array, result: Measures, *, is_in_px: bool = True) -> None:
@@ -856,7 +867,7 @@ class Renderer:
             scene: The scene of the last `render`.
             position_ego_m: Camera centres of the last `render` [m], vec3 [view]; no gradient unless it requires one.
             camera_from_ego: Rotations of the last `render`, mat33 [view]; the same.
-            log_zoom: Logarithm of each view's focal length over the rendered one (0), float [view]; the same.
+            log_zoom: Logarithms of focal lengths of the last `render` over the lenses', float [view]; the same.
             shown_view: The views to show; None: all.
 
         Raises:
@@ -940,7 +951,7 @@ class Renderer:
             position_ego_m: Camera centres of the last `render` [m], vec3 [view]; no gradient unless it requires one.
             camera_from_ego: Rotations of the last `render`, mat33 [view]; the same.
             sky_depth_m: Depth that counts where nothing is hit [m]; finite, since outlines move against it.
-            log_zoom: Logarithm of each view's focal length over the rendered one (0), float [view]; the same.
+            log_zoom: Logarithms of focal lengths of the last `render` over the lenses', float [view]; the same.
 
         Raises:
             ValueError: The render holds no images, or ``sky_depth_m`` is not finite; in the backward pass: there has

@@ -178,6 +178,31 @@ class CameraModel:
         fx, fy, cx, cy = self._lens_px
         return self.shape.ray((np.asarray(place_px, np.float64) - [cx, cy]) / [fx, fy])
 
+    def zoomed(self, log_zoom: float) -> CameraModel:
+        """The same camera with focal lengths that are ``exp(log_zoom)`` times as long, and its field of view.
+
+        Raises:
+            ValueError: The lens cannot see that wide.
+        """
+        if log_zoom == 0.0:
+            return self
+        fx, fy, _, _ = self._lens_px
+        focal_px = (fx * math.exp(log_zoom), fy * math.exp(log_zoom))
+        zoomed = dataclasses.replace(self, fov_rad=None, focal_px=focal_px)  # pyright: ignore[reportArgumentType]
+        return zoomed if self.focal_px is not None else dataclasses.replace(self, fov_rad=zoomed.fov_rad)
+
+    def log_zoom_over(self, other: CameraModel) -> float:
+        """Logarithm of the focal length over another camera's."""
+        return 0.0 if self == other else math.log(self._lens_px[0] / other._lens_px[0])
+
+    def is_zoom_of(self, other: CameraModel) -> bool:
+        """Whether nothing but the zoom tells this camera from another."""
+        kept = ("width_px", "height_px", "near_m", "lens", "distortion")
+        if any(getattr(self, name) != getattr(other, name) for name in kept):
+            return False
+        own, others = self._lens_px, other._lens_px
+        return own[2:] == others[2:] and math.isclose(own[0] * others[1], own[1] * others[0], rel_tol=1e-9)
+
     def resized(self, width_px: int, height_px: int) -> CameraModel:
         """The same camera with another number of pixels: calibrated focal lengths and principal point grow with it."""
         grow_x, grow_y = width_px / self.width_px, height_px / self.height_px

@@ -20,6 +20,8 @@ CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
 """Figures of one capture, by their numbers in the thesis."""
 COLLECTION_NUMBER = 8
 """The figure of a collection of scenes."""
+RIG_NUMBERS = (10, 11, 12)
+"""The figures of rigs, which `warpav.method_figures` draws."""
 
 
 def draw_figure(
@@ -48,7 +50,7 @@ def draw_figure(
             raise InputError(f"figure {number}: expected --scenes with a folder of scenes and nothing else")
         return collection_heat_maps(scenes_folder, path)
     if number not in CAPTURE_NUMBERS:
-        known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER))))
+        known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
     if scenes_folder is not None:
         raise InputError(f"figure {number}: expected --seed or --capture, got --scenes; that goes with figure 8")
