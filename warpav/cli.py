@@ -29,11 +29,12 @@ app = App(
 )
 scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
+experiment_app = App(name="experiment", help="Run experiments, judge their rigs anew, write their results as a page.")
 rig_app = App(name="rig", help="Known camera rigs.")
 detector_app = App(
     name="detector", help="Check, measure and train object detectors, and fit how probably they find objects."
 )
-for _group in (scenes_app, config_app, rig_app, detector_app):
+for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app):
     app.command(_group)
 
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
@@ -41,6 +42,9 @@ Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
 Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
+TaskExecutor = Annotated[
+    Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
+]
 SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
 
 
@@ -104,40 +108,47 @@ def evaluate(
         measure_rig(rig, settings, json_file=json, display=display)
 
 
-@app.command
+@experiment_app.default
 def experiment(
     name: Annotated[
-        Literal["table1", "table2", "table3", "table4", "table5"], Parameter(help="A table of the thesis.")
+        Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation"],
+        Parameter(
+            help="A table of the thesis; open: all ways to find a rig at equal budgets; ablations: the default method "
+            "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does."
+        ),
     ],
-    config: Annotated[str | None, Parameter(help="YAML file or shipped configuration; by default thesis.")] = None,
+    config: Annotated[
+        str | None, Parameter(help="YAML file or shipped configuration; by default thesis for tables, else default.")
+    ] = None,
     /,
     *overrides: Overrides,
-    runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the thesis's.")] = None,
+    runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the experiment's.")] = None,
     arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
     budget: Annotated[
         int | None, Parameter(help="Scene renders for every search; by default what the gradient method takes.")
     ] = None,
-    executor: Annotated[
-        Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
-    ] = None,
+    executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
     out: Annotated[Path | None, Parameter(help="Folder; by default runs/NAME.")] = None,
     quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
 ) -> int:
-    """Repeat an experiment and print its table beside the thesis's; the same command again does what is missing."""
+    """Run an experiment and print its table; the same command again does what is missing."""
     from warpav.config import placed_config
     from warpav.console import RunDisplay
-    from warpav.experiment.thesis_experiments import EXPERIMENTS, arms_of, overrides_of, run_table
+    from warpav.experiment import open_experiments, thesis_experiments
+    from warpav.experiment.experiment import arms_of, overrides_of
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
-    flags = {"name": executor, "workers": workers, "address": address}
-    given = [f"executor.{flag}={value}" for flag, value in flags.items() if value is not None]
-    chosen = arms_of(name, arms)
-    whole = overrides_of(name, [*overrides, *given], quick=quick)
-    with placed_config(config or EXPERIMENTS[name].config, whole) as settings, RunDisplay() as display:
-        done = run_table(
+    is_thesis = name in thesis_experiments.EXPERIMENTS
+    found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
+    run = thesis_experiments.run_table if is_thesis else open_experiments.run_open
+    chosen = arms_of(found, arms)
+    given = _executor_overrides(executor, workers, address)
+    whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
+    with placed_config(config or found.config, whole) as settings, RunDisplay() as display:
+        done = run(
             name,
             settings,
             arms=chosen,
@@ -148,6 +159,44 @@ def experiment(
             display=display,
         )
     return 1 if done.failed else 0
+
+
+@experiment_app.command(name="rescore")
+def experiment_rescore(
+    folder: Annotated[Path, Parameter(help="Folder of an experiment.")],
+    /,
+    *overrides: Overrides,
+    name: Annotated[str | None, Parameter(help="Of the new results; by default made of the options.")] = None,
+    executor: TaskExecutor = None,
+    workers: Annotated[int | None, Parameter(help="Rigs at a time.")] = None,
+    address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
+) -> int:
+    """Judge the rigs of an experiment by another detector, image size or source of scenes.
+
+    Such as detector.model=FILE.onnx camera.width_px=640 camera.height_px=640, or scenes.source=captured. Prints the
+    same table, and whether the arms come in the same order; writes to FOLDER/rescored_NAME.
+    """
+    from warpav.config import placed_config
+    from warpav.console import RunDisplay
+    from warpav.experiment.rescore import check_judging, config_file, folder_name, run_rescore
+
+    check_judging(overrides)
+    name = folder_name(name, overrides)
+    given = _executor_overrides(executor, workers, address)
+    with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:
+        done = run_rescore(folder, settings, name=name, display=display)
+    return 1 if done.failed else 0
+
+
+@experiment_app.command(name="results")
+def experiment_results(
+    *folders: Annotated[Path, Parameter(help="Folders of experiments, or of rescored ones.")],
+    out: Annotated[Path, Parameter(help="Markdown file; the numbers of every run go into a folder beside it.")],
+) -> None:
+    """Write the results of experiments as a page: tables, goals, seeds, commands, versions, every run."""
+    from warpav.experiment.summary import write_results_page
+
+    _say(f"wrote {write_results_page(folders, out)}")
 
 
 @app.command
@@ -545,6 +594,11 @@ def detector_train(
         stop_after_minutes=stop_after_minutes,
         say=_say,
     )
+
+
+def _executor_overrides(name: str | None, workers: int | None, address: str | None) -> list[str]:
+    flags = {"name": name, "workers": workers, "address": address}
+    return [f"executor.{flag}={value}" for flag, value in flags.items() if value is not None]
 
 
 def _seeds(seeds: str | None, count: int | None) -> tuple[int, ...]:

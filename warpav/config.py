@@ -558,6 +558,13 @@ class LossConfig(Section):
         lt=1.0,
         description="missed: how much of a probability is what the detector really found, at the end of a run",
     )
+    combine: Literal["any", "best"] = Field(
+        default="any", description="missed: any camera may find an object (noisy or), or the surest one alone counts"
+    )
+    probability: Literal["fitted", "visible_share"] = Field(
+        default="fitted",
+        description="missed: fitted to the detector, or plainly the share of an object's whole box that is visible",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> LossConfig:
@@ -643,7 +650,10 @@ class BaselineConfig(Section):
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
 
 
-METHOD_LOSSES = {"thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0}, "default": {"missed": 1.0}}
+METHOD_LOSSES: dict[str, dict[str, Any]] = {
+    "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},
+    "default": {"missed": 1.0},
+}
 """Weights of the losses where the configuration says nothing, by method."""
 
 

@@ -217,6 +217,8 @@ def evaluate_rig(
     rig: Rig,
     scenes: Sequence[AssignedScene],
     objective: ThesisObjective,
+    *,
+    with_objective: bool = True,
 ) -> ArmMetrics:
     """Metrics of a rig on scenes.
 
@@ -226,10 +228,11 @@ def evaluate_rig(
         objective: Knows the mount, the detector and the limits of a match. The objective is None for a rig whose
             cameras are not all of the mount's model (of any zoom, where that is free); everything else is measured with
             the rig's own cameras.
+        with_objective: Whether to measure the objective at all.
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
-    has_objective = is_of_mount and len(rig.cameras) == objective.camera_count
+    has_objective = with_objective and is_of_mount and len(rig.cameras) == objective.camera_count
     observer = None
     if not has_objective:
         observer = RigObserver(

@@ -163,6 +163,50 @@ def _is_always_kept(term: np.ndarray) -> bool:
     return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
 
 
+def objective_scatter(
+    rigs: Sequence[Mapping[str, Any]],
+    spearman: Mapping[str, Mapping[str, Any]],
+    path: Path | str,
+    *,
+    objectives: Sequence[str],
+    metrics: Sequence[str],
+) -> Path:
+    """Draw training objectives against metrics on the test scenes, a dot for every rig, a panel for every pair.
+
+    Args:
+        rigs: Every rig with ``arm``, ``objectives`` by name and the metrics.
+        spearman: By objective and metric: an estimate of their rank correlation; where it is missing none is written.
+        path: PNG file to write.
+        objectives: Names of the objectives, one column each.
+        metrics: Names of the metrics, one row each.
+    """
+    names = {"tp_detection_rate": "recall of the rig", "ap50_pooled": "AP50"}
+    arms = list(dict.fromkeys(rig["arm"] for rig in rigs))
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 3.3 * len(metrics) + 0.4)
+        axes = figure.subplots(len(metrics), len(objectives), squeeze=False, sharey="row", sharex="col")
+        for row, metric in enumerate(metrics):
+            for column, objective in enumerate(objectives):
+                axis = axes[row, column]
+                for index, arm in enumerate(arms):
+                    pairs = [(rig["objectives"].get(objective), rig[metric]) for rig in rigs if rig["arm"] == arm]
+                    pairs = [pair for pair in pairs if None not in pair]
+                    if pairs:
+                        colour = hex_colour(camera_rgb(index))
+                        axis.scatter(
+                            *zip(*pairs, strict=True), s=16.0, color=colour, alpha=0.75, linewidths=0.0, label=arm
+                        )
+                estimate = spearman.get(objective, {}).get(metric)
+                found = "" if estimate is None or estimate.value is None else f": rank correlation {estimate.value:.2f}"
+                axis.set_title(f"{objective}{found}")
+                if row == len(metrics) - 1:
+                    axis.set_xlabel("objective on the validation scenes")
+                if column == 0:
+                    axis.set_ylabel(f"{names.get(metric, metric)}, test scenes")
+        axes[0, 0].legend(loc="best")
+        return save_figure(figure, path)
+
+
 def rig_top_view(
     path: Path | str,
     *,

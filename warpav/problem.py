@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -89,6 +89,10 @@ class Traffic:
     def scenes(self) -> list[DeviceScene]:
         """All scenes: those of training, of validation, of the test."""
         return [*self.train, *self.validation, *self.test]
+
+    def with_cameras(self, config: Config) -> Traffic:
+        """The same scenes with other cameras, on another mount surface; nothing is loaded."""
+        return replace(self, mount=camera_mount(config, self.ego), _areas={})
 
     def areas(self, rotation_count: int) -> list[np.ndarray]:
         """Area of every vehicle alone in directions all round [px^2], seen from the middle of the ego vehicle.
@@ -176,6 +180,12 @@ def traffic_part(config: Config) -> Config:
         camera=config.camera,
         mount=config.mount,
     )
+
+
+def same_scenes(one: Config, other: Config) -> bool:
+    """Whether two configurations have the same scenes on the same device; cameras and mount surface may differ."""
+    parts = [(each.device, each.scenes, each.capture, each.reconstruction) for each in (one, other)]
+    return parts[0] == parts[1]
 
 
 def load_traffic(config: Config, display: RunDisplay) -> Traffic:
@@ -312,6 +322,8 @@ def problem_on(
             multiplier_damping=_multiplier_settings(config)[1],
             window_softness_rad=math.radians(config.losses.window_softness_deg),
             detector_share=config.losses.detector_share,
+            combine=config.losses.combine,
+            probability=config.losses.probability,
         ),
         constraints=constraints_of(config, traffic.mount.surface),
         confidence_min=config.detector.confidence_min,

@@ -309,9 +309,14 @@ def environment(config: Config, device: str) -> dict[str, Any]:
             "validation": list(config.scenes.validation_seeds or ()),
             "test": list(config.scenes.test_seeds),
         },
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": command_line(),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
+
+
+def command_line() -> str:
+    """The command that runs, as it can be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def required_packages() -> list[str]:

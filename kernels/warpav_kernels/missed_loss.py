@@ -6,8 +6,28 @@ looks. The further ones are a panorama from the camera's place: there an object 
 
 import warp as wp
 
+from warpav_kernels.detection_probability import IN_FRAME_SHARE, VISIBLE_SHARE
+
 SUREST = wp.constant(0.9999)
 """Greatest probability that counts, so that an object that one camera surely finds still has a gradient."""
+
+
+@wp.kernel
+def visible_share_kernel(
+    # in
+    feature: wp.array3d[float],
+    # out
+    probability: wp.array2d[float],
+):
+    """Share of an object's whole box that a view shows, for comparison with a fitted probability of detection.
+
+    Its share inside the image times what nothing hides of that; 0 where nothing is visible.
+
+    Launch: ``dim=(view_count, object_count)``.
+    Writes: every element of ``probability`` once.
+    """
+    view, k = wp.tid()
+    probability[view, k] = feature[view, k, IN_FRAME_SHARE] * feature[view, k, VISIBLE_SHARE]
 
 
 @wp.kernel(enable_backward=False)
@@ -81,12 +101,38 @@ def camera_probability_kernel(
     found[camera, k] = (1.0 - blend) * ahead + blend * turned
 
 
+@wp.kernel(enable_backward=False)
+def find_surest_cameras_kernel(
+    # in
+    found: wp.array2d[float],
+    detected: wp.array2d[float],
+    detector_share: wp.array[float],
+    # out
+    counted_camera: wp.array[wp.int32],
+):
+    """The camera that is most likely to find an object, of equal ones the first; p as in `log_missed_kernel`.
+
+    Launch: ``dim=object_count``. Not taped.
+    Writes: every element of ``counted_camera`` once.
+    """
+    k = wp.tid()
+    surest = int(0)
+    highest = float(-1.0)
+    for camera in range(found.shape[0]):
+        p = (1.0 - detector_share[0]) * found[camera, k] + detector_share[0] * detected[camera, k]
+        if p > highest:
+            highest = p
+            surest = camera
+    counted_camera[k] = surest
+
+
 @wp.kernel
 def log_missed_kernel(
     # in
     found: wp.array2d[float],
     detected: wp.array2d[float],
     detector_share: wp.array[float],
+    counted_camera: wp.array[wp.int32],
     # out
     log_missed: wp.array[float],
 ):
@@ -95,7 +141,8 @@ def log_missed_kernel(
     The product over cameras of 1 - p, with p = (1 - d) found + d detected, d = ``detector_share[0]``: what the detector
     really found corrects the model, so that the gradient goes to the objects that are really missed.
 
-    A sum of logarithms, for a product that a loop carries has no adjoint.
+    A sum of logarithms, for a product that a loop carries has no adjoint. ``counted_camera`` names the one camera that
+    counts for an object; -1: all do.
 
     Launch: ``dim=object_count``; one thread per object.
     Writes: every element of ``log_missed`` once.
@@ -104,7 +151,8 @@ def log_missed_kernel(
     total = float(0.0)
     for camera in range(found.shape[0]):
         p = (1.0 - detector_share[0]) * found[camera, k] + detector_share[0] * detected[camera, k]
-        total += wp.log(1.0 - wp.min(p, SUREST))
+        if counted_camera[k] < 0 or counted_camera[k] == camera:
+            total += wp.log(1.0 - wp.min(p, SUREST))
     log_missed[k] = total
 
 

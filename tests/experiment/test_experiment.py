@@ -92,6 +92,22 @@ def test_scenes_are_loaded_once(tmp_path, scenes, monkeypatch):
     assert len(loaded) == 1
 
 
+def test_other_cameras_share_the_scenes(tmp_path, scenes, monkeypatch):
+    loaded, real = [], module.load_traffic
+    monkeypatch.setattr(module, "load_traffic", lambda *given: loaded.append(1) or real(*given))
+    module.traffic_of_process.__init__()
+    narrow = Arm("narrow", "highest", ("camera.fov_deg=60", "rig.cameras=3"))
+    done = run(tmp_path / "run", scenes, arms=[Arm("highest", "highest"), narrow, Arm("again", "highest")])
+    assert (done.failed, len(loaded)) == ([], 1)
+    # and nothing of the ones gets into the others
+    one, other, again = (done.results[name][0] for name in ("highest", "narrow", "again"))
+    assert without_seconds(one)["metrics"] == without_seconds(again)["metrics"]
+    assert {camera["fov_deg"] for camera in other["rig"]["cameras"]} == {60.0}
+    module.traffic_of_process.__init__()
+    alone = run(tmp_path / "alone", scenes, arms=[narrow])
+    assert alone.results["narrow"][0]["metrics"] == other["metrics"]
+
+
 def test_the_same_command_again_does_nothing(copied, scenes, monkeypatch):
     before = {file: file.stat().st_mtime_ns for file in copied.rglob("*") if file.is_file()}
     monkeypatch.setattr(module, "load_traffic", None)

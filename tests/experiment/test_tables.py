@@ -7,7 +7,7 @@ import pytest
 
 from tests.experiment.small_experiment import overrides
 from warpav.cli import main
-from warpav.experiment import thesis_experiments
+from warpav.experiment import arms, thesis_experiments
 from warpav.experiment.tables import Cell, compare_results, result_table
 from warpav.experiment.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_overrides
 from warpav.experiment.thesis_tables import WARNING, thesis_table
@@ -55,8 +55,7 @@ def complaint(capsys, *words):
 @pytest.mark.parametrize("number", ["II", "IV"])
 def test_tables_have_the_rows_and_columns_of_the_thesis(number):
     name = {"II": "table2", "IV": "table4"}[number]
-    arms = [arm.name for arm in EXPERIMENTS[name].arms]
-    results = {arm: [result(0.25), result(0.75)] for arm in arms}
+    results = {arm.name: [result(0.25), result(0.75)] for arm in EXPERIMENTS[name].arms}
     table = result_table(number, results, thesis_experiments._labels(number))
     printed = thesis_table(number)["rows"]
     assert [row.labels for row in table.rows][: len(printed)] == [(row["method"], row["loss"]) for row in printed]
@@ -162,9 +161,13 @@ def test_arms_are_compared_scene_by_scene(rng):
     assert difference["alike"].mean == pytest.approx(recalls["ours"].mean - recalls["alike"].mean, abs=1e-12)
     text = table.markdown().splitlines()
     assert text[2].startswith("| ours | 3 | 0.")
-    assert text[4].startswith("|  |  | +0.")
-    assert text[4].endswith("]* |")
-    assert "No result: never ran." in text
+    assert text[3].startswith("|  |  | [0.")
+    assert text[6].startswith("|  |  | +0.")
+    assert text[6].endswith("* |  |  |  |")
+    assert " p=0.0" in text[6]
+    low, high = (getattr(table.intervals["tp_detection_rate"]["ours"], end) for end in ("low", "high"))
+    assert low < recalls["ours"].mean < high
+    assert "- No result: never ran." in text
     with pytest.raises(ValueError, match="got 'never ran'"):
         compare_results(results, "never ran")
 
@@ -208,7 +211,7 @@ def test_a_failed_arm_ends_the_command_with_1(working_directory, scenes, monkeyp
     def fail(problem, render_budget):
         raise ValueError("no luck")
 
-    monkeypatch.setitem(thesis_experiments.find_arm.__globals__["METHODS"], "fails", fail)
+    monkeypatch.setitem(arms.METHODS, "fails", fail)
     words = [*overrides(scenes), "--runs", "1", "--arms", "fails,highest_ifr_doa"]
     assert main(["experiment", "table2", *words]) == 1
     shown = capsys.readouterr().out

@@ -203,8 +203,14 @@ def camera_probability(new):
 
 def log_missed(new):
     pairs = (CAMERAS, VEHICLES)
-    inputs = [new(size=pairs, low=0.1, high=0.9), new(size=pairs, low=0.1, high=0.9), new([0.4])]
+    counted_camera = new.integers([-1] * (VEHICLES - 1) + [1])
+    inputs = [new(size=pairs, low=0.1, high=0.9), new(size=pairs, low=0.1, high=0.9), new([0.4]), counted_camera]
     return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
+
+
+def visible_share(new):
+    pairs = (CAMERAS, VEHICLES)
+    return pairs, [new(size=(*pairs, int(detection_probability.FEATURE_COUNT)))], [new(np.zeros(pairs))]
 
 
 def missed(new):
@@ -231,6 +237,7 @@ CASES = {
     detection_probability.detection_probability_kernel: probability_of_detection,
     missed_loss.sum_over_panorama_kernel: sum_over_panorama,
     missed_loss.camera_probability_kernel: camera_probability,
+    missed_loss.visible_share_kernel: visible_share,
     missed_loss.log_missed_kernel: log_missed,
     missed_loss.missed_loss_kernel: missed,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,

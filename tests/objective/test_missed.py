@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
-from warpav.detection.probability import CONTRAST, FEATURE_COUNT, Appearance, DetectionProbability
+from warpav.detection.probability import (
+    CONTRAST,
+    FEATURE_COUNT,
+    IN_FRAME_SHARE,
+    VISIBLE_SHARE,
+    Appearance,
+    DetectionProbability,
+)
 from warpav.objective.losses import LossSettings
 from warpav.objective.missed import Stage
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
@@ -95,6 +102,42 @@ def test_the_detector_corrects_the_probabilities(device, rng):
     assert without == pytest.approx(
         np.prod(1.0 - probabilities(objective, POSE, scene.scene, model), axis=0).mean(), rel=1e-5
     )
+
+
+def features(objective, pose, scene, model):
+    """Of every camera and vehicle where the camera really looks."""
+    poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
+    renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
+    position, rotation = on_device(poses, objective.device)
+    renderer.render(scene, position, rotation)
+    return model.on_tape(Appearance.of(renderer, scene), position, rotation).feature.numpy().astype(float)
+
+
+def test_the_surest_camera_alone_may_count(device, rng):
+    model = probability_model(rng)
+    objective, [scene] = objective_of(device, model=model, combine="best"), scenes_of(device, 10)
+    pose = POSE.copy()
+    pose[1, YAW_RAD] = 0.7  # so that both see some
+    p = probabilities(objective, pose, scene.scene, model)
+    assert ((p > 0.0).sum(axis=0) > 1).any()
+    result = objective.evaluate(pose, [scene], gradient=True)
+    assert result.terms["missed"] == pytest.approx((1.0 - p.max(axis=0)).mean(), rel=1e-5)
+    # a camera that is the surest of none has no gradient
+    same = np.repeat(POSE[:1], 2, axis=0)
+    gradient = objective.evaluate(same, [scene], gradient=True).gradient
+    assert np.abs(gradient[0]).max() > 1e-4
+    assert not gradient[1].any()
+
+
+def test_the_visible_share_may_stand_for_the_probability(device, rng):
+    model = probability_model(rng)
+    objective, [scene] = objective_of(device, model=model, probability="visible_share"), scenes_of(device, 10)
+    feature = features(objective, POSE, scene.scene, model)
+    share = np.minimum(feature[:, :, IN_FRAME_SHARE] * feature[:, :, VISIBLE_SHARE], 0.9999)
+    assert share.max() > 0.5
+    result = objective.evaluate(POSE, [scene], gradient=True)
+    assert result.terms["missed"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)
+    assert np.abs(result.gradient).max() > 1e-4
 
 
 # Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.

@@ -11,6 +11,7 @@ import importlib.util
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -91,6 +92,11 @@ class Arm:
     def is_seeded(self) -> bool:
         """Whether another run seed may give another rig."""
         return self.method not in _SEEDLESS and self.method not in preset_names()
+
+    @property
+    def own_overrides(self) -> tuple[str, ...]:
+        """The options that set it apart from other arms; the thesis's whole method is not taken apart."""
+        return self.overrides if self.name in common_arms() else (*self.overrides, *self.search_overrides)
 
     def judged_config(self, config: Config) -> Config:
         """The configuration that its rigs are judged by.
@@ -181,10 +187,35 @@ def common_arms() -> dict[str, Arm]:
     ``thesis``, judged like all others.
     """
     arms = [Arm(name, name) for name in (*METHODS, *preset_names())]
-    return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=_thesis_method()), *arms)}
+    return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=thesis_method()), *arms)}
 
 
-def _thesis_method() -> tuple[str, ...]:
+def common_fov_deg(preset: str) -> float:
+    """The horizontal field of view that most cameras of a preset have, to a tenth of a degree."""
+    angles = [round(math.degrees(camera.model.fov_rad), 1) for camera in preset_rig(preset).cameras]
+    return Counter(angles).most_common(1)[0][0]
+
+
+def gradient_like(preset: str) -> Arm:
+    """The gradient method with as many cameras as a preset and its most frequent field of view.
+
+    All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
+    which.
+    """
+    overrides = (f"rig.cameras={len(preset_rig(preset).cameras)}", f"camera.fov_deg={common_fov_deg(preset)}")
+    return Arm(f"gradient_as_{preset}", "gradient", overrides)
+
+
+def odd_fields(preset: str) -> str:
+    """In words, how the fields of view of a preset differ from those of its counterpart, `gradient_like`."""
+    common = common_fov_deg(preset)
+    angles = [math.degrees(camera.model.fov_rad) for camera in preset_rig(preset).cameras]
+    odd = [f"{angle:.1f}" for angle in angles if abs(angle - common) > 1.0]
+    differ = f", but {' and '.join(odd)} in the preset" if odd else ""
+    return f"gradient_as_{preset}: {len(angles)} cameras of {common:g} deg{differ}"
+
+
+def thesis_method() -> tuple[str, ...]:
     """Overrides that make a configuration search as the thesis does."""
     sections = ("method", "losses", "visibility", "optimiser")
     values = option_values(load_config("thesis"))
@@ -249,6 +280,16 @@ def _start(problem: Problem, render_budget: int | None) -> Found:
     pose = start_pose(problem, read_start(problem.config))
     rig = problem.objective.mount.rig(pose)
     return Found(rig, None if problem.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
+
+
+def _random_rig(problem: Problem, render_budget: int | None) -> Found:
+    """Any rig that may stand there, its cameras turned anyhow; nothing is looked at."""
+    del render_budget
+    space = SearchSpace.over(
+        problem.objective.mount, problem.config.rig.cameras, constraints=problem.objective.constraints
+    )
+    pose = space.random(problem.random_numbers(Stream.SEARCH)).astype(np.float32)
+    return Found(problem.objective.mount.rig(pose), None, 0, {}, mount_pose=pose)
 
 
 def _highest(problem: Problem, render_budget: int | None) -> Found:
@@ -373,6 +414,7 @@ def _greedy(problem: Problem, scenes: Sequence[Any]) -> Search:
 METHODS: dict[str, Finder] = {
     "gradient": _gradient,
     "start": _start,
+    "random_rig": _random_rig,
     "highest": _highest,
     "random_batches": _random_batches,
     # a random direction would only make a rival weaker: these two keep those that share the vehicles best

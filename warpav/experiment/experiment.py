@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
-from warpav.config import Config, changed_config, dump_config, option_values
-from warpav.errors import InputError
+from warpav.config import Config, changed_config, dump_config, option_values, overridden_option
+from warpav.errors import InputError, OptionError
 from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
-from warpav.experiment.arms import Arm, constraint_loss, find_rig_of
+from warpav.experiment.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
 from warpav.experiment.gradient_magnitude import measure_gradient_magnitudes
 from warpav.problem import (
     Problem,
@@ -29,6 +29,7 @@ from warpav.problem import (
     load_traffic,
     optimiser_settings,
     problem_on,
+    same_scenes,
     traffic_part,
 )
 from warpav.recipe import digest
@@ -38,6 +39,8 @@ from warpav.sources import device_name, load_scenes
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
+
+Task = TypeVar("Task")
 
 SCHEMA = 1
 GRADIENTS = "gradients"
@@ -59,6 +62,12 @@ class Experiment:
         options: Overrides of that configuration.
         quick: More of them that make it end in minutes.
         quick_runs: Run seeds with these.
+        quick_arms: Names of the arms that take part then; None: all.
+        runs_of: Run seeds of the arms, by name, that take another number.
+        quick_runs_of: The same of the small version.
+        reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
+        objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
+            its arm is judged by.
     """
 
     name: str
@@ -68,6 +77,60 @@ class Experiment:
     options: tuple[str, ...] = ()
     quick: tuple[str, ...] = ()
     quick_runs: int = 2
+    quick_arms: tuple[str, ...] | None = None
+    runs_of: Mapping[str, int] = field(default_factory=dict)
+    quick_runs_of: Mapping[str, int] = field(default_factory=dict)
+    reference: str | None = None
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def made_quick(self) -> Experiment:
+        """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
+        arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
+        return replace(
+            self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs, runs_of=self.quick_runs_of
+        )
+
+
+def overrides_of(
+    experiment: Experiment, overrides: Sequence[str], *, arms: Sequence[Arm] | None = None, quick: bool
+) -> list[str]:
+    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
+
+    Args:
+        experiment: The experiment.
+        overrides: The user's.
+        arms: The arms that take part; None: all of the experiment's.
+        quick: Whether it is the small version.
+
+    Raises:
+        InputError: The user's set what the arms differ in.
+    """
+    taking_part = (experiment.made_quick() if quick else experiment).arms if arms is None else arms
+    own = {overridden_option(each): arm for arm in taking_part for each in arm.own_overrides}
+    for override in overrides:
+        option = overridden_option(override)
+        if option in own:
+            raise InputError(
+                f"command line ({override}): {option}: expected an option that the arms of {experiment.name} leave "
+                f"alone, got one that arm {own[option].name} sets; warpav optimise takes it"
+            )
+    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
+
+
+def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
+    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's.
+
+    Raises:
+        OptionError: There is no arm of a name, or the experiment has none to choose from.
+    """
+    if text is None:
+        return None
+    own = {arm.name: arm for arm in experiment.arms}
+    if GRADIENTS in own:
+        raise OptionError(
+            "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
+        )
+    return [find_arm(each.strip(), own) for each in dict.fromkeys(text.split(","))]
 
 
 @dataclass(frozen=True)
@@ -80,6 +143,7 @@ class ArmTask:
         render_budget: Scene renders that it may spend; None: see `warpav.experiment.arms`.
         folder: Folder of the results, absolute.
         made_with: Hash of all that the result depends on but the seed.
+        objectives: As of `Experiment`.
     """
 
     arm: Arm
@@ -87,6 +151,7 @@ class ArmTask:
     render_budget: int | None
     folder: Path
     made_with: str
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -116,21 +181,25 @@ class Finished:
     done: int
 
 
-class _Quiet:
+class Quiet:
     """A display that shows nothing: tasks run in other processes, or beside others."""
 
     def say(self, text: str) -> None:
+        """Nothing."""
         del text
 
     def stage(self, description: str) -> None:
+        """Nothing."""
         del description
 
     def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
+        """Pass the items on."""
         del description, count
         yield from items
 
 
-_QUIET: Any = _Quiet()
+QUIET: Any = Quiet()
+"""Shows nothing."""
 
 
 class _TrafficOfProcess:
@@ -142,9 +211,11 @@ class _TrafficOfProcess:
 
     def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
         key = traffic_part(config)
-        if self._traffic is None or key != self._key:
+        if self._traffic is None or self._key is None or not same_scenes(key, self._key):
             self._traffic = None  # two of them may not fit into memory
             self._traffic, self._key = load_traffic(config, display), key
+        elif key != self._key:
+            self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
 
 
@@ -176,6 +247,7 @@ def run_experiment(
         InputError: Something in the input is wrong, or the folder holds something else.
         KeyboardInterrupt: The user stopped it; what is finished stays.
     """
+    runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
     for option, value in (("--runs", runs), ("--budget", render_budget)):
         if value is not None and value < 1:
@@ -186,7 +258,8 @@ def run_experiment(
             arm.check(config, render_budget)
     _try_networks(arms, config, display)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
-    tasks = _tasks(arms, config, runs, render_budget, folder / RESULTS)
+    runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
+    tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
     _open_folder(folder, experiment, config, render_budget)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
@@ -195,8 +268,8 @@ def run_experiment(
     try:
         if waiting:
             _make_scenes_ready(config, display)
-        outcomes = _outcomes(waiting, config, folder)
-        for outcome in display.steps("runs", outcomes, count=len(waiting)) if waiting else ():
+        done = outcomes(run_arm, waiting, config, folder)
+        for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
             display.say(_line(outcome))
             if outcome.error is not None:
                 failed.append(f"{outcome.task.name}: {outcome.error}")
@@ -215,8 +288,20 @@ def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
     results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
     for task in tasks:
         if task.file.is_file():
-            results[task.arm.name].append(_read_json(task.file))
+            results[task.arm.name].append(read_json(task.file))
     return results
+
+
+def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
+    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    found = [read_json(file) for file in sorted((folder / RESULTS).glob("*.json"))]
+    there = {run["arm"] for run in found}
+    arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
+    return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
 
 
 def run_arm(task: ArmTask) -> dict[str, Any]:
@@ -236,8 +321,8 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
 
 
 def _problem(config: Config) -> Problem:
-    networks, probability = load_networks(config), load_probability(config, _QUIET)
-    return problem_on(traffic_of_process(config, _QUIET), config, networks, probability)
+    networks, probability = load_networks(config), load_probability(config, QUIET)
+    return problem_on(traffic_of_process(config, QUIET), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
@@ -253,7 +338,9 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     return {
         "metrics": asdict(metrics),
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "overrides": list(task.arm.overrides),
         "training_objective": found.training_objective,
+        "validation_objectives": _validation_objectives(task, found),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
         **found.notes,
         "renders": found.renders,
@@ -265,6 +352,18 @@ def _rig(task: ArmTask) -> dict[str, Any]:
         "rig": yaml.safe_load(rig_file.read_text(encoding="utf-8")),
         "history": found.history,
     }
+
+
+def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
+    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses than the judge's."""
+    values: dict[str, float | None] = {}
+    for name, overrides in task.objectives.items():
+        values[name] = None
+        if found.mount_pose is not None:
+            judge = _problem(changed_config(task.arm.judged_config(task.config), overrides))
+            scenes = judge.assigned(judge.validation, found.began_as)
+            values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
+    return values
 
 
 def _gradients(task: ArmTask) -> dict[str, Any]:
@@ -287,24 +386,32 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
     }
 
 
-def _tasks(arms: Sequence[Arm], config: Config, runs: int, render_budget: int | None, folder: Path) -> list[ArmTask]:
-    config = _with_absolute_paths(config)
+def _tasks(
+    arms: Sequence[Arm],
+    config: Config,
+    runs_of: Mapping[str, int],
+    render_budget: int | None,
+    folder: Path,
+    objectives: Mapping[str, tuple[str, ...]],
+) -> list[ArmTask]:
+    config = with_absolute_paths(config)
     tasks = []
     for arm in arms:
         made_with = digest(
             SCHEMA,
             arm.method,
             render_budget,
-            _unseeded(arm.judged_config(config)),
-            _unseeded(arm.search_config(config)),
+            unseeded(arm.judged_config(config)),
+            unseeded(arm.search_config(config)),
+            sorted(objectives.items()),
         )
-        for k in range(runs if arm.is_seeded else 1):
+        for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with))
+            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with, objectives))
     return tasks
 
 
-def _unseeded(config: Config) -> str:
+def unseeded(config: Config) -> str:
     """All options on which a result depends, but the seed."""
     return json.dumps(_options(config))
 
@@ -319,7 +426,7 @@ def _options(config: Config) -> dict[str, Any]:
     return json.loads(json.dumps(values))
 
 
-def _with_absolute_paths(config: Config) -> Config:
+def with_absolute_paths(config: Config) -> Config:
     """The same configuration for processes that work in other folders."""
     overrides = []
     for option, value in (
@@ -348,7 +455,7 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
     }
     if file.is_file():
         if any((folder / RESULTS).glob("*.json")):
-            _check_same(file, _read_json(file), description)
+            _check_same(file, read_json(file), description)
             return
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
@@ -404,7 +511,7 @@ def _is_there(task: ArmTask) -> bool:
     """
     if not task.file.is_file():
         return False
-    result = _read_json(task.file)
+    result = read_json(task.file)
     if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
         raise InputError(
             f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
@@ -446,10 +553,13 @@ def _make_scenes_ready(config: Config, display: RunDisplay) -> None:
         next(load_scenes(config, seeds))
 
 
-def _outcomes(tasks: Sequence[ArmTask], config: Config, folder: Path) -> Iterator[Outcome[ArmTask, dict[str, Any]]]:
+def outcomes(
+    function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
+) -> Iterator[Outcome[Task, dict[str, Any]]]:
+    """Do tasks where the configuration says; what becomes of them, as they finish."""
     executor = config.executor
     return run_tasks(
-        run_arm,
+        function,
         tasks,
         executor=executor.name,
         worker_count=executor.workers,
@@ -477,7 +587,12 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
     return f"{name}: {shown}  {result['renders']} renders  {took}"
 
 
-def _read_json(file: Path) -> Any:  # noqa: ANN401
+def read_json(file: Path) -> Any:  # noqa: ANN401 (whatever JSON holds)
+    """The content of a result.
+
+    Raises:
+        InputError: It cannot be read.
+    """
     try:
         return json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

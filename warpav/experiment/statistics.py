@@ -271,7 +271,10 @@ def _interval_at(
     def interval_at(level: float) -> tuple[float, float]:
         low = high = math.nan
         for method in ("BCa", "percentile"):  # BCa has none where leaving out any one unit changes nothing
-            with warnings.catch_warnings(action="ignore", category=DegenerateDataWarning):
+            with (
+                warnings.catch_warnings(action="ignore", category=DegenerateDataWarning),
+                np.errstate(invalid="ignore"),
+            ):
                 low, high = bootstrap(
                     units,
                     statistic,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.experiment.gradient_magnitude import LOSS_OF, pooled_magnitudes
-from warpav.experiment.statistics import RESAMPLES, Difference, compare_arms, run_spread
+from warpav.experiment.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
 from warpav.experiment.thesis_tables import WARNING, thesis_table
 
 if TYPE_CHECKING:
@@ -222,7 +222,8 @@ COMPARED = {
 }
 """Metrics in which arms are compared, and their headings; all of them exist scene by scene."""
 
-_RATES_OF_OBJECTS = ("tp_detection_rate", "tp_in_frame_rate")
+RATES_OF_OBJECTS = ("tp_detection_rate", "tp_in_frame_rate")
+"""Those whose scenes weigh by their objects."""
 
 
 @dataclass(frozen=True)
@@ -233,34 +234,47 @@ class ArmsTable:
         reference: The arm that the others are compared with.
         runs: Number of runs by arm.
         numbers: By metric and arm: mean over runs, and standard deviation.
+        intervals: By metric and arm: the mean's 95 % interval over scenes and runs.
+        violation_m: Worst violation of the constraints in any run, by arm [m].
+        renders: Mean scene renders of a search, by arm.
+        seconds: Mean time of a search, by arm [s].
         differences: By metric and arm: the reference less the arm, with its 95 % interval; p-values are corrected by
             Holm's method for the number of arms, metric by metric.
         missing: Arms without a result.
+        remarks: What else a reader has to know.
     """
 
     reference: str
     runs: dict[str, int]
     numbers: dict[str, dict[str, Cell]]
+    intervals: dict[str, dict[str, Difference]]
+    violation_m: dict[str, float | None]
+    renders: dict[str, float | None]
+    seconds: dict[str, float | None]
     differences: dict[str, dict[str, Difference]]
     missing: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader has to know."""
         gone = (f"No result: {', '.join(self.missing)}.",) if self.missing else ()
         return (
-            f"Below each arm: {self.reference} - arm [95 % interval], * where Holm's p < 0.05.",
+            "An arm's first line: mean over runs ± standard deviation from run to run; second: its 95 % interval; "
+            f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
             "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
-            "their objects, all else is a mean over scenes there.",
+            "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
+            "Violation: the worst run. Renders (scenes, in all cameras) and seconds: of a search, on average.",
+            *self.remarks,
             *gone,
         )
 
     def markdown(self) -> str:
         """The table as Markdown."""
-        head = ["arm", "runs", *(COMPARED[metric] for metric in self.numbers)]
+        head = ["arm", "runs", *self._headings]
         lines = [_markdown_row(head), _markdown_row(["---"] + ["---:"] * (len(head) - 1))]
         lines += [_markdown_row(cells) for arm in self.runs for cells in self._lines(arm)]
-        return "\n".join([*lines, "", *self.notes, ""])
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
 
     def terminal(self) -> Group:
         """The table for the console."""
@@ -271,22 +285,41 @@ class ArmsTable:
 
         table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column("arm", no_wrap=True)
-        for heading in ("runs", *(COMPARED[metric] for metric in self.numbers)):
+        for heading in ("runs", *self._headings):
             table.add_column(heading, justify="right", overflow="fold")
         for arm in self.runs:
             for k, cells in enumerate(self._lines(arm)):
                 table.add_row(*map(Text, cells), style="dim" if k else "bold" if arm == self.reference else None)
+            table.add_section()
         return Group(table, *map(Text, self.notes))
 
     def data(self) -> dict[str, Any]:
         """The table for a JSON file."""
         return asdict(self)
 
+    @property
+    def _headings(self) -> list[str]:
+        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "renders", "seconds"]
+
     def _lines(self, arm: str) -> list[list[str]]:
-        numbers = [arm, str(self.runs[arm]), *(str(self.numbers[metric][arm]) for metric in self.numbers)]
-        if arm == self.reference:
-            return [numbers]
-        return [numbers, ["", "", *(_difference_text(self.differences[metric][arm]) for metric in self.numbers)]]
+        ends = ["-" if end is None else form.format(end) for end, form in self._ends(arm)]
+        numbers = [arm, str(self.runs[arm]), *(str(self.numbers[metric][arm]) for metric in self.numbers), *ends]
+        blank = [""] * len(ends)
+        lines = [numbers, ["", "", *(self._interval_text(metric, arm) for metric in self.numbers), *blank]]
+        if arm != self.reference:
+            found = [_difference_text(self.differences[metric][arm]) for metric in self.numbers]
+            lines.append(["", "", *found, *blank])
+        return lines
+
+    def _interval_text(self, metric: str, arm: str) -> str:
+        interval, number = self.intervals[metric][arm], self.numbers[metric][arm].mean
+        if interval.mean is None or interval.low is None or number is None:
+            return ""
+        mean = f"{interval.mean:.3f} " if abs(interval.mean - number) > 5e-4 else ""
+        return f"{mean}[{interval.low:.3f}, {interval.high:.3f}]"
+
+    def _ends(self, arm: str) -> list[tuple[float | None, str]]:
+        return [(self.violation_m[arm], "{:g}"), (self.renders[arm], "{:.0f}"), (self.seconds[arm], "{:.0f}")]
 
 
 def compare_results(
@@ -307,21 +340,43 @@ def compare_results(
     if reference not in there:
         raise ValueError(f"reference must be an arm with results, out of {', '.join(there)}, got {reference!r}")
     objects = there[reference][0]["objects_of_scene"]
-    numbers, differences = {}, {}
+    numbers, intervals, differences = {}, {}, {}
     for metric in metrics:
         tables = {
             arm: np.array([run["metrics"]["per_scene"][metric] for run in runs], np.float64)
             for arm, runs in there.items()
         }
         numbers[metric] = {arm: _cell([run["metrics"][metric] for run in runs]) for arm, runs in there.items()}
+        weight = objects if metric in RATES_OF_OBJECTS else None
+        nothing = np.zeros(len(objects))
+        intervals[metric] = {
+            arm: paired_difference(table, nothing, weight=weight, resamples=resamples) for arm, table in tables.items()
+        }
         differences[metric] = compare_arms(
             tables[reference],
             {arm: table for arm, table in tables.items() if arm != reference},
-            weight=objects if metric in _RATES_OF_OBJECTS else None,
+            weight=weight,
             resamples=resamples,
         )
-    missing = tuple(arm for arm in results if arm not in there)
-    return ArmsTable(reference, {arm: len(runs) for arm, runs in there.items()}, numbers, differences, missing)
+    return ArmsTable(
+        reference=reference,
+        runs={arm: len(runs) for arm, runs in there.items()},
+        numbers=numbers,
+        intervals=intervals,
+        violation_m={
+            arm: max(_each(runs, "metrics", "constraint_violation"), default=None) for arm, runs in there.items()
+        },
+        renders={arm: _cell([run.get("renders") for run in runs]).mean for arm, runs in there.items()},
+        seconds={arm: _cell(_each(runs, "seconds", "search")).mean for arm, runs in there.items()},
+        differences=differences,
+        missing=tuple(arm for arm in results if arm not in there),
+    )
+
+
+def _each(runs: Sequence[Mapping[str, Any]], part: str, name: str) -> list[float]:
+    """A number of every run that has it."""
+    found = [run.get(part, {}).get(name) for run in runs]
+    return [number for number in found if number is not None]
 
 
 def _difference_text(difference: Difference) -> str:
@@ -330,4 +385,6 @@ def _difference_text(difference: Difference) -> str:
     text = f"{difference.mean:+.3f}"
     if difference.low is not None and difference.high is not None:
         text += f" [{difference.low:+.3f}, {difference.high:+.3f}]"
-    return text + ("*" if difference.p_holm is not None and difference.p_holm < 0.05 else "")
+    if difference.p_holm is None:
+        return text
+    return f"{text} p={difference.p_holm:.2g}" + ("*" if difference.p_holm < 0.05 else "")

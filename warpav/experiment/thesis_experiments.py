@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpav.config import Config, overridden_option
-from warpav.errors import InputError, OptionError
-from warpav.experiment.arms import Arm, find_arm
+from warpav.config import Config
+from warpav.experiment.arms import Arm
 from warpav.experiment.experiment import GRADIENTS, Experiment, Finished, run_experiment
 from warpav.experiment.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiment.tables import result_table
@@ -103,38 +101,6 @@ EXPERIMENTS = _experiments()
 """By the name of the command; table 3 shows the runs of table 2."""
 
 
-def overrides_of(name: str, overrides: Sequence[str], *, quick: bool) -> list[str]:
-    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
-
-    Raises:
-        InputError: The user's set what its arms differ in.
-    """
-    experiment = EXPERIMENTS[name]
-    own = {overridden_option(each): arm for arm in experiment.arms for each in arm.overrides}
-    for override in overrides:
-        option = overridden_option(override)
-        if option in own:
-            raise InputError(
-                f"command line ({override}): {option}: expected an option that the arms of {name} leave alone, got one "
-                f"that arm {own[option].name} sets; warpav optimise takes it"
-            )
-    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
-
-
-def arms_of(name: str, text: str | None) -> list[Arm] | None:
-    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's.
-
-    Raises:
-        OptionError: There is no arm of a name, or the experiment has none to choose from.
-    """
-    if text is None:
-        return None
-    own = {arm.name: arm for arm in EXPERIMENTS[name].arms}
-    if GRADIENTS in own:
-        raise OptionError("--arms", f"expected nothing, as {name} measures gradients of one descent, got {text!r}")
-    return [find_arm(each.strip(), own) for each in dict.fromkeys(text.split(","))]
-
-
 def run_table(
     name: str,
     config: Config,
@@ -163,7 +129,7 @@ def run_table(
     """
     experiment = EXPERIMENTS[name]
     if quick:
-        experiment = replace(experiment, name=f"{experiment.name}_quick", runs=experiment.quick_runs)
+        experiment = experiment.made_quick()
     done = run_experiment(
         experiment, config, arms=arms, runs=runs, render_budget=render_budget, out=out, display=display
     )

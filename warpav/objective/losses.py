@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import warp as wp
 
@@ -51,6 +52,8 @@ class LossSettings:
         multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
         window_softness_rad: Of the fields of view over the panorama, with ``missed`` [rad], positive.
         detector_share: How much of ``missed`` is what the detector really finds, in [0, 1); the rest is its model.
+        combine: Whether with ``missed`` any camera may find an object (noisy or), or the surest one alone counts.
+        probability: With ``missed``, ``fitted`` to the detector, or the ``visible_share`` of an object's whole box.
     """
 
     in_frame_rotation: float = 1.0
@@ -67,6 +70,8 @@ class LossSettings:
     multiplier_damping: float = 0.0
     window_softness_rad: float = math.radians(10.0)
     detector_share: float = 0.0
+    combine: Literal["any", "best"] = "any"
+    probability: Literal["fitted", "visible_share"] = "fitted"
 
     @property
     def needs_panorama(self) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.objective.losses import LossSettings
 from warpav.objective.mount import PlacedViews
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Measures, Renderer, WindowMeasures
@@ -124,6 +125,7 @@ def add_missed_loss(
     stage: StageOnDevice,
     *,
     rotation_count: int,
+    settings: LossSettings,
     place: int,
     loss: wp.array,
     window_rad: wp.array | None = None,
@@ -137,6 +139,7 @@ def add_missed_loss(
         detected: Which camera's detector really found which object, 0 or 1, float [camera, object].
         stage: Shares of the panorama and of the detector.
         rotation_count: Views of every camera.
+        settings: Whether all cameras count, and what stands for the probability.
         place: Where to write.
         loss: float [loss]; the element at ``place`` is written.
         window_rad: The windows of ``look``, where they move with the cameras: from `CameraMount.windows`, on the tape.
@@ -146,7 +149,17 @@ def add_missed_loss(
     """
     device = loss.device
     pose = views.position_ego_m, views.camera_from_ego, views.log_zoom
-    probability = model.on_tape(look.appearance, *pose).probability
+    seen = model.on_tape(look.appearance, *pose)
+    probability = seen.probability
+    if settings.probability == "visible_share":
+        probability = wp.zeros_like(seen.probability, requires_grad=True)
+        wp.launch(
+            missed_loss.visible_share_kernel,
+            dim=probability.shape,
+            inputs=[seen.feature],
+            outputs=[probability],
+            device=device,
+        )
     shape = detected.shape
     best_view = wp.zeros(shape, dtype=wp.int32, device=device)
     in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
@@ -177,11 +190,21 @@ def add_missed_loss(
         outputs=[found],
         device=device,
     )
+    counted_camera = wp.full(shape[1], -1, dtype=wp.int32, device=device)
+    if settings.combine == "best":
+        wp.launch(
+            missed_loss.find_surest_cameras_kernel,
+            dim=shape[1],
+            inputs=[found, detected, stage.detector_share],
+            outputs=[counted_camera],
+            device=device,
+            record_tape=False,
+        )
     log_missed = wp.zeros(shape[1], dtype=float, device=device, requires_grad=True)
     wp.launch(
         missed_loss.log_missed_kernel,
         dim=shape[1],
-        inputs=[found, detected, stage.detector_share],
+        inputs=[found, detected, stage.detector_share, counted_camera],
         outputs=[log_missed],
         device=device,
     )

@@ -104,6 +104,7 @@ def losses_of_look(
             detected,
             stage,
             rotation_count=rotation_count,
+            settings=settings,
             place=MISSED,
             loss=loss,
             window_rad=moving_rad,
