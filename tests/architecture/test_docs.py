@@ -61,4 +61,7 @@ def test_options_that_the_documentation_names_exist():
     named = set(re.findall(r"`([a-z]+)\.([a-z_]+)(?:: [^`]*)?`", METHOD.read_text()))
     named = {(section, option) for section, option in named if section in sections}
     assert len(named) > 15
-    assert {f"{section}.{option}" for section, option in named} - set(options) <= {"detector.classes"}  # a section
+    assert {f"{section}.{option}" for section, option in named} - set(options) <= {
+        "detector.classes",
+        "rig.free",
+    }  # sections

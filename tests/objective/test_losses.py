@@ -98,7 +98,7 @@ def test_camera_spacing_loss_matches_oracle(device, rng, surface, camera_count):
 
 
 def test_cameras_far_apart_cost_nothing(device):
-    loss, gradient = constraint_losses([[-1, 0, 0, 0, 0], [1, 0, 0, 0, 0]], device, SURFACE, weight=(0.0, 1.0))
+    loss, gradient = constraint_losses([[-1] + [0] * 6, [1] + [0] * 6], device, SURFACE, weight=(0.0, 1.0))
     assert loss[1] == 0.0
     assert not gradient.any()
 
