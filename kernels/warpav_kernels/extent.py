@@ -105,11 +105,10 @@ def measure_extents_kernel(
     if samples > 0:
         first = wp.max(rectangle[0], GUARD)
         last = wp.min(rectangle[0] + rectangle[2], width - GUARD)
+        end = width - GUARD
         if along_columns:
             first = wp.max(rectangle[1], GUARD)
             last = wp.min(rectangle[1] + rectangle[3], height - GUARD)
-        end = width - GUARD
-        if along_columns:
             end = height - GUARD
         offset = layers.offset[v, vehicle]
         reach = SLOPE_PX * supersampling

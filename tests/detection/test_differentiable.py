@@ -1,8 +1,6 @@
 """The detection network in PyTorch, its loss, and that loss's gradient to the pose; collected where PyTorch is."""
 
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -71,11 +69,8 @@ def test_the_shipped_network_is_the_same_in_pytorch(shape):
     assert_same_as_onnxruntime(BUILTIN_MODEL_PATH, shape)
 
 
-def test_a_network_of_others_is_the_same_in_pytorch():
-    folder = os.environ.get("WARPAV_TEST_ASSETS")
-    if not folder:
-        pytest.skip("WARPAV_TEST_ASSETS is not set")
-    assert_same_as_onnxruntime(Path(folder) / "yolox_nano_coco.onnx", (1, 3, 640, 640))
+def test_a_network_of_others_is_the_same_in_pytorch(asset_folder):
+    assert_same_as_onnxruntime(asset_folder / "yolox_nano_coco.onnx", (1, 3, 640, 640))
 
 
 def test_an_operator_without_gradient_is_refused_by_name(tmp_path):
@@ -240,7 +235,7 @@ def test_gradient_to_the_pose_agrees_with_differences_of_finer_renders():
 # a scene that agrees well: it shows that the path is right, not how good it is
 def test_gradient_to_one_pose_agrees_with_differences_of_finer_renders():
     ours, truth = gradients_at(2202, builtin_network(), 2, cameras=[1])
-    assert cosines(ours, truth)[0] > 0.98  # measured .998
+    assert cosines(ours, truth)[0] > 0.98  # measured .996
     ratio = np.linalg.norm(ours) / np.linalg.norm(truth)
     assert 0.5 < ratio < 2.0
 
