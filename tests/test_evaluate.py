@@ -18,7 +18,7 @@ from warpav.evaluate import (
 )
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import CameraMount, FreeRanges, views_of_rig
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
@@ -81,7 +81,7 @@ class ScriptedDetector:
 
 def objective_of(detector, camera_count=2, free=None):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free)
-    return ThesisObjective(
+    return RigObjective(
         mount,
         detector,
         camera_count=camera_count,

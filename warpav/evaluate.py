@@ -21,7 +21,7 @@ from warpav.detection.detector import ROAD_USERS, Detector
 from warpav.detection.observe import Observation, observe
 from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.mount import CameraMount, views_of_rig
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import AMODAL_AREA, Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
@@ -216,7 +216,7 @@ def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarr
 def evaluate_rig(
     rig: Rig,
     scenes: Sequence[AssignedScene],
-    objective: ThesisObjective,
+    objective: RigObjective,
     *,
     with_objective: bool = True,
 ) -> ArmMetrics:
@@ -318,7 +318,7 @@ class _Boxes:
     """
 
     def __init__(
-        self, scenes: Sequence[DeviceScene], looks: Sequence[Sequence[Observation]], objective: ThesisObjective
+        self, scenes: Sequence[DeviceScene], looks: Sequence[Sequence[Observation]], objective: RigObjective
     ) -> None:
         images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
         for scene, look in zip(scenes, looks, strict=True):

@@ -41,7 +41,7 @@ from warpav.sources import (
 
 if TYPE_CHECKING:
     from warpav.figures import DetectionPanel
-    from warpav.objective.objective import AssignedScene, ThesisObjective
+    from warpav.objective.objective import AssignedScene, RigObjective
     from warpav.render.images import CameraImage
     from warpav.scene.scene import Scene
 
@@ -255,7 +255,7 @@ def draw_run(
     folder: RunFolder,
     rigs: Mapping[str, Rig],
     *,
-    objective: ThesisObjective,
+    objective: RigObjective,
     scene: Scene,
     assigned: AssignedScene,
     say: Callable[[str], None],
@@ -306,7 +306,7 @@ def _check_folder(folder: Path, option: str) -> None:
         raise InputError(f"{folder}: {option}: expected a folder to write to, got a file")
 
 
-def _panels(rig: Rig, objective: ThesisObjective, assigned: AssignedScene) -> list[DetectionPanel]:
+def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
     from warpav.figures import DetectionPanel
 
     seen, _, _ = objective.observe_rig(rig, assigned)

@@ -23,7 +23,7 @@ from warpav.evaluate import assign_to_nearest_cameras
 from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
 from warpav.objective.mount import CameraMount
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.search import BudgetedValue, SearchSpace
@@ -130,7 +130,7 @@ class Problem:
     """
 
     config: Config
-    objective: ThesisObjective
+    objective: RigObjective
     segregation: Segregation
     train: list[AssignedScene]
     validation: list[AssignedScene]
@@ -303,7 +303,7 @@ def problem_on(
         _random_numbers(config, Stream.SEGREGATION),
     )
     assigned = assign_vehicles(traffic.scenes, [area[:, segregation.rotation] for area in areas])
-    objective = ThesisObjective(
+    objective = RigObjective(
         traffic.mount,
         networks.detector,
         camera_count=config.rig.cameras,

@@ -20,7 +20,7 @@ from warpav.errors import InputError
 from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import CameraMount, PlacedViews
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
@@ -245,7 +245,7 @@ def test_gradient_to_one_pose_agrees_with_differences_of_finer_renders():
 
 def objective_with(detector, **scales):
     mount = CameraMount(roof(), camera=CameraModel(128, 128), height_offset_m=0.25)
-    return ThesisObjective(
+    return RigObjective(
         mount,
         ConstantDetector.silent(2),
         camera_count=2,

@@ -10,7 +10,7 @@ from warpav.console import RunDisplay
 from warpav.errors import InputError, OptionError
 from warpav.experiment import arms as module
 from warpav.experiment.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
-from warpav.objective.objective import ThesisObjective
+from warpav.objective.objective import RigObjective
 from warpav.optimise.rivals import gradient_renders
 from warpav.problem import load_problem, optimiser_settings
 
@@ -28,7 +28,7 @@ def problem(tmp_path_factory):
 def rendered(monkeypatch):
     """Scenes that were drawn so far."""
     count = []
-    evaluate, observe_rig = ThesisObjective.evaluate, ThesisObjective.observe_rig
+    evaluate, observe_rig = RigObjective.evaluate, RigObjective.observe_rig
 
     def count_evaluate(self, pose, scenes, **options):
         count.extend(scenes)
@@ -38,8 +38,8 @@ def rendered(monkeypatch):
         count.append(scene)
         return observe_rig(self, rig, scene)
 
-    monkeypatch.setattr(ThesisObjective, "evaluate", count_evaluate)
-    monkeypatch.setattr(ThesisObjective, "observe_rig", count_observe_rig)
+    monkeypatch.setattr(RigObjective, "evaluate", count_evaluate)
+    monkeypatch.setattr(RigObjective, "observe_rig", count_observe_rig)
     monkeypatch.setattr(module, "constraint_loss", lambda *_: 0.0)  # it is no part of the search
     return count
 

@@ -18,7 +18,7 @@ from warpav.experiment.gradient_magnitude import (
 from warpav.experiment.thesis_tables import TABLES, thesis_table
 from warpav.objective.losses import OBJECTIVES, LossSettings
 from warpav.objective.mount import CameraMount
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.rig.camera import CameraModel
 
 YAW_RAD = np.array([0.1, 1.5, 3.2])
@@ -28,7 +28,7 @@ QUICK = dataclasses.replace(THESIS_SETTINGS, iterations=4)
 def objective_of(device):
     mount = CameraMount(roof(), camera=CameraModel(64, 64, 0.5 * math.pi), height_offset_m=0.25, device=device)
     settings = LossSettings(**(dict.fromkeys(OBJECTIVES, 1.0) | {"missed": 0.0}), epsilon=0.05, min_unblocked_area=1.0)
-    return ThesisObjective(mount, SilentDetector(), camera_count=3, settings=settings)
+    return RigObjective(mount, SilentDetector(), camera_count=3, settings=settings)
 
 
 def scenes_of(device):

@@ -17,7 +17,7 @@ from warpav.detection.probability import (
 from warpav.objective.losses import LossSettings
 from warpav.objective.missed import Stage
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.render.renderer import Occlusion, Renderer
 from warpav.rig.camera import CameraModel
 
@@ -47,7 +47,7 @@ def probability_model(rng):
 
 def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
     scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
-    return ThesisObjective(
+    return RigObjective(
         CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
         detector or ConstantDetector.silent(cameras),
         camera_count=cameras,
@@ -247,7 +247,7 @@ def test_a_scene_without_road_users_misses_none(device):
 
 def test_a_model_is_needed():
     with pytest.raises(ValueError, match="needs the probability of detection"):
-        ThesisObjective(
+        RigObjective(
             CameraMount(roof(), camera=MODEL, height_offset_m=0.25),
             ConstantDetector.silent(2),
             camera_count=2,

@@ -13,7 +13,7 @@ from warpav.detection.observe import Observation
 from warpav.errors import InputError
 from warpav.objective.losses import LossSettings
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.render.renderer import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA, Occlusion
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig
@@ -41,7 +41,7 @@ def assigned_scenes(device):
 
 def objective_of(detector, device, *, supersampling=1, occlusion=Occlusion.PAIRWISE, **settings):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-    return ThesisObjective(
+    return RigObjective(
         mount,
         detector,
         camera_count=3,

@@ -24,7 +24,7 @@ from warpav.geometry.mesh import Mesh, merge
 from warpav.geometry.mount_surface import MountSurface
 from warpav.objective.losses import LossSettings, Reference
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.search import BudgetedValue, SearchSpace
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
@@ -85,7 +85,7 @@ class World:
         settings = LossSettings(
             in_frame_rotation=0.0, detected_area=1.0, min_detected_area=1.0, reference=Reference.ALONE
         )
-        return ThesisObjective(
+        return RigObjective(
             mount,
             PaintDetector(),
             camera_count=self.camera_count,

@@ -16,7 +16,7 @@ from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.losses import LossSettings
 from warpav.objective.missed import windows_over_panorama
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.search import SearchSpace
 from warpav.render.device_scene import DeviceScene
@@ -204,7 +204,7 @@ def fenced_objective(free):
     surface = flat_surface([-0.5, -0.5], [0.5, 0.5], height_m=1.5)
     fence = _block([0.2, 30.0, 2.0], [5.0, 0.0, 1.0])
     scene = _scene("fence", [fence], _body(surface), [_vehicle(0, [2.4, 4.0, 2.6], [14.0, 0.0, 1.3])])
-    objective = ThesisObjective(
+    objective = RigObjective(
         mount_of(free, surface),
         ConstantDetector.silent(1),
         camera_count=1,

@@ -14,7 +14,7 @@ from warpav.objective.constraints import BoundsAndSpacing, ZoneAndSpacing
 from warpav.objective.losses import LossSettings, lagrangian_of
 from warpav.objective.missed import Stage
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
+from warpav.objective.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimise.gradient import Descent, MultiplierAscent, OptimiserSettings
 from warpav.rig.camera import CameraModel
 
@@ -44,7 +44,7 @@ class WholeImageDetector:
 
 def street_objective(device="cpu", **settings):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-    return ThesisObjective(mount, WholeImageDetector(), camera_count=2, settings=LossSettings(**settings), iou_min=0.01)
+    return RigObjective(mount, WholeImageDetector(), camera_count=2, settings=LossSettings(**settings), iou_min=0.01)
 
 
 def street_scenes(device="cpu"):
@@ -277,7 +277,7 @@ def test_descent_under_inequalities_ends_in_the_zone():
     surface.is_mountable[50:60] = False
     mount = CameraMount(surface, camera=MODEL, height_offset_m=0.25)
     constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.03)
-    objective = ThesisObjective(
+    objective = RigObjective(
         mount,
         WholeImageDetector(),
         camera_count=2,

@@ -9,7 +9,7 @@ import numpy as np
 
 from warpav.objective.losses import OBJECTIVES
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import random_mount_pose
 from warpav.optimise.gradient import AdamW, OptimiserSettings
 from warpav.optimise.segregation import BatchChooser
@@ -67,7 +67,7 @@ class _Mean:
 
 
 def measure_gradient_magnitudes(
-    objective: ThesisObjective,
+    objective: RigObjective,
     scenes: Sequence[AssignedScene],
     yaw_rad: np.ndarray,
     *,

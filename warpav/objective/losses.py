@@ -138,7 +138,7 @@ def placement_losses_of(
     Raises:
         ValueError: ``unblocked`` is needed and not there.
     """
-    # the bearings and ranges of these losses take one field of view for all cameras, see `ThesisObjective`
+    # the bearings and ranges of these losses take one field of view for all cameras, see `RigObjective`
     if settings.surface_blockage > 0.0 and unblocked is None:
         raise ValueError("settings.surface_blockage needs the unblocked areas")
     device = rendered.value.device

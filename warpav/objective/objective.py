@@ -93,8 +93,11 @@ class _Views:
         return steps[slot]
 
 
-class ThesisObjective:
-    """The thesis's losses (section III.C and appendix IX) under constraints."""
+class RigObjective:
+    """What a rig is worth on some scenes: the expected missed objects and the losses of the thesis, under constraints.
+
+    The losses of the thesis are those of its section III.C and appendix IX; `LossSettings` says which take part.
+    """
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ from warpav.errors import InputError
 from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.missed import Stage
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.objective.objective import AssignedScene, Evaluation, ThesisObjective
+from warpav.objective.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimise.segregation import BatchChooser, ShuffledBatches
 from warpav_kernels import update
 
@@ -193,7 +193,7 @@ class Descent:
         candidates: Rigs that were looked at on all validation scenes, in order.
     """
 
-    objective: ThesisObjective
+    objective: RigObjective
     scenes: Sequence[AssignedScene]
     settings: OptimiserSettings
     start: np.ndarray

@@ -16,7 +16,7 @@ import numpy as np
 from warpav.errors import OptionError
 from warpav.objective.constraints import Constraints
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import highest_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.search import BudgetedValue, BudgetSpentError
@@ -166,7 +166,7 @@ Sights = Callable[[np.ndarray], np.ndarray]
 """What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
 
 
-def detections_of(objective: ThesisObjective, scenes: Sequence[AssignedScene]) -> Sights:
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Sights:
     """Which objects the detector finds in the images of which camera; costs as many renders as there are scenes."""
 
     def sights(mount_pose: np.ndarray) -> np.ndarray:
@@ -289,7 +289,7 @@ class GradientStage:
         settings: How to step; ``iterations`` is replaced, and with it the schedule's length.
     """
 
-    objective: ThesisObjective
+    objective: RigObjective
     scenes: Sequence[AssignedScene]
     settings: OptimiserSettings
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from warpav.objective.constraints import Constraints
 from warpav.objective.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.objective.objective import AssignedScene, ThesisObjective
+from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import random_mount_pose
 
 
@@ -244,7 +244,7 @@ class BudgetedValue:
 
     @classmethod
     def of(
-        cls, objective: ThesisObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, render_budget: int
+        cls, objective: RigObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, render_budget: int
     ) -> BudgetedValue:
         """The objective on fixed scenes; a value costs as many renders as there are scenes."""
         return cls(
