@@ -171,7 +171,9 @@ def run_open(
             return done
         reference = experiment.reference if experiment.reference in there else there[0]
         table = compare_results(done.results, reference, resamples=resamples)
-        goals = goals_of(done.results, table, PRESETS, resamples=resamples) if name == "open" else []
+        # the goals are the default method's, and nobody else can stand for it
+        has_goals = name == "open" and reference == experiment.reference
+        goals = goals_of(done.results, table, PRESETS, resamples=resamples) if has_goals else []
         odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]
         table = replace(table, remarks=(*_remarks(name, config), *odd))
     _write(done, name, table, goals)
