@@ -8,11 +8,11 @@ import pytest
 
 from tests.experiment.small_experiment import ARMS, SMALL, config
 from warpav.console import RunDisplay
-from warpav.errors import InputError
+from warpav.errors import InputError, OptionError
 from warpav.experiment import arms as arms_module
 from warpav.experiment import experiment as module
 from warpav.experiment.arms import Arm
-from warpav.experiment.experiment import run_experiment
+from warpav.experiment.experiment import arms_of, run_experiment
 from warpav.problem import begin_descent, load_problem
 from warpav.rig.rig import read_rig
 
@@ -163,6 +163,18 @@ def test_an_interrupted_experiment_goes_on(tmp_path, scenes, monkeypatch, capsys
             run(tmp_path / "run", scenes, arms=chosen, runs=1)
     assert "the same command goes on from there" in capsys.readouterr().out
     assert run(tmp_path / "run", scenes, arms=chosen, runs=1).done == 1
+
+
+def test_an_arm_that_is_named_twice_runs_once():
+    assert [arm.name for arm in arms_of(SMALL, "highest, highest,sgd_ifr_doa ,sgd_ifr_doa")] == [
+        "highest",
+        "sgd_ifr_doa",
+    ]
+    both = dataclasses.replace(SMALL, arms=(Arm("highest", "highest"), *ARMS))
+    with pytest.raises(OptionError, match=r"--arms: expected names out of highest, sgd_ifr_doa, .*, got ''") as refused:
+        arms_of(both, "highest,")
+    names = str(refused.value).partition("out of ")[2].partition(", got")[0].split(", ")
+    assert len(names) == len(set(names))
 
 
 def description(folder, **changes):

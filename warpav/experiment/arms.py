@@ -177,7 +177,8 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
         return every[name]
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise OptionError("--arms", f"expected names out of {', '.join([*arms, *common_arms()])}, got {name!r}{hint}")
+    names = ", ".join(dict.fromkeys([*arms, *every]))
+    raise OptionError("--arms", f"expected names out of {names}, got {name!r}{hint}")
 
 
 def common_arms() -> dict[str, Arm]:

@@ -130,7 +130,7 @@ def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
         raise OptionError(
             "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
         )
-    return [find_arm(each.strip(), own) for each in dict.fromkeys(text.split(","))]
+    return [find_arm(name, own) for name in dict.fromkeys(each.strip() for each in text.split(","))]
 
 
 @dataclass(frozen=True)
@@ -267,7 +267,7 @@ def run_experiment(
     failed = []
     try:
         if waiting:
-            _make_scenes_ready(config, display)
+            make_scenes_ready(config, display)
         done = outcomes(run_arm, waiting, config, folder)
         for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
             display.say(_line(outcome))
@@ -296,12 +296,27 @@ def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[s
     """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
 
     Raises:
-        InputError: A file cannot be read.
+        InputError: A file cannot be read, or is no result.
     """
-    found = [read_json(file) for file in sorted((folder / RESULTS).glob("*.json"))]
+    found = [_read_result(file) for file in sorted((folder / RESULTS).glob("*.json"))]
     there = {run["arm"] for run in found}
     arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
     return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
+
+
+def _read_result(file: Path) -> dict[str, Any]:
+    """A result.
+
+    Raises:
+        InputError: It cannot be read, or is none of this version's.
+    """
+    result = read_json(file)
+    if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
+        found = result.get("schema") if isinstance(result, dict) else None
+        raise InputError(
+            f"{file}: schema: expected a result of schema {SCHEMA} with an arm and a seed, got {found!r}; delete it"
+        )
+    return result
 
 
 def run_arm(task: ArmTask) -> dict[str, Any]:
@@ -455,7 +470,7 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
     }
     if file.is_file():
         if any((folder / RESULTS).glob("*.json")):
-            _check_same(file, read_json(file), description)
+            _check_same(file, read_description(folder), description)
             return
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
@@ -471,16 +486,30 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
     write_json(file, description)
 
 
-def _check_same(file: Path, there: Any, wanted: Mapping[str, Any]) -> None:  # noqa: ANN401 (whatever JSON holds)
+def read_description(folder: Path) -> dict[str, Any]:
+    """What the results in the folder of an experiment were made with.
+
+    Raises:
+        InputError: It cannot be read, or is of another version.
+    """
+    file = folder / DESCRIPTION
+    there = read_json(file)
+    if not isinstance(there, dict) or there.get("schema") != SCHEMA or "experiment" not in there:
+        found = there.get("schema") if isinstance(there, dict) else None
+        raise InputError(
+            f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; choose another folder "
+            "with --out, and run the experiment again"
+        )
+    return there
+
+
+def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """See that the results of a folder are of this experiment.
 
     Raises:
         InputError: They are not.
     """
     fix = "choose another folder with --out"
-    if not isinstance(there, dict) or there.get("schema") != SCHEMA:
-        found = there.get("schema") if isinstance(there, dict) else None
-        raise InputError(f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; {fix}")
     if there.get("experiment") != wanted["experiment"]:
         raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
     if there.get("render_budget") != wanted["render_budget"]:
@@ -537,7 +566,7 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
                 tried.append(needs)
 
 
-def _make_scenes_ready(config: Config, display: RunDisplay) -> None:
+def make_scenes_ready(config: Config, display: RunDisplay) -> None:
     """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
 
     Raises:
