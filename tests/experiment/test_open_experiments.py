@@ -261,6 +261,15 @@ def test_an_open_experiment_goes_on_where_it_stopped(copied, scenes, capsys):
     assert arms == ["gradient", "highest", "random", "nuscenes", "start"]
 
 
+def test_goals_are_the_default_methods_alone(working_directory, scenes, capsys):
+    words = ["--arms", "highest,start", "--runs", "1"]
+    assert main(["experiment", "open", *overrides(scenes, *PLAIN), *words]) == 0
+    shown = capsys.readouterr().out
+    assert "highest - arm" in shown
+    assert "reached" not in shown
+    assert json.loads((working_directory / "runs" / "open" / "open.json").read_text())["goals"] == []
+
+
 def test_ablations_leave_out_what_changes_nothing(working_directory, scenes, capsys):
     words = ["--arms", "gradient,detector_0,undamped", "--runs", "1"]
     assert main(["experiment", "ablations", *overrides(scenes, *PLAIN), *words]) == 0
@@ -302,6 +311,54 @@ def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
     assert "objective" not in json.loads((folder / "rescored.json").read_text())["numbers"]
     assert main(words) == 0
     assert "6 of 6 results are in" in capsys.readouterr().out
+
+
+def test_what_another_judge_said_is_none_of_it(copied, monkeypatch):
+    words = ["experiment", "rescore", str(copied), "--name", "new"]
+    assert main([*words, "camera.width_px=176"]) == 0
+    real = rescore.evaluate_rig
+
+    def fails_for_nuscenes(rig, *given, **options):
+        if len(rig.cameras) == 6:
+            raise ValueError("a judge that fails")
+        return real(rig, *given, **options)
+
+    monkeypatch.setattr(rescore, "evaluate_rig", fails_for_nuscenes)
+    assert main([*words, "camera.width_px=160"]) == 1
+    written = json.loads((copied / "rescored_new" / "rescored.json").read_text())
+    assert written["missing"] == ["nuscenes"]
+    assert list(written["runs"]) == ["gradient", "highest", "random"]
+
+
+@pytest.mark.parametrize("executor", ["serial", "process"])
+def test_a_judge_without_scenes_is_refused_before_the_rigs_are_looked_at(copied, capsys, executor):
+    words = ["experiment", "rescore", str(copied), "scenes.test_seeds=[17]", "--executor", executor]
+    assert "expected scene_17.glb" in complaint(capsys, *words)
+    assert not list(copied.glob("rescored*"))
+
+
+def change(file, **changes):
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+
+
+def test_files_of_another_version_are_told_by_name(copied, scenes, capsys):
+    again = ["experiment", "open", *overrides(scenes, *PLAIN), "--arms", "highest", "--out", str(copied)]
+    anew = ["experiment", "rescore", str(copied), "camera.width_px=176"]
+    stray = copied / "results" / "stray_0.json"
+    for content, got in (("[]", "None"), ('{"schema": 1}', "1"), ('{"schema": 7, "arm": "stray", "seed": 0}', "7")):
+        stray.write_text(content)
+        for words in (again, anew):
+            told = complaint(capsys, *words)
+            assert "stray_0.json: schema: expected a result of schema 1 with an arm and a seed" in told
+            assert told.endswith(f"got {got}; delete it")
+    stray.unlink()
+    change(copied / "summary.json", schema=3)
+    assert "summary.json: schema: expected 1, got 3" in complaint(capsys, *anew)
+    change(copied / "experiment.json", schema=7)
+    for words in (again, anew):
+        assert "experiment.json: schema: expected 1, got 7" in complaint(capsys, *words)
+    (copied / "experiment.json").write_text("[]")
+    assert "experiment.json: schema: expected 1, got None" in complaint(capsys, *anew)
 
 
 def test_the_same_judge_gives_the_same_numbers(copied):
@@ -362,6 +419,9 @@ def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_director
     )
     assert "--name: expected lower-case letters" in complaint(
         capsys, "experiment", "rescore", folder, "camera.width_px=96", "--name", "../x"
+    )
+    assert complaint(capsys, "experiment", "rescore", folder, "device=cpu").startswith(
+        "--name: expected a name, as device=cpu makes none"
     )
     assert "got none" in complaint(capsys, "experiment", "rescore", str(working_directory), "camera.width_px=96")
     assert "detector.model=gone.onnx" in complaint(capsys, "experiment", "rescore", folder, "detector.model=gone.onnx")

@@ -25,7 +25,9 @@ from warpav.experiment.experiment import (
     QUIET,
     RESULTS,
     Finished,
+    make_scenes_ready,
     outcomes,
+    read_description,
     read_json,
     results_in,
     traffic_of_process,
@@ -34,8 +36,9 @@ from warpav.experiment.experiment import (
 )
 from warpav.experiment.goals import RIVALS, Goal
 from warpav.experiment.statistics import RESAMPLES, rank_correlation
-from warpav.experiment.summary import SUMMARY, write_summary
+from warpav.experiment.summary import SUMMARY, read_summary, write_summary
 from warpav.experiment.tables import COMPARED, Results, compare_results
+from warpav.objective.losses import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.problem import load_networks, problem_on
 from warpav.recipe import digest
 from warpav.results import environment, write_json, write_text
@@ -74,6 +77,11 @@ class RescoreTask:
     folder: Path
     made_with: str
 
+    @property
+    def file(self) -> Path:
+        """The new result."""
+        return self.folder / RESULTS / f"{self.name}.json"
+
 
 def config_file(folder: Path) -> Path:
     """The configuration of an experiment.
@@ -111,7 +119,7 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     """The name that a user gave, or one made of overrides, such as ``yolox_nano_coco_640_640``.
 
     Raises:
-        OptionError: The name is none of lower-case letters, digits and underscores.
+        OptionError: The name is none of lower-case letters, digits and underscores, or the overrides make none.
     """
     if name is not None:
         if not re.fullmatch(r"[a-z0-9_]+", name):
@@ -119,30 +127,21 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
         return name
     values = [override.partition("=")[2] for override in overrides if not override.startswith(("executor.", "device="))]
     words = [Path(value).stem if value.endswith(".onnx") else value for value in values]
-    return re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
+    made = re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
+    if not made:
+        raise OptionError("--name", f"expected a name, as {' '.join(overrides)} makes none, got none")
+    return made
 
 
 def light_overrides(config: Config) -> tuple[str, ...]:
     """Overrides that leave out what judging a rig does not need: training, validation, losses that ask for a fit."""
-    weights = (name for name, value in config.losses if isinstance(value, float) and name in _WEIGHTS)
     return (
         f"scenes.train_seeds=[{_unused_seed(config)}]",
         "scenes.validation_seeds=null",
         "scenes.mirror=false",
         "run.batch_size=1",
-        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in weights),
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in (*OBJECTIVES, DETECTOR_GRADIENT)),
     )
-
-
-_WEIGHTS = (
-    "missed",
-    "in_frame_rotation",
-    "detected_area",
-    "surface_blockage",
-    "object_visibility",
-    "angular_coverage",
-    "detector_gradient",
-)
 
 
 def _unused_seed(config: Config) -> int:
@@ -169,30 +168,31 @@ def run_rescore(
     Raises:
         InputError: The folder holds no experiment, or something cannot be used.
     """
+    described = read_description(folder)
     before = read_rigs(folder)
     config = with_absolute_paths(changed_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
     tasks = [_task(run, config, folder, out) for runs in before.values() for run in runs]
     load_networks(config)  # what is wrong with the detector shows before anything else begins
+    waiting = [task for task in tasks if not _is_there(task)]
+    if waiting:
+        make_scenes_ready(config, display)  # and likewise what is wrong with the scenes
     (out / RESULTS).mkdir(parents=True, exist_ok=True)
-    described = read_json(folder / DESCRIPTION)
     title = f"{described['experiment']} rescored {name}"
     write_json(out / DESCRIPTION, {**described, "experiment": title, "options": json.loads(unseeded(config))})
     write_json(out / "env.json", environment(config, device_name(config.device)))
-    waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
         display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
     failed = []
-    if waiting and config.executor.name == "serial":
-        traffic_of_process(config, display)
     done = outcomes(rescore_rig, waiting, config, out)
     for outcome in display.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
             failed.append(f"{outcome.task.name}: {outcome.error}")
-    after: dict[str, list[dict[str, Any]]] = {
-        arm: [read_json(file) for run in runs if (file := out / RESULTS / f"{arm}_{run['seed']}.json").is_file()]
-        for arm, runs in before.items()
-    }
+    after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
+    for task in tasks:
+        if _is_there(task):  # what another judge said before is none of it
+            result = read_json(task.file)
+            after[result["arm"]].append(result)
     there = [arm for arm, runs in after.items() if runs]
     if there:
         reference = _REFERENCE if _REFERENCE in there else there[0]
@@ -220,7 +220,7 @@ def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
     """
     order: list[str] = []
     if (folder / SUMMARY).is_file():
-        order = [run["arm"] for run in read_json(folder / SUMMARY)["runs"]]
+        order = [run["arm"] for run in read_summary(folder)["runs"]]
     found = {
         arm: [run for run in runs if "metrics" in run and "rig" in run]
         for arm, runs in results_in(folder, order).items()
@@ -250,7 +250,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in problem.test],
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
-    write_json(task.folder / RESULTS / f"{task.name}.json", result)
+    write_json(task.file, result)
     return result
 
 
@@ -304,5 +304,7 @@ def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path) -> Re
 
 def _is_there(task: RescoreTask) -> bool:
     """Whether a rig has been judged so already; a result that was made otherwise is made again."""
-    file = task.folder / RESULTS / f"{task.name}.json"
-    return file.is_file() and read_json(file).get("made_with") == task.made_with
+    if not task.file.is_file():
+        return False
+    result = read_json(task.file)
+    return isinstance(result, dict) and result.get("made_with") == task.made_with
