@@ -122,8 +122,10 @@ def test_the_order_of_scenes_does_not_count(both, random):
     order = random.sample(range(len(one)), len(one))
     found, mixed = (paired_difference(*pair, resamples=2999) for pair in ((one, other), (one[order], other[order])))
     assert mixed.mean == pytest.approx(found.mean, abs=1e-12)
-    # the order decides which resamples are drawn; worst seen 0.06
-    assert (mixed.low, mixed.high) == pytest.approx((found.low, found.high), abs=0.15)
+    # the order decides which resamples are drawn, and so may move an end to the next mean that resamples can have: as
+    # far as swapping a scene for the next better one moves it; worst seen beyond that in 10 000 examples: 0.012
+    step = np.diff(np.unique(one - other)).max(initial=0.0) / len(one)
+    assert (mixed.low, mixed.high) == pytest.approx((found.low, found.high), abs=step + 0.03)
 
 
 @quick
