@@ -102,6 +102,24 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
         assert lines(drawn[0].axes[0], index)[0][0] == pytest.approx(np.array(expected[0]), abs=1e-5)
 
 
+@pytest.mark.parametrize("number", [10, 11])
+def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
+    started = []
+
+    def begin(problem, *given, real=method_figures.begin_descent):
+        beginning = real(problem, *given)
+        started.append(problem.objective.mount.rig(beginning.descent.start))
+        return beginning
+
+    monkeypatch.setattr(method_figures, "begin_descent", begin)
+    config = small_experiment.config(
+        folder, "run.iterations=1", f"rig.start={run.path / 'rig_initial.yaml'}", "run.seed=5"
+    )
+    draw(number, tmp_path / "figure.png", config)
+    for found, expected in zip(started[0].cameras, run.rig("initial").cameras, strict=True):
+        assert found.position_m == pytest.approx(expected.position_m, abs=1e-5)
+
+
 def test_a_run_of_one_step_shows_no_way(run, tmp_path):
     short = tmp_path / "short"
     short.mkdir()

@@ -42,6 +42,7 @@ from warpav.problem import (
     load_problem,
     load_traffic,
     problem_on,
+    read_start,
 )
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
@@ -121,7 +122,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
     probability = load_probability(config, display)
     problem = problem_on(traffic, config, networks, probability)
     if run is None:
-        beginning = begin_descent(problem)
+        beginning = begin_descent(problem, read_start(config))
         start, began_as = beginning.descent.start, beginning.rig
         kept = _walk(problem, beginning.descent, display, "with constraints")
     else:
@@ -260,7 +261,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, displ
     """
     if run is None:
         problem = load_problem(config, display)
-        descent, count = begin_descent(problem).descent, config.run.iterations
+        descent, count = begin_descent(problem, read_start(config)).descent, config.run.iterations
         for _ in display.steps("optimising", range(count), count=count):
             if descent.verdict is None:
                 descent.step()
