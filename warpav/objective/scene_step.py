@@ -12,7 +12,7 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability
 from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, placement_losses_of
-from warpav.objective.missed import ProbabilityLook, StageOnDevice, add_missed_loss, windows_over_panorama
+from warpav.objective.missed import ProbabilityLook, StageOnDevice, add_missed_loss
 from warpav.objective.mount import CameraMount, PlacedViews
 from warpav.objective.recording import Recording
 from warpav.render.device_scene import DeviceScene
@@ -46,7 +46,6 @@ def losses_of_look(
     detected: wp.array,
     stage: StageOnDevice,
     image: wp.array,
-    window_rad: wp.array | None = None,
 ) -> wp.array:
     """All losses of the last look at a scene but the detection network's own, recorded on the active tape.
 
@@ -63,8 +62,6 @@ def losses_of_look(
         detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
         stage: How far along the optimisation is.
         image: What the cameras see ahead, vec3 [camera, row, column].
-        window_rad: See `windows_over_panorama`; None where every camera has one view, or where fields of view and
-            pitches are free and the windows move with them.
 
     Returns:
         float [objective] in the order of `OBJECTIVES`, 0 where a loss is left out. Those of the thesis are means over
@@ -85,10 +82,10 @@ def losses_of_look(
     if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
         camera_count = detected.shape[0]
         rotation_count = renderer.view_count // camera_count
-        moving_rad = None
-        if rotation_count > 1 and mount.windows_move:
-            moving_rad = mount.windows(views)
+        window_rad = moving_rad = None
+        if rotation_count > 1:
             window_rad = mount.windows(views, requires_grad=False)
+            moving_rad = mount.windows(views) if mount.windows_move else None
         look = ProbabilityLook.of(
             renderer,
             scene,
@@ -168,15 +165,6 @@ class SceneStep:
             raise ValueError(f"the losses need {mount.rotation_count} views of every camera")
         self._probability, self._stage = probability, stage or StageOnDevice(str(device))
         self._detected = wp.zeros((camera_count, scene.vehicle_count), dtype=float, device=device)
-        self._window_rad = None
-        if self._rotation_count > 1 and not mount.windows_move:
-            self._window_rad = windows_over_panorama(
-                mount.camera,
-                camera_count=camera_count,
-                rotation_count=self._rotation_count,
-                rotation_step_rad=mount.rotation_step_rad,
-                device=str(device),
-            )
         self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
         self._camera_of_vehicle = assigned.assigned_camera
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
@@ -274,7 +262,6 @@ class SceneStep:
             detected=self._detected,
             stage=self._stage,
             image=self.image,
-            window_rad=self._window_rad,
         )
         return loss, measures
 
