@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -32,6 +33,19 @@ class AssignedScene:
     assigned_camera: np.ndarray
 
 
+class SceneLosses(NamedTuple):
+    """What the cameras are worth on a scene.
+
+    Attributes:
+        value: Of every objective, 0 where it is left out, float [objective] in the order of `OBJECTIVES`.
+        chance: Probability that each camera finds each vehicle, by p(detected) alone, float [camera, vehicle]; None
+            where the loss ``missed`` is left out.
+    """
+
+    value: wp.array
+    chance: wp.array | None
+
+
 def losses_of_look(
     mount: CameraMount,
     renderer: Renderer,
@@ -46,7 +60,7 @@ def losses_of_look(
     detected: wp.array,
     stage: StageOnDevice,
     image: wp.array,
-) -> wp.array:
+) -> SceneLosses:
     """All losses of the last look at a scene but the detection network's own, recorded on the active tape.
 
     Args:
@@ -64,8 +78,7 @@ def losses_of_look(
         image: What the cameras see ahead, vec3 [camera, row, column].
 
     Returns:
-        float [objective] in the order of `OBJECTIVES`, 0 where a loss is left out. Those of the thesis are means over
-        the scene's assigned vehicles, ``missed`` is the sum over all of them.
+        Losses of the thesis as means over the scene's assigned vehicles, ``missed`` as the sum over all of them.
     """
     if settings.needs_panorama:
         loss = placement_losses_of(
@@ -79,6 +92,7 @@ def losses_of_look(
         )
     else:
         loss = wp.zeros(len(OBJECTIVES), dtype=float, device=measures.value.device, requires_grad=True)
+    chance = None
     if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
         camera_count = detected.shape[0]
         rotation_count = renderer.view_count // camera_count
@@ -94,7 +108,7 @@ def losses_of_look(
             window_rad=window_rad,
             softness_rad=settings.window_softness_rad,
         )
-        add_missed_loss(
+        chance = add_missed_loss(
             probability,
             look,
             views,
@@ -106,7 +120,7 @@ def losses_of_look(
             loss=loss,
             window_rad=moving_rad,
         )
-    return loss
+    return SceneLosses(loss, chance)
 
 
 class SceneStep:
@@ -188,20 +202,20 @@ class SceneStep:
         """Which camera's detector found which object, bool [camera, vehicle]."""
         self._detected.assign(np.asarray(is_detected, np.float32))
 
-    def learn(self) -> wp.array:
-        """The losses of the last look, float [loss]; their gradient is added to the poses'."""
+    def learn(self) -> SceneLosses:
+        """The losses of the last look; their gradient is added to the poses'."""
         self._recordings[1]()
-        return self._learned_loss
+        return self._learned
 
-    def judge(self) -> wp.array:
-        """The losses of the last look, float [loss], without a gradient."""
+    def judge(self) -> SceneLosses:
+        """The losses of the last look, without a gradient."""
         self._recordings[2]()
-        return self._judged_loss
+        return self._judged
 
-    def run(self) -> wp.array:
+    def run(self) -> SceneLosses:
         """`look` and `learn` at once, with the boxes as they are: a step without a detector."""
         self._recordings[3]()
-        return self._learned_loss
+        return self._learned
 
     def _look_and_learn(self) -> None:
         self._look()
@@ -247,9 +261,9 @@ class SceneStep:
     def _views(self) -> PlacedViews:
         return self._mount.place(self._pose, self._rotation_count)
 
-    def _loss(self) -> tuple[wp.array, Measures]:
+    def _losses(self) -> tuple[SceneLosses, Measures]:
         measures = self._renderer.measure(self.scene, self._box_px)
-        loss = losses_of_look(
+        losses = losses_of_look(
             self._mount,
             self._renderer,
             self.scene,
@@ -263,14 +277,14 @@ class SceneStep:
             stage=self._stage,
             image=self.image,
         )
-        return loss, measures
+        return losses, measures
 
     def _learn(self) -> None:
         # kept: a recording goes on using the arrays of the tape
         self._tape = wp.Tape()
         with self._tape:
-            self._learned_loss, self._learned_measures = self._loss()
-        self._tape.backward(grads={self._learned_loss: self._seed})
+            self._learned, self._learned_measures = self._losses()
+        self._tape.backward(grads={self._learned.value: self._seed})
 
     def _judge(self) -> None:
-        self._judged_loss, self._judged_measures = self._loss()
+        self._judged, self._judged_measures = self._losses()
