@@ -638,9 +638,24 @@ class OptimiserConfig(Section):
     starts: int = Field(
         default=1, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
     )
-    patience: int | None = Field(
-        default=None, ge=1, description="looks without a better rig after which the run ends; null: it never does"
+    descents: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="parts of the run, each from the next best of the rigs that were looked at before it",
     )
+    patience: int | None = Field(
+        default=None, ge=1, description="looks without a better rig after which a descent ends; null: it never does"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> OptimiserConfig:
+        if self.descents > self.starts:
+            text = f"expected at most one for each of the {self.starts} optimiser.starts, got {self.descents}"
+            _mistake(text, "descents", "starts")
+        if self.descents > 1 and self.keep != "best":
+            _mistake(f"expected 1 with optimiser.keep={self.keep}, got {self.descents}", "descents", "keep")
+        return self
 
 
 class BaselineConfig(Section):

@@ -297,8 +297,14 @@ def draw_run(
 
 
 def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
-    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations."""
-    return np.array([event["positions_m"] for event in events]) if len(events) > 1 else None
+    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
+
+    Of several descents it is the way of the one that came upon the best rig.
+    """
+    looks = [event for event in events if event["training_objective"] is not None]
+    best = min(looks, key=lambda event: event["training_objective"], default=None)
+    way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
+    return np.array(way) if len(way) > 1 else None
 
 
 def _check_folder(folder: Path, option: str) -> None:

@@ -37,6 +37,7 @@ from warpav.problem import (
     Problem,
     begin_descent,
     descent_from,
+    has_ordered_start,
     load_networks,
     load_probability,
     load_problem,
@@ -116,7 +117,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
         InputError: Something in the input is wrong.
     """
     # which iterate is kept and how often rigs are compared changes no way
-    config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null"])
+    config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     free = changed_config(config, _UNCONSTRAINED)
     traffic, networks = load_traffic(config, display), load_networks(config)
     probability = load_probability(config, display)
@@ -129,8 +130,8 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
         path_m, began = trajectory(run.events()), run.rig("initial")
         if path_m is None:
             raise InputError(f"{run.path}: run folder: expected at least two iterations, got fewer")
-        is_listed = config.rig.start == "random" and config.optimiser.starts == 1
-        start, began_as = problem.objective.mount.mount_pose_of_rig(began), None if is_listed else began
+        start = problem.objective.mount.mount_pose_of_rig(began)
+        began_as = None if has_ordered_start(config) else began
         kept = _Way(began, path_m, run.rig("final"))
     loose = problem_on(traffic, free, networks, probability)
     lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")

@@ -26,9 +26,9 @@ from warpav.objective.mount import CameraMount
 from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimise.gradient import Descent, OptimiserSettings
-from warpav.optimise.search import BudgetedValue, SearchSpace
+from warpav.optimise.search import SearchSpace
 from warpav.optimise.segregation import Segregation, areas_around, assign_vehicles, choose_orientations
-from warpav.optimise.starts import best_start
+from warpav.optimise.starts import look_at_starts
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
 from warpav.rig.rig import Rig, read_rig
@@ -356,7 +356,7 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
     """A descent on the training scenes, with the steps of the configuration.
 
     It starts from the rig that ``rig.start`` means, or from the best of ``optimiser.starts`` rigs on the validation
-    scenes, that one among them.
+    scenes, that one among them; with ``optimiser.descents`` from the second best after that, and so on.
 
     Args:
         problem: What to lower.
@@ -365,30 +365,43 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
+    config, mount = problem.config, problem.objective.mount
     start = start_pose(problem, start_rig)
-    rig = None if problem.config.rig.start == "random" else problem.objective.mount.rig(start)
-    count = problem.config.optimiser.starts
-    if count > 1:
-        scenes = problem.assigned(problem.validation, rig)
-        space = SearchSpace.over(
-            problem.objective.mount,
-            problem.config.rig.cameras,
-            constraints=problem.objective.constraints,
-            yaw_rad=problem.segregation.yaw_rad,
-        )
-        value = BudgetedValue.of(problem.objective, scenes, space, render_budget=count * len(scenes))
-        start = best_start(value, count, problem.random_numbers(Stream.STARTS), known=start)
-        rig = problem.objective.mount.rig(start)
-    return Beginning(descent_from(problem, start, rig), rig)
+    if has_ordered_start(config):
+        further: list[np.ndarray] = []
+        rig = None
+        if config.optimiser.starts > 1:
+            space = SearchSpace.over(
+                mount,
+                config.rig.cameras,
+                constraints=problem.objective.constraints,
+                yaw_rad=problem.segregation.yaw_rad,
+            )
+            rng = problem.random_numbers(Stream.STARTS)
+            found = look_at_starts(
+                problem.objective, problem.validation, space, config.optimiser.starts, rng, known=start
+            )
+            start, *further = [each.mount_pose for each in found[: config.optimiser.descents]]
+    else:
+        further, rig = [], mount.rig(start)
+    return Beginning(descent_from(problem, start, rig, further_starts=further), rig)
 
 
-def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> Descent:
+def has_ordered_start(config: Config) -> bool:
+    """Whether camera k of the rig that a run starts from takes orientation k, see `Problem.assigned`."""
+    return config.rig.start == "random" or config.optimiser.starts > 1
+
+
+def descent_from(
+    problem: Problem, start: np.ndarray, began_as: Rig | None, *, further_starts: Sequence[np.ndarray] = ()
+) -> Descent:
     """A descent on the training scenes from a rig.
 
     Args:
         problem: What to lower.
         start: Its mount poses, float32 [camera, 7].
         began_as: Whose cameras take the orientations, see `Problem.assigned`.
+        further_starts: Where it begins again, see `Descent`.
     """
     return Descent(
         problem.objective,
@@ -397,6 +410,7 @@ def descent_from(problem: Problem, start: np.ndarray, began_as: Rig | None) -> D
         start,
         problem.random_numbers(Stream.BATCHES),
         validation=problem.assigned(problem.validation, began_as),
+        further_starts=further_starts,
     )
 
 
@@ -467,6 +481,7 @@ def optimiser_settings(config: Config) -> OptimiserSettings:
         detector_from=optimiser.detector_from,
         patience=optimiser.patience,
         starts=optimiser.starts,
+        descents=optimiser.descents,
     )
 
 

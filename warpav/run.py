@@ -20,7 +20,7 @@ from warpav.optimise.baselines import highest_mount_pose
 from warpav.optimise.gradient import Descent
 from warpav.optimise.rivals import random_search
 from warpav.optimise.search import BudgetedValue, SearchSpace, run_search
-from warpav.problem import Problem, Stream, begin_descent, load_problem, read_start
+from warpav.problem import Problem, Stream, begin_descent, has_ordered_start, load_problem, read_start
 from warpav.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig
@@ -163,7 +163,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, display:
     rig = find_rig(source, config, problem.ego)
     began_as = rig
     if Path(source).is_dir():
-        began_as = None if config.rig.start == "random" else RunFolder.open(source).rig("initial")
+        began_as = None if has_ordered_start(config) else RunFolder.open(source).rig("initial")
     metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
     evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
     show_verdict(display.console, evaluation)

@@ -93,15 +93,15 @@ def place_windows_kernel(
     camera_from_ego: wp.array[wp.mat33],
     log_zoom: wp.array[float],
     rotation_count: int,
-    half_tangent: wp.vec2,
+    half_field_rad: wp.vec2,
     # out
     window_rad: wp.array[wp.vec4],
 ):
-    """The field of view of every pinhole camera as a window in each view of its panorama.
+    """The field of view of every camera as a window in each view of its panorama.
 
-    ``half_tangent`` holds the tangents of half the width and half the height of the field of view at zoom 0. A window
-    is the azimuth (to the left) and the elevation of its centre, in the axes of the view, its half width and its half
-    height.
+    ``half_field_rad`` holds half the width and half the height of the field of view at zoom 0, each in (0, pi); a zoom
+    divides their tangents, as a pinhole's. A window is the azimuth (to the left) and the elevation of its centre, in
+    the axes of the view, its half width and its half height.
 
     Launch: ``dim=camera_count``; one thread per camera, so that its gradient is summed in a fixed order.
     Writes: every element of ``window_rad`` [view] once.
@@ -117,6 +117,6 @@ def place_windows_kernel(
         window_rad[v] = wp.vec4(
             wp.atan2(-axis[0], axis[2]),
             wp.atan2(-axis[1], level),
-            wp.atan(half_tangent[0] * shrink),
-            wp.atan(half_tangent[1] * shrink),
+            wp.atan2(wp.sin(half_field_rad[0]) * shrink, wp.cos(half_field_rad[0])),
+            wp.atan2(wp.sin(half_field_rad[1]) * shrink, wp.cos(half_field_rad[1])),
         )

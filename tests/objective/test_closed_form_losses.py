@@ -49,7 +49,7 @@ def losses_in(scene, assigned, pose, device, name, *, box_px=None, supersampling
     )
     step.look()
     step.set_boxes(np.zeros((len(pose), len(assigned), 4)) if box_px is None else box_px)
-    loss = step.learn().numpy()[OBJECTIVES.index(name)]
+    loss = step.learn().value.numpy()[OBJECTIVES.index(name)]
     gradient = moved.grad.numpy()
     return loss, gradient[:, MOVED]
 

@@ -55,8 +55,8 @@ class Steps:
         self.pose.grad.zero_()
         self.step.look()
         self.step.set_boxes(self.box_px)
-        loss = self.step.learn().numpy().copy()
-        np.testing.assert_array_equal(self.step.judge().numpy(), loss)
+        loss = self.step.learn().value.numpy().copy()
+        np.testing.assert_array_equal(self.step.judge().value.numpy(), loss)
         return self.step.image.numpy().copy(), loss, self.pose.grad.numpy().copy()
 
 
@@ -107,6 +107,6 @@ def test_a_first_launch_after_replays_measures_its_own_scene(device, car_counts)
                 steps.step.set_boxes(steps.box_px)
                 steps.step.learn()
         one.step.look()
-        losses.append(one.step.judge().numpy().copy())  # its first call
+        losses.append(one.step.judge().value.numpy().copy())  # its first call
         assert losses[-1][0] > 0.1
     np.testing.assert_array_equal(*losses)

@@ -14,7 +14,6 @@ from tests.optimise.test_gradient import START, Slope, street_scenes
 from warpav.detection.probability import DetectionProbability
 from warpav.objective.constraints import BoundsAndSpacing
 from warpav.objective.losses import LossSettings
-from warpav.objective.missed import windows_over_panorama
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
 from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.gradient import Descent, OptimiserSettings
@@ -109,13 +108,9 @@ def test_windows_of_level_cameras_are_those_of_the_model():
     mount = mount_of()
     pose = START.astype(np.float32)
     views = mount.place(wp.array(pose, dtype=float))
-    still = windows_over_panorama(
-        MODEL,
-        camera_count=2,
-        rotation_count=mount.rotation_count,
-        rotation_step_rad=mount.rotation_step_rad,
-        device="cpu",
-    ).numpy()
+    half_height = math.atan(math.tan(0.5 * MODEL.fov_rad) * MODEL.height_px / MODEL.width_px)
+    turn = -mount.rotation_step_rad * np.arange(mount.rotation_count)
+    still = np.tile([[a, 0.0, 0.5 * MODEL.fov_rad, half_height] for a in turn], (2, 1))
     difference = mount.windows(views).numpy() - still
     np.testing.assert_allclose(np.exp(1j * difference), 1.0, atol=2e-6)
     pose[:, PITCH_RAD], pose[:, LOG_ZOOM] = 0.1, 0.2
@@ -124,6 +119,26 @@ def test_windows_of_level_cameras_are_those_of_the_model():
     # a view to the rear looks down as well: in its axes the camera's axis points down by twice as much
     np.testing.assert_allclose(window[:, 3, 1], -0.2, atol=1e-6)
     np.testing.assert_allclose(window[:, :, 2], 0.5 * MODEL.zoomed(0.2).fov_rad, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "half_width_deg", "half_height_deg"),
+    [
+        (CameraModel(64, 64, math.pi / 2), 45.0, 45.0),
+        (CameraModel(64, 32, math.pi / 2), 45.0, math.degrees(math.atan(0.5))),
+        (CameraModel(64, 32, math.radians(200.0), lens="fisheye"), 100.0, 50.0),
+        (CameraModel(64, 64, math.radians(200.0), lens="fisheye"), 100.0, 100.0),
+        (
+            CameraModel(64, 32, math.radians(170.0), lens="panorama"),
+            85.0,
+            math.degrees(math.atan(math.radians(42.5))),
+        ),
+    ],
+)
+def test_windows_are_as_wide_and_high_as_the_image_of_any_lens(model, half_width_deg, half_height_deg):
+    mount = mount_of(free=None, model=model)
+    window = mount.windows(mount.place(wp.array(START.astype(np.float32), dtype=float))).numpy()
+    np.testing.assert_allclose(np.degrees(window[:, 2:]), [[half_width_deg, half_height_deg]] * len(window), atol=1e-3)
 
 
 # --- steps and samples stay within -----------------------------------------------------------------------------------

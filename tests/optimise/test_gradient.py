@@ -6,6 +6,8 @@ import math
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.oracle import thesis
@@ -16,6 +18,7 @@ from warpav.objective.missed import Stage
 from warpav.objective.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimise.gradient import Descent, MultiplierAscent, OptimiserSettings
+from warpav.optimise.rivals import gradient_renders
 from warpav.rig.camera import CameraModel
 
 MODEL = CameraModel(64, 64, math.pi / 2)
@@ -196,6 +199,110 @@ def test_cameras_that_run_away_stop_the_run_with_a_message():
     descent.step()
     with pytest.raises(InputError, match="iteration 1: expected a finite loss"):
         descent.step()
+
+
+class Scripted(Slope):
+    """The same with a training objective that was written down beforehand, look by look."""
+
+    def __init__(self, looks):
+        super().__init__()
+        self.looks = list(looks)
+        self.looked_at = []
+
+    def evaluate(self, mount_pose, scenes, **options):
+        found = super().evaluate(mount_pose, scenes, **options)
+        if options.get("gradient"):
+            return found
+        self.looked_at.append(mount_pose)
+        return dataclasses.replace(found, objective=self.looks.pop(0))
+
+
+def scripted(looks, further_starts=(), **settings):
+    settings = OptimiserSettings(
+        **{
+            "iterations": 6,
+            "batch_size": 1,
+            "keep": "best",
+            "check_every": 1,
+            "descents": 1 + len(further_starts),
+            **settings,
+        }
+    )
+    return Descent(
+        Scripted(looks), street_scenes(), settings, START, np.random.default_rng(0), further_starts=further_starts
+    )
+
+
+def steps_until_verdict(descent, at_most):
+    records = []
+    while len(records) < at_most and descent.verdict is None:
+        records.append(descent.step())
+    return records
+
+
+def test_a_run_without_a_better_rig_ends_and_says_so():
+    descent = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3], patience=3)
+    records = steps_until_verdict(descent, 6)
+    assert len(records) == 5  # 0.4 again is no better
+    assert descent.verdict == "no better rig in 3 looks at the validation scenes since iteration 1"
+    assert descent.finish().training_objective == 0.3  # the last rig is looked at as well
+    endless = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3])
+    assert len(steps_until_verdict(endless, 6)) == 6
+    assert endless.verdict is None
+
+
+def test_every_descent_begins_anew_with_its_share_of_the_steps():
+    others = [START + 0.1, START + 0.2]
+    descent = scripted(
+        [0.5, 0.4, 0.45, 0.2, 0.3, 0.41, 0.4], others, iterations=5, check_every=2, schedule="cosine", weight_decay=0.0
+    )
+    records = [descent.step() for _ in range(5)]
+    result = descent.finish()
+    assert [record.descent for record in records] == [0, 0, 1, 1, 2]
+    assert [record.iteration for record in records] == [0, 1, 2, 3, 4]
+    assert [candidate.iteration for candidate in descent.candidates] == [0, 2, 2, 4, 4, 5]
+    begins = [records[k].positions_m[0][0] for k in (0, 2, 4)]
+    np.testing.assert_allclose(begins, START[0, 0] + np.array([0.0, 0.1, 0.2]), atol=1e-6)
+    # the second of two steps under a cosine is a hundredth of the first
+    along = np.array([[record.yaw_deg[0] for record in records[k : k + 2]] for k in (0, 2)])
+    np.testing.assert_allclose(along[1] - along[0], np.degrees(0.1), atol=1e-4)
+    assert all(not multiplier.any() for multiplier in np.array(descent.objective.multipliers)[[0, 2, 4]])
+    assert result.training_objective == 0.2
+    np.testing.assert_array_equal(result.mount_pose, descent.objective.looked_at[3])
+
+
+def test_a_descent_that_loses_patience_makes_room_for_the_next():
+    descent = scripted([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.3, 0.2, 0.1], [START + 0.1], iterations=8, patience=2)
+    records = steps_until_verdict(descent, 8)
+    assert [record.descent for record in records] == [0, 0, 0, 1, 1, 1, 1, 1]
+    assert descent.verdict is None
+    lost = scripted([0.5, 0.6, 0.7, 0.8, 0.3, 0.4, 0.5], [START + 0.1], iterations=8, patience=2)
+    assert len(steps_until_verdict(lost, 8)) == 6
+    assert lost.verdict == "no better rig in 2 looks at the validation scenes since iteration 3"
+
+
+def test_as_many_starts_as_descents():
+    with pytest.raises(ValueError, match="2 descents need as many starts, got 3"):
+        scripted([], [START, START], descents=2)
+
+
+@given(
+    st.integers(1, 5),
+    st.integers(1, 40),
+    st.integers(1, 6),
+    st.sampled_from(["best", "last"]),
+    st.integers(1, 7),
+)
+def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, starts):
+    descent = scripted(
+        [0.5] * 200, [START] * (descents - 1), iterations=iterations, check_every=check_every, keep=keep, starts=starts
+    )
+    for _ in range(iterations):
+        descent.step()
+    descent.finish()
+    looks = len(descent.candidates) + (starts if starts > 1 else 0)
+    assume(iterations >= descents)
+    assert gradient_renders(descent.settings, 3) == iterations + 3 * looks
 
 
 def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():

@@ -363,7 +363,8 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
     first = run_search(cma_es, value, rng)
     if first.error is not None:
         raise RuntimeError(f"the search ended early: {first.error}")
-    alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1"]))  # its start is found
+    # its start is found already
+    alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
     second = _descended(rest, descent_from(rest, first.mount_pose, None), None)
     both = _columns(first.history)

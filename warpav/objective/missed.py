@@ -7,7 +7,6 @@ outside the images pull, late in it the detector itself has a say; `Stage` says 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import warp as wp
@@ -17,7 +16,6 @@ from warpav.objective.losses import LossSettings
 from warpav.objective.mount import PlacedViews
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Measures, Renderer, WindowMeasures
-from warpav.rig.camera import CameraModel
 from warpav_kernels import missed_loss
 
 
@@ -82,8 +80,8 @@ class ProbabilityLook:
             scene: The scene.
             measures: Of this render, from `Renderer.measure`.
             image: Its colours in all views, vec3 [view, row, column]; None: they are drawn here.
-            window_rad: Fields of view over the panoramas, from `windows_over_panorama` or `CameraMount.windows`; None
-                where each camera has one view.
+            window_rad: Fields of view over the panoramas, from `CameraMount.windows`; None where each camera has
+                one view.
             softness_rad: Of the windows' edges [rad].
         """
         appearance = Appearance.of(renderer, scene, measures=measures, image=image)
@@ -91,30 +89,6 @@ class ProbabilityLook:
             return cls(appearance, None, None)
         in_window = renderer.window_area(scene, window_rad, softness_rad=softness_rad, visible=True)
         return cls(appearance, in_window, renderer.window_area(scene, visible=True))
-
-
-def windows_over_panorama(
-    camera: CameraModel, *, camera_count: int, rotation_count: int, rotation_step_rad: float, device: str
-) -> wp.array:
-    """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
-
-    Args:
-        camera: The model of all cameras; its field of view becomes a rectangle of azimuth and elevation.
-        camera_count: Number of cameras.
-        rotation_count: Views of every camera.
-        rotation_step_rad: Angle between them, to the left [rad].
-        device: Warp device.
-
-    Returns:
-        vec4 [view]; the axis of view a lies a steps to the left of the camera's.
-    """
-    half_width = 0.5 * camera.fov_rad
-    half_height = math.atan(math.tan(half_width) * camera.height_px / camera.width_px)
-    of_camera = [
-        [math.remainder(-a * rotation_step_rad, 2.0 * math.pi), 0.0, half_width, half_height]
-        for a in range(rotation_count)
-    ]
-    return wp.array(of_camera * camera_count, dtype=wp.vec4, device=device)
 
 
 def add_missed_loss(

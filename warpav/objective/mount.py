@@ -182,7 +182,8 @@ class CameraMount:
     def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
         """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
 
-        Recorded on the active tape; gradients flow to the views' rotations and zooms.
+        A field of view becomes a rectangle of azimuth and elevation around the optical axis. Recorded on the active
+        tape; gradients flow to the views' rotations and zooms.
 
         Args:
             views: Placed here, or by `views_of_rig`.
@@ -191,7 +192,6 @@ class CameraMount:
         Returns:
             vec4 [view].
         """
-        half_width = math.tan(0.5 * self.camera.fov_rad)
         view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
         window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
         wp.launch(
@@ -201,7 +201,7 @@ class CameraMount:
                 views.camera_from_ego,
                 views.log_zoom,
                 view_count // camera_count,
-                wp.vec2(half_width, half_width * self.camera.height_px / self.camera.width_px),
+                wp.vec2(*self.camera.half_field_rad),
             ],
             outputs=[window_rad],
             device=self.device,

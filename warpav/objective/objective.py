@@ -21,7 +21,7 @@ from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, lagrangian_of
 from warpav.objective.missed import Stage, StageOnDevice
 from warpav.objective.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
-from warpav.objective.scene_step import AssignedScene, SceneStep, losses_of_look
+from warpav.objective.scene_step import AssignedScene, SceneLosses, SceneStep, losses_of_look
 from warpav.render.renderer import Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
 
@@ -43,6 +43,8 @@ class Evaluation:
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
         seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
             total [s].
+        chance: Probability that each camera finds each object, by p(detected) alone; float [camera, object], the
+            objects scene by scene. None if it was not asked for, or where ``missed`` is left out.
     """
 
     total: float
@@ -51,6 +53,7 @@ class Evaluation:
     gradient: np.ndarray | None
     multiplier_gradient: np.ndarray | None
     seconds: dict[str, float]
+    chance: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,7 @@ class RigObjective:
         multiplier: np.ndarray | None = None,
         gradient: bool = False,
         stage: Stage | None = None,
+        chances: bool = False,
     ) -> Evaluation:
         """Losses of cameras on the mount surface on some scenes; scenes are summed in the order given.
 
@@ -186,6 +190,7 @@ class RigObjective:
             multiplier: Lagrange multipliers, float [constraint]; None: 0.
             gradient: Whether to differentiate.
             stage: How far along the optimisation is, for ``missed``; None: the last one.
+            chances: Whether to tell which camera finds which object.
         """
         started = time.perf_counter()
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
@@ -200,7 +205,9 @@ class RigObjective:
             assert self._pose.grad is not None
             self._pose.grad.zero_()
             losses = self._losses(views, scenes, stage, seconds, gradient=gradient)
-            objectives = share * np.array([[*loss.numpy(), *more] for loss, more in losses], np.float64).sum(axis=0)
+            objectives = share * np.array([[*each.value.numpy(), *more] for each, more in losses], np.float64).sum(
+                axis=0
+            )
             grown = [renderer.grew() for renderer in views.renderers]
             if not any(grown):
                 break
@@ -240,6 +247,7 @@ class RigObjective:
             gradient=pose_gradient,
             multiplier_gradient=multiplier_gradient,
             seconds=seconds,
+            chance=_side_by_side(losses) if chances else None,
         )
 
     def _shares(self, scenes: Sequence[AssignedScene]) -> np.ndarray:
@@ -323,7 +331,7 @@ class RigObjective:
 
     def _losses(
         self, views: _Views, scenes: Sequence[AssignedScene], stage: Stage, seconds: dict[str, float], *, gradient: bool
-    ) -> list[tuple[wp.array, list[float]]]:
+    ) -> list[tuple[SceneLosses, list[float]]]:
         """Placement losses of every scene, and the detection network's own where it takes part.
 
         The detector looks at the images of some scenes while the next scenes are rendered; scenes are finished, and
@@ -332,7 +340,7 @@ class RigObjective:
         slots = len(views.renderers)
         per_question = max(1, slots // 2)
         asked: deque[tuple[list[_Looked], Callable[[], list[Detections]]]] = deque()
-        losses: list[tuple[wp.array, list[float]]] = []
+        losses: list[tuple[SceneLosses, list[float]]] = []
         for first in range(0, len(scenes), per_question):
             while (len(asked) + 1) * per_question > slots:  # until their renderers are free
                 losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
@@ -402,7 +410,7 @@ class RigObjective:
         *,
         gradient: bool,
         share: float,
-    ) -> list[tuple[wp.array, list[float]]]:
+    ) -> list[tuple[SceneLosses, list[float]]]:
         """Match, measure, differentiate scenes that were looked at."""
         started = time.perf_counter()
         found = iter(answers())
@@ -412,14 +420,14 @@ class RigObjective:
             start = time.perf_counter()
             self._match(each, [next(found) for _ in each.camera])
             matched = time.perf_counter()
-            loss = each.step.learn() if gradient else each.step.judge()
+            judged = each.step.learn() if gradient else each.step.judge()
             more = []
             if self.differentiable_detector is not None and each.sight is not None:
                 weight = share * self.settings.detector_gradient if gradient else None
                 more.append(
                     each.step.detector_loss(self.differentiable_detector, each.sight.truth_box_px, weight=weight)
                 )
-            losses.append((loss, more))
+            losses.append((judged, more))
             seconds["detect"] += matched - start
             seconds["backward"] += time.perf_counter() - matched
         return losses
@@ -463,7 +471,7 @@ class RigObjective:
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[looks.ahead] = observation.matched_box_px()
         measures = renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
-        loss = losses_of_look(
+        loss, _ = losses_of_look(
             self.mount,
             renderer,
             scene,
@@ -493,3 +501,9 @@ class RigObjective:
             )
         scaled = np.array(losses, np.float64) * self._shares([assigned]) * self.settings.objective_scale
         return observation, measures, float(scaled.sum())
+
+
+def _side_by_side(losses: Sequence[tuple[SceneLosses, list[float]]]) -> np.ndarray | None:
+    """Chances of all scenes, float [camera, object]; None where no loss knows them."""
+    chances = [each.chance.numpy() for each, _ in losses if each.chance is not None]
+    return np.concatenate(chances, axis=1) if chances else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -12,7 +13,7 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability
 from warpav.objective.detector_loss import detector_loss_of
 from warpav.objective.losses import MISSED, OBJECTIVES, LossSettings, placement_losses_of
-from warpav.objective.missed import ProbabilityLook, StageOnDevice, add_missed_loss, windows_over_panorama
+from warpav.objective.missed import ProbabilityLook, StageOnDevice, add_missed_loss
 from warpav.objective.mount import CameraMount, PlacedViews
 from warpav.objective.recording import Recording
 from warpav.render.device_scene import DeviceScene
@@ -32,6 +33,19 @@ class AssignedScene:
     assigned_camera: np.ndarray
 
 
+class SceneLosses(NamedTuple):
+    """What the cameras are worth on a scene.
+
+    Attributes:
+        value: Of every objective, 0 where it is left out, float [objective] in the order of `OBJECTIVES`.
+        chance: Probability that each camera finds each vehicle, by p(detected) alone, float [camera, vehicle]; None
+            where the loss ``missed`` is left out.
+    """
+
+    value: wp.array
+    chance: wp.array | None
+
+
 def losses_of_look(
     mount: CameraMount,
     renderer: Renderer,
@@ -46,8 +60,7 @@ def losses_of_look(
     detected: wp.array,
     stage: StageOnDevice,
     image: wp.array,
-    window_rad: wp.array | None = None,
-) -> wp.array:
+) -> SceneLosses:
     """All losses of the last look at a scene but the detection network's own, recorded on the active tape.
 
     Args:
@@ -63,12 +76,9 @@ def losses_of_look(
         detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
         stage: How far along the optimisation is.
         image: What the cameras see ahead, vec3 [camera, row, column].
-        window_rad: See `windows_over_panorama`; None where every camera has one view, or where fields of view and
-            pitches are free and the windows move with them.
 
     Returns:
-        float [objective] in the order of `OBJECTIVES`, 0 where a loss is left out. Those of the thesis are means over
-        the scene's assigned vehicles, ``missed`` is the sum over all of them.
+        Losses of the thesis as means over the scene's assigned vehicles, ``missed`` as the sum over all of them.
     """
     if settings.needs_panorama:
         loss = placement_losses_of(
@@ -82,13 +92,14 @@ def losses_of_look(
         )
     else:
         loss = wp.zeros(len(OBJECTIVES), dtype=float, device=measures.value.device, requires_grad=True)
+    chance = None
     if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
         camera_count = detected.shape[0]
         rotation_count = renderer.view_count // camera_count
-        moving_rad = None
-        if rotation_count > 1 and mount.windows_move:
-            moving_rad = mount.windows(views)
+        window_rad = moving_rad = None
+        if rotation_count > 1:
             window_rad = mount.windows(views, requires_grad=False)
+            moving_rad = mount.windows(views) if mount.windows_move else None
         look = ProbabilityLook.of(
             renderer,
             scene,
@@ -97,7 +108,7 @@ def losses_of_look(
             window_rad=window_rad,
             softness_rad=settings.window_softness_rad,
         )
-        add_missed_loss(
+        chance = add_missed_loss(
             probability,
             look,
             views,
@@ -109,7 +120,7 @@ def losses_of_look(
             loss=loss,
             window_rad=moving_rad,
         )
-    return loss
+    return SceneLosses(loss, chance)
 
 
 class SceneStep:
@@ -168,15 +179,6 @@ class SceneStep:
             raise ValueError(f"the losses need {mount.rotation_count} views of every camera")
         self._probability, self._stage = probability, stage or StageOnDevice(str(device))
         self._detected = wp.zeros((camera_count, scene.vehicle_count), dtype=float, device=device)
-        self._window_rad = None
-        if self._rotation_count > 1 and not mount.windows_move:
-            self._window_rad = windows_over_panorama(
-                mount.camera,
-                camera_count=camera_count,
-                rotation_count=self._rotation_count,
-                rotation_step_rad=mount.rotation_step_rad,
-                device=str(device),
-            )
         self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
         self._camera_of_vehicle = assigned.assigned_camera
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
@@ -200,20 +202,20 @@ class SceneStep:
         """Which camera's detector found which object, bool [camera, vehicle]."""
         self._detected.assign(np.asarray(is_detected, np.float32))
 
-    def learn(self) -> wp.array:
-        """The losses of the last look, float [loss]; their gradient is added to the poses'."""
+    def learn(self) -> SceneLosses:
+        """The losses of the last look; their gradient is added to the poses'."""
         self._recordings[1]()
-        return self._learned_loss
+        return self._learned
 
-    def judge(self) -> wp.array:
-        """The losses of the last look, float [loss], without a gradient."""
+    def judge(self) -> SceneLosses:
+        """The losses of the last look, without a gradient."""
         self._recordings[2]()
-        return self._judged_loss
+        return self._judged
 
-    def run(self) -> wp.array:
+    def run(self) -> SceneLosses:
         """`look` and `learn` at once, with the boxes as they are: a step without a detector."""
         self._recordings[3]()
-        return self._learned_loss
+        return self._learned
 
     def _look_and_learn(self) -> None:
         self._look()
@@ -259,9 +261,9 @@ class SceneStep:
     def _views(self) -> PlacedViews:
         return self._mount.place(self._pose, self._rotation_count)
 
-    def _loss(self) -> tuple[wp.array, Measures]:
+    def _losses(self) -> tuple[SceneLosses, Measures]:
         measures = self._renderer.measure(self.scene, self._box_px)
-        loss = losses_of_look(
+        losses = losses_of_look(
             self._mount,
             self._renderer,
             self.scene,
@@ -274,16 +276,15 @@ class SceneStep:
             detected=self._detected,
             stage=self._stage,
             image=self.image,
-            window_rad=self._window_rad,
         )
-        return loss, measures
+        return losses, measures
 
     def _learn(self) -> None:
         # kept: a recording goes on using the arrays of the tape
         self._tape = wp.Tape()
         with self._tape:
-            self._learned_loss, self._learned_measures = self._loss()
-        self._tape.backward(grads={self._learned_loss: self._seed})
+            self._learned, self._learned_measures = self._losses()
+        self._tape.backward(grads={self._learned.value: self._seed})
 
     def _judge(self) -> None:
-        self._judged_loss, self._judged_measures = self._loss()
+        self._judged, self._judged_measures = self._losses()

@@ -40,8 +40,9 @@ class OptimiserSettings:
         check_every: Iterations between two looks at all validation scenes, with ``keep`` best.
         panorama_until: Share of the run over which what lies outside the images ceases to pull, 0..1.
         detector_from: Share of the run from which the detector has a say in the loss ``missed``, 0..1.
-        patience: Looks without a better rig after which the run ends; None: it never does.
+        patience: Looks without a better rig after which a descent ends; None: it never does.
         starts: Rigs that were looked at to find the one to start from; 1: none was.
+        descents: Parts of the run, each from a start of its own.
     """
 
     iterations: int = 100
@@ -61,6 +62,15 @@ class OptimiserSettings:
     detector_from: float = 0.0
     patience: int | None = None
     starts: int = 1
+    descents: int = 1
+
+
+def descent_lengths(settings: OptimiserSettings) -> list[int]:
+    """Steps of every descent of a run that goes on to its end."""
+    lengths: list[int] = []
+    for left in range(settings.descents, 0, -1):
+        lengths.append(round((settings.iterations - sum(lengths)) / left))
+    return lengths
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,7 @@ class IterationRecord:
         training_objective: Objective of the feasible poses on all validation scenes, None where it was not looked at.
         best_training_objective: The lowest of them so far, None before the first look.
         free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
+        descent: From 0, of those that the run has one after the other.
     """
 
     iteration: int
@@ -94,6 +105,7 @@ class IterationRecord:
     training_objective: float | None
     best_training_objective: float | None
     free: dict[str, list[float]] = field(default_factory=dict)
+    descent: int = 0
 
 
 class AdamW:
@@ -170,7 +182,7 @@ class MultiplierAscent:
         return {"value": self.value}
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
     """A rig that satisfies the constraints, and its objective on all validation scenes."""
 
@@ -183,6 +195,9 @@ class Candidate:
 class Descent:
     """A run of the optimiser; call `step` until you have enough, then `finish`.
 
+    With further starts the run is divided among as many more descents, one after the other, each with steps,
+    multipliers and stages as if it were alone.
+
     Attributes:
         objective: What is lowered.
         scenes: The training scenes with their assigned cameras.
@@ -190,7 +205,10 @@ class Descent:
         start: Mount poses to start from, float [camera, 7].
         rng: Chooses the batches.
         validation: Scenes on which rigs are compared; None: the training scenes.
+        further_starts: Where to begin again, each as ``start``; ``settings.descents`` - 1 of them.
         candidates: Rigs that were looked at on all validation scenes, in order.
+        iteration: Steps so far.
+        descent: The descent that is going on, from 0.
     """
 
     objective: RigObjective
@@ -199,20 +217,18 @@ class Descent:
     start: np.ndarray
     rng: np.random.Generator
     validation: Sequence[AssignedScene] | None = None
+    further_starts: Sequence[np.ndarray] = ()
     candidates: list[Candidate] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        device = self.objective.device
+        if len(self.further_starts) != self.settings.descents - 1:
+            raise ValueError(
+                f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
+            )
         self.iteration = 0
+        self.descent = 0
         self._mount: CameraMount = self.objective.mount
-        self._pose = AdamW(self._mount.within(self.start), weight_decay=self.settings.weight_decay, device=device)
-        constraints = self.objective.constraints
-        multiplier = np.zeros(len(constraints.names), np.float32)
-        self._multiplier: AdamW | MultiplierAscent = (
-            MultiplierAscent(multiplier)
-            if constraints.are_inequalities
-            else AdamW(multiplier, weight_decay=self.settings.multiplier_weight_decay, device=device)
-        )
+        self._begin(self.start)
         is_informed = self.objective.settings.needs_panorama
         self._batches = (BatchChooser if is_informed else ShuffledBatches)(self.scenes, len(self.start), self.rng)
         rate = np.zeros_like(self.start, dtype=np.float32)
@@ -226,12 +242,31 @@ class Descent:
         is_moved[[X_M, Y_M, YAW_RAD]] = True
         self._rate = rate * is_moved
 
+    def _begin(self, start: np.ndarray) -> None:
+        """Begin a descent with its share of the steps that are left."""
+        device, constraints = self.objective.device, self.objective.constraints
+        self._begun_at = self.iteration
+        left = self.settings.descents - self.descent
+        self._step_count = round((self.settings.iterations - self.iteration) / left)
+        self._first_candidate = len(self.candidates)
+        self._pose = AdamW(self._mount.within(start), weight_decay=self.settings.weight_decay, device=device)
+        multiplier = np.zeros(len(constraints.names), np.float32)
+        self._multiplier: AdamW | MultiplierAscent = (
+            MultiplierAscent(multiplier)
+            if constraints.are_inequalities
+            else AdamW(multiplier, weight_decay=self.settings.multiplier_weight_decay, device=device)
+        )
+
     def step(self) -> IterationRecord:
-        """One batch, one step of the cameras, one of the multipliers.
+        """One batch, one step of the cameras, one of the multipliers; where a descent is over, the first of the next.
 
         Raises:
             InputError: The loss is no longer finite.
         """
+        if self.descent < len(self.further_starts) and (self._steps >= self._step_count or self._is_of_no_use):
+            self._look()
+            self.descent += 1
+            self._begin(self.further_starts[self.descent - 1])
         look = self._look() if self._is_time_to_look() else None
         pose, multiplier = self._pose.value, self._multiplier.value
         batch = [self.scenes[k] for k in self._batches.choose(self.settings.batch_size)]
@@ -271,10 +306,15 @@ class Descent:
             **{f"multiplier_{name}": value for name, value in self._multiplier.state().items()},
         }
 
+    @property
+    def _steps(self) -> int:
+        """Steps of this descent so far."""
+        return self.iteration - self._begun_at
+
     def _is_time_to_look(self) -> bool:
-        if self.iteration == 0:
+        if self._steps == 0:
             return True
-        return self.settings.keep == "best" and self.iteration % self.settings.check_every == 0
+        return self.settings.keep == "best" and self._steps % self.settings.check_every == 0
 
     def _look(self) -> Candidate:
         """Evaluate the nearest feasible poses on all training scenes."""
@@ -288,17 +328,27 @@ class Descent:
     @property
     def verdict(self) -> str | None:
         """Why there is no use in going on, in words; None while there is."""
+        if self.descent < len(self.further_starts) or not self._is_of_no_use:
+            return None
+        looks, best = self._looks_in_vain
+        return f"no better rig in {looks} looks at the validation scenes since iteration {best.iteration}"
+
+    @property
+    def _is_of_no_use(self) -> bool:
+        """Whether this descent has lost patience."""
         patience = self.settings.patience
-        if patience is None or not self.candidates:
-            return None
-        looks = len(self.candidates) - 1 - self.candidates.index(self.best)
-        if looks < patience:
-            return None
-        return f"no better rig in {looks} looks at the validation scenes since iteration {self.best.iteration}"
+        return patience is not None and self._steps > 0 and self._looks_in_vain[0] >= patience
+
+    @property
+    def _looks_in_vain(self) -> tuple[int, Candidate]:
+        """Looks of this descent since its best rig, and that rig."""
+        own = self.candidates[self._first_candidate :]
+        best = min(own, key=lambda candidate: candidate.training_objective)
+        return len(own) - 1 - own.index(best), best
 
     @property
     def _progress(self) -> float:
-        return self.iteration / max(self.settings.iterations - 1, 1)
+        return self._steps / max(self._step_count - 1, 1)
 
     def _stage(self) -> Stage:
         last = self.objective.last_stage
@@ -338,6 +388,7 @@ class Descent:
             norm["zoom"] = gradient[:, LOG_ZOOM]
         return IterationRecord(
             iteration=self.iteration,
+            descent=self.descent,
             loss=result.total,
             terms=result.terms,
             multipliers=dict(zip(self.objective.constraints.names, multiplier.tolist(), strict=True)),

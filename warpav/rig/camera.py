@@ -118,6 +118,14 @@ class CameraModel:
         return float(angle[1] - angle[0])
 
     @property
+    def half_field_rad(self) -> tuple[float, float]:
+        """Angles from the optical axis to the sides and to the top of an image around it [rad]."""
+        fy = self._lens_px[1]
+        tangent = np.array([0.5 * self.height_px / fy])
+        angle = tangent if self.lens is Lens.PANORAMA else self.shape.angle(tangent)
+        return 0.5 * self.fov_rad, float(angle[0] if self.lens is Lens.FISHEYE else np.arctan(angle[0]))
+
+    @property
     def _middle_px(self) -> tuple[float, float]:
         return 0.5 * self.width_px, 0.5 * self.height_px
 
