@@ -113,6 +113,9 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
         Arm("gradient", "gradient").check(settings, 5)
     with pytest.raises(InputError, match="arm random_batches: --budget: expected at least 2 scene renders, got 1"):
         Arm("random_batches", "random_batches").check(settings, 1)
+    with pytest.raises(InputError, match="arm greedy_cover: --budget: expected at least 5 scene renders, got 4"):
+        Arm("greedy_cover", "greedy_cover").check(settings, 4)
+    assert find_rig_of(Arm("greedy_cover", "greedy_cover"), problem, 5).renders == 5  # two cameras, eight directions
     Arm("sobol", "sobol").check(settings, 1)
     Arm("highest", "highest").check(settings, 1)
     with pytest.raises(InputError, match=r"losses\.detected_are"):

@@ -43,6 +43,9 @@ from warpav.rig.rig import Rig
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
 
+GREEDY_DIRECTIONS = 8
+"""Directions in which greedy cover looks at each place."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -148,6 +151,8 @@ class Arm:
             return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(ranked_count / CMA_SHARE))
         if self.method == "random_batches":
             return config.run.batch_size
+        if self.method == "greedy_cover":  # one place in all directions, and the look at the rig
+            return ranked_count * (math.ceil(GREEDY_DIRECTIONS / config.rig.cameras) + 1)
         return ranked_count if self.method in METHODS and self.is_seeded else 1
 
 
@@ -410,7 +415,7 @@ def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
 
 
 def _greedy(problem: Problem, scenes: Sequence[Any]) -> Search:
-    return partial(greedy_cover, sights=detections_of(problem.objective, scenes))
+    return partial(greedy_cover, sights=detections_of(problem.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
 
 
 METHODS: dict[str, Finder] = {
