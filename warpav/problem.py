@@ -381,7 +381,8 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
             found = look_at_starts(
                 problem.objective, problem.validation, space, config.optimiser.starts, rng, known=start
             )
-            start, *further = [each.mount_pose for each in found[: config.optimiser.descents]]
+            # those without a finite value are no starts; then some are taken twice
+            start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
     else:
         further, rig = [], mount.rig(start)
     return Beginning(descent_from(problem, start, rig, further_starts=further), rig)
@@ -439,10 +440,13 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
+        ValueError: ``rig.start`` names a file and ``rig`` is None.
     """
     config, constraints = problem.config, problem.objective.constraints
     if rig is not None:
         return problem.objective.mount.start_pose_of_rig(rig)
+    if config.rig.start not in ("random", "highest"):
+        raise ValueError(f"the rig of {config.rig.start} has to be read first, see read_start")
     if config.rig.start == "highest":
         pose = highest_mount_pose(constraints, config.rig.cameras)
     else:

@@ -16,6 +16,7 @@ from warpav.objective.missed import Stage
 from warpav.objective.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimise.segregation import BatchChooser, ShuffledBatches
+from warpav.optimise.starts import exchange_cameras
 from warpav_kernels import update
 
 
@@ -63,14 +64,6 @@ class OptimiserSettings:
     patience: int | None = None
     starts: int = 1
     descents: int = 1
-
-
-def descent_lengths(settings: OptimiserSettings) -> list[int]:
-    """Steps of every descent of a run that goes on to its end."""
-    lengths: list[int] = []
-    for left in range(settings.descents, 0, -1):
-        lengths.append(round((settings.iterations - sum(lengths)) / left))
-    return lengths
 
 
 @dataclass(frozen=True)
@@ -184,11 +177,20 @@ class MultiplierAscent:
 
 @dataclass(eq=False)
 class Candidate:
-    """A rig that satisfies the constraints, and its objective on all validation scenes."""
+    """A rig that satisfies the constraints, and its objective on all validation scenes.
+
+    ``chance`` is what `Evaluation` tells of the single cameras.
+    """
 
     mount_pose: np.ndarray
     training_objective: float
     iteration: int
+    descent: int
+    chance: np.ndarray | None = None
+
+
+def _lowest(candidates: Sequence[Candidate]) -> Candidate:
+    return min(candidates, key=lambda candidate: candidate.training_objective)
 
 
 @dataclass
@@ -248,7 +250,6 @@ class Descent:
         self._begun_at = self.iteration
         left = self.settings.descents - self.descent
         self._step_count = round((self.settings.iterations - self.iteration) / left)
-        self._first_candidate = len(self.candidates)
         self._pose = AdamW(self._mount.within(start), weight_decay=self.settings.weight_decay, device=device)
         multiplier = np.zeros(len(constraints.names), np.float32)
         self._multiplier: AdamW | MultiplierAscent = (
@@ -288,15 +289,20 @@ class Descent:
         return record
 
     def finish(self) -> Candidate:
-        """The rig to hand over: the best or the last, always within the constraints."""
+        """The rig to hand over: the best or the last, always within the constraints.
+
+        After several descents one more rig is looked at, made of the best cameras of what they found.
+        """
         if not self.candidates or self.candidates[-1].iteration != self.iteration:
             self._look()
+            if self.further_starts:
+                self._look_at_mixture()
         return self.best if self.settings.keep == "best" else self.candidates[-1]
 
     @property
     def best(self) -> Candidate:
         """The candidate with the lowest training objective."""
-        return min(self.candidates, key=lambda candidate: candidate.training_objective)
+        return _lowest(self.candidates)
 
     def state(self) -> dict[str, Any]:
         """Everything that a checkpoint needs, as arrays."""
@@ -316,14 +322,26 @@ class Descent:
             return True
         return self.settings.keep == "best" and self._steps % self.settings.check_every == 0
 
-    def _look(self) -> Candidate:
-        """Evaluate the nearest feasible poses on all training scenes."""
-        pose = self._pose.value
+    def _look(self, mount_pose: np.ndarray | None = None) -> Candidate:
+        """Evaluate the feasible poses nearest to these, or to the present ones, on all validation scenes."""
+        pose = self._pose.value if mount_pose is None else mount_pose
         pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]])
-        objective = self.objective.evaluate(pose, self.validation or self.scenes).objective
-        candidate = Candidate(pose, objective, self.iteration)
+        found = self.objective.evaluate(pose, self.validation or self.scenes, chances=bool(self.further_starts))
+        candidate = Candidate(pose, found.objective, self.iteration, self.descent, found.chance)
         self.candidates.append(candidate)
         return candidate
+
+    def _look_at_mixture(self) -> None:
+        """Exchange cameras of the best rig for those of the best rigs of the descents."""
+        own = [[each for each in self.candidates if each.descent == k] for k in range(self.descent + 1)]
+        best = [_lowest(each) for each in own]
+        chances = [each.chance for each in best if each.chance is not None]
+        if len(chances) < len(best):
+            return
+        count = len(self.start)
+        first = best.index(_lowest(best)) * count + np.arange(count)
+        chosen = exchange_cameras(np.concatenate(chances), first)
+        self._look(np.concatenate([each.mount_pose for each in best])[chosen])
 
     @property
     def verdict(self) -> str | None:
@@ -342,8 +360,8 @@ class Descent:
     @property
     def _looks_in_vain(self) -> tuple[int, Candidate]:
         """Looks of this descent since its best rig, and that rig."""
-        own = self.candidates[self._first_candidate :]
-        best = min(own, key=lambda candidate: candidate.training_objective)
+        own = [each for each in self.candidates if each.descent == self.descent]
+        best = _lowest(own)
         return len(own) - 1 - own.index(best), best
 
     @property

@@ -18,7 +18,7 @@ from warpav.objective.constraints import Constraints
 from warpav.objective.mount import X_M, Y_M, YAW_RAD
 from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import highest_mount_pose
-from warpav.optimise.gradient import Descent, OptimiserSettings, descent_lengths
+from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.search import BudgetedValue, BudgetSpentError
 
 FIRST_STEP = 0.2
@@ -259,12 +259,13 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
 
 
 def gradient_renders(settings: OptimiserSettings, scene_count: int) -> int:
-    """Scene renders of a whole descent, with all looks at all of so many scenes on which its rigs are compared."""
+    """Scene renders of a whole run at most, with all looks at all of so many scenes on which its rigs are compared."""
     looks = settings.starts if settings.starts > 1 else 0
-    for steps in descent_lengths(settings):
-        looks += 2  # before the first step and after the last
-        if settings.keep == "best":
-            looks += max(steps - 1, 0) // settings.check_every
+    looks += 2 * settings.descents  # before the first step and after the last
+    looks += settings.descents > 1  # at the mixture of what the descents found
+    if settings.keep == "best":
+        # as many as there can be: patience may end a descent early and leave its steps to the next
+        looks += max(settings.iterations - settings.descents, 0) // settings.check_every
     return settings.iterations * settings.batch_size + looks * scene_count
 
 
