@@ -128,7 +128,7 @@ def test_the_experiments_have_the_arms_that_they_promise():
             assert arm.search_config(config) != arm.search_config(quick)
     for arm in EXPERIMENTS["ablations"].arms[1:]:
         assert arm.judged_config(config) == config
-        assert (arm.search_config(config) == config) == (arm.name == "detector_0")
+        assert arm.search_config(config) != config
 
 
 def test_the_counterpart_of_a_preset_has_its_cameras():
@@ -268,14 +268,6 @@ def test_goals_are_the_default_methods_alone(working_directory, scenes, capsys):
     assert "highest - arm" in shown
     assert "reached" not in shown
     assert json.loads((working_directory / "runs" / "open" / "open.json").read_text())["goals"] == []
-
-
-def test_ablations_leave_out_what_changes_nothing(working_directory, scenes, capsys):
-    words = ["--arms", "gradient,detector_0,undamped", "--runs", "1"]
-    assert main(["experiment", "ablations", *overrides(scenes, *PLAIN), *words]) == 0
-    assert "detector_0 is left out: with this configuration it is gradient" in capsys.readouterr().out
-    files = sorted(file.name for file in (working_directory / "runs" / "ablations" / "results").glob("*.json"))
-    assert files == ["gradient_0.json", "undamped_0.json"]
 
 
 def test_correlation_measures_every_rig_by_both_objectives(working_directory, scenes, capsys):

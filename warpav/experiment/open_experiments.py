@@ -56,14 +56,16 @@ _RIVALS = (
     "cma_then_gradient",
 )
 _CHANGES = {
-    "no_panorama": ("optimiser.panorama_until=0",),
+    "panorama": ("optimiser.panorama_until=0.3",),
+    "random_start": ("rig.start=random", "optimiser.starts=1"),
+    "random_start_panorama": ("rig.start=random", "optimiser.starts=1", "optimiser.panorama_until=0.3"),
     "best_camera": ("losses.combine=best",),
     "visible_share": ("losses.probability=visible_share",),
     "undamped": ("optimiser.multiplier_damping=0",),
     "steps_16cm_8deg": ("optimiser.learning_rate_position_m=0.16", "optimiser.learning_rate_yaw_deg=8"),
     "steps_1cm_half_deg": ("optimiser.learning_rate_position_m=0.01", "optimiser.learning_rate_yaw_deg=0.5"),
     "one_start": ("optimiser.starts=1",),
-    "detector_0": ("losses.detector_share=0",),
+    "two_descents": ("optimiser.descents=2",),
     "detector_30": ("losses.detector_share=0.3",),
     "detector_60": ("losses.detector_share=0.6",),
 }
@@ -145,12 +147,10 @@ def run_open(
     experiment = EXPERIMENTS[name]
     if quick:
         experiment = experiment.made_quick()
-    chosen = list(experiment.arms if arms is None else arms)
-    chosen = _without_twins(chosen, config, display)
     done = run_experiment(
         experiment,
         config,
-        arms=chosen,
+        arms=arms,
         runs=runs,
         render_budget=render_budget,
         out=out,
@@ -206,24 +206,4 @@ def _remarks(name: str, config: Config) -> tuple[str, ...]:
         "training scenes and compares rigs on all validation scenes; these looks are paid from the same budget.",
         "thesis_gradient takes as many steps, and looks at the validation scenes twice only.",
         "Presets and gradient_as_ arms have their own number of cameras.",
-    )
-
-
-def _without_twins(arms: Sequence[Arm], config: Config, display: RunDisplay) -> list[Arm]:
-    """The arms but those that search exactly as an earlier one does."""
-    kept: list[Arm] = []
-    for arm in arms:
-        twin = next((each for each in kept if _searches_alike(each, arm, config)), None)
-        if twin is None:
-            kept.append(arm)
-        else:
-            display.say(f"{arm.name} is left out: with this configuration it is {twin.name}")
-    return kept
-
-
-def _searches_alike(one: Arm, other: Arm, config: Config) -> bool:
-    return (
-        one.method == other.method
-        and one.search_config(config) == other.search_config(config)
-        and one.judged_config(config) == other.judged_config(config)
     )
