@@ -6,6 +6,7 @@ result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again d
 
 from __future__ import annotations
 
+import gc
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -321,6 +322,7 @@ def _read_result(file: Path) -> dict[str, Any]:
 
 def run_arm(task: ArmTask) -> dict[str, Any]:
     """Do a task, write its result, and return the result without its history."""
+    gc.collect()  # what the last task has recorded on a GPU hangs together in circles
     began = time.perf_counter()
     result = _gradients(task) if task.arm.method == GRADIENTS else _rig(task)
     result["seconds"]["total"] = time.perf_counter() - began
