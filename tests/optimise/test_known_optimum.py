@@ -2,13 +2,15 @@
 
 import functools
 import importlib.util
+import itertools
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from tests.optimise.known_optimum import behind_a_wall, bump, exhaustive, square
 from warpav.objective.objective import AssignedScene
-from warpav.optimise.gradient import OptimiserSettings
+from warpav.optimise.gradient import Descent, OptimiserSettings
 from warpav.optimise.rivals import (
     GradientStage,
     cma_es,
@@ -19,7 +21,8 @@ from warpav.optimise.rivals import (
     random_search,
     sobol_search,
 )
-from warpav.optimise.search import run_search
+from warpav.optimise.search import SearchSpace, run_search
+from warpav.optimise.starts import look_at_starts
 
 WORLDS = [behind_a_wall, bump, square]
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
@@ -61,6 +64,81 @@ def test_no_rig_of_all_that_were_tried_is_better(make):
     assert found.worst == 1.0
     assert abs(world.optimum.regret(found.value)) <= 0.002
     assert found.regret(world.optimum.value) <= 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", WORLDS)
+def test_no_rig_of_all_that_were_tried_is_expected_to_miss_less(make):
+    """All rigs of a grid, then Nelder and Mead's descents from the best of them that lie apart."""
+    world = make()
+    counts = (9, 7, 64) if world.camera_count == 1 else (7, 7, 48)
+
+    def value(point):
+        return world.expected_missed(world.space.feasible(world.rig_of(np.asarray(point))))
+
+    low_m, high_m = world.space.mount.surface.bounds_m
+    x, y = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, counts[:2], strict=True))
+    grid = list(itertools.product(x, y, 2.0 * np.pi * np.arange(counts[2]) / counts[2]))
+    values = np.array([value(point) for point in grid])
+    apart: list[np.ndarray] = []
+    for k in np.argsort(values):
+        point = np.array(grid[k])
+        if all(np.linalg.norm((point - other) / [0.5, 0.5, 0.3]) > 1.0 for other in apart):
+            apart.append(point)
+    first = np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
+    found = [
+        minimize(
+            value, point, method="Nelder-Mead", options={"initial_simplex": point + first * np.where(point > 0, -1, 1)}
+        ).fun
+        for point in apart[:10]
+    ]
+    assert values.max() > 0.99
+    assert world.expected_optimum.regret(min(found)) >= -0.002
+    assert world.expected_optimum.regret(min(found)) <= 0.02  # or the optimum is beyond what a search finds
+
+
+def default_method(world, seed, *, starts, descents, iterations):
+    """The rig that the default method finds: many starts, their mixture, descents with a panorama early in each."""
+    settings = OptimiserSettings(
+        iterations=iterations,
+        batch_size=1,
+        learning_rate_position_m=0.04,
+        learning_rate_yaw_rad=0.04,
+        schedule="cosine",
+        weight_decay=0.0,
+        multiplier_learning_rate=1.0,
+        keep="best",
+        check_every=4,
+        panorama_until=0.3,
+        starts=starts,
+        descents=descents,
+    )
+    objective, rng = world.expected, np.random.default_rng(seed)
+    space = SearchSpace.over(objective.mount, world.camera_count, constraints=objective.constraints)
+    looked = look_at_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
+    first, *others = [each.mount_pose for each in looked[:descents]]
+    descent = Descent(objective, world.scenes, settings, first, rng, further_starts=others)
+    for _ in range(iterations):
+        descent.step()
+    result = descent.finish()
+    assert space.violation_m(result.mount_pose) == 0.0
+    return world.expected_optimum.regret(result.training_objective)
+
+
+def test_regret_of_the_default_method_is_small_on_a_bump():
+    assert -0.005 <= default_method(bump(), 0, starts=32, descents=2, iterations=160) <= 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "starts", "descents", "iterations"),
+    [(behind_a_wall, 256, 6, 900), (bump, 256, 6, 900), (square, 1024, 8, 1600)],
+)
+def test_regret_of_the_default_method_is_at_most_a_hundredth(make, starts, descents, iterations):
+    options = {"starts": starts, "descents": descents, "iterations": iterations}
+    regrets = [default_method(make(), seed, **options) for seed in range(3)]
+    assert min(regrets) >= -0.005, regrets
+    assert max(regrets) <= 0.01, regrets
 
 
 def test_cameras_of_the_square_are_alone_with_their_vans():
