@@ -104,7 +104,7 @@ class ArmMetrics:
             COCO's sense and at the least IoU of a match, by the number of images (scenes times cameras). Second boxes
             on one object are among them, and so are boxes on the ego vehicle and on road users of another kind. As in
             COCO's scores, only the 100 most confident of an image and kind count.
-        objective: Scaled training objective on the test scenes.
+        objective: Scaled training objective, mean over the test scenes.
         constraint_violation: Excess over the borders of where cameras may stand, plus missing spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].
         objects: Number of objects in the test scenes.
