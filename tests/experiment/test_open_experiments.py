@@ -329,6 +329,14 @@ def test_a_judge_without_scenes_is_refused_before_the_rigs_are_looked_at(copied,
     assert not list(copied.glob("rescored*"))
 
 
+@pytest.mark.parametrize("executor", ["serial", "process"])
+def test_cameras_that_do_not_fit_are_refused_before_any_run(working_directory, scenes, capsys, executor):
+    words = ["experiment", "open", *overrides(scenes, *PLAIN), "rig.min_spacing_m=5", "--arms", "cma,highest"]
+    words += ["--executor", executor]
+    assert "rig.cameras: expected a number that fits on the mount" in complaint(capsys, *words)
+    assert not list((working_directory / "runs" / "open" / "results").iterdir())
+
+
 def change(file, **changes):
     file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
 

@@ -22,6 +22,8 @@ from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
 from warpav.experiment.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
 from warpav.experiment.gradient_magnitude import measure_gradient_magnitudes
+from warpav.geometry.mesh import Mesh
+from warpav.optimise.baselines import highest_mount_pose
 from warpav.problem import (
     Problem,
     Traffic,
@@ -35,8 +37,9 @@ from warpav.problem import (
 )
 from warpav.recipe import digest
 from warpav.results import RUNS_FOLDER, environment, write_json
+from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
-from warpav.sources import device_name, load_scenes
+from warpav.sources import camera_mount, constraints_of, device_name, load_scenes
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
@@ -268,7 +271,7 @@ def run_experiment(
     failed = []
     try:
         if waiting:
-            make_scenes_ready(config, display)
+            _check_places(arms, config, make_scenes_ready(config, display))
         done = outcomes(run_arm, waiting, config, folder)
         for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
             display.say(_line(outcome))
@@ -568,20 +571,38 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
                 tried.append(needs)
 
 
-def make_scenes_ready(config: Config, display: RunDisplay) -> None:
+def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
     """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
+
+    Returns:
+        The vehicle that carries the cameras.
 
     Raises:
         InputError: A scene cannot be used.
     """
     seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
     if config.executor.name == "serial":
-        traffic_of_process(config, display)
-    elif config.scenes.source == "captured":
-        for _ in display.steps("scenes", load_scenes(config, seeds), count=len(seeds)):
-            pass
-    else:
-        next(load_scenes(config, seeds))
+        return traffic_of_process(config, display).ego
+    if config.scenes.source == "captured":
+        scenes = list(display.steps("scenes", load_scenes(config, seeds), count=len(seeds)))
+        return scenes[0].ego
+    return next(load_scenes(config, seeds)).ego
+
+
+def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
+    """See that the cameras of every arm fit on the mount surface.
+
+    Raises:
+        InputError: They do not.
+    """
+    tried = []
+    for arm in arms:
+        for each in (arm.judged_config(config), arm.search_config(config)):
+            needs = (each.rig, each.mount, each.camera, each.method)
+            if arm.method in preset_names() or needs in tried:
+                continue
+            highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
+            tried.append(needs)
 
 
 def outcomes(
