@@ -281,7 +281,7 @@ def behind_a_wall():
         _scene("wall", [wall], _body(surface), [van]),
         surface,
         (1.2, 0.685, -0.295),
-        (1.15, 0.7, 0.651),
+        (1.1504146, 0.7, 0.6509182),
         single,
     )
 
