@@ -584,8 +584,8 @@ def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
     if config.executor.name == "serial":
         return traffic_of_process(config, display).ego
     if config.scenes.source == "captured":
-        scenes = list(display.steps("scenes", load_scenes(config, seeds), count=len(seeds)))
-        return scenes[0].ego
+        # one scene at a time is held; all carry the same vehicle
+        return [scene.ego for scene in display.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
     return next(load_scenes(config, seeds)).ego
 
 
