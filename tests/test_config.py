@@ -142,7 +142,7 @@ def test_option_values_are_flat_and_complete():
 FILE_MISTAKES = [
     (
         "rig:\n  cameras: 4\n  min_spacng_m: 0.3\n",
-        "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, height_offset_m, min_spacing_m, free, "
+        "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, freeze, height_offset_m, min_spacing_m, free, "
         "got 'min_spacng_m'; did you mean rig.min_spacing_m?",
     ),
     ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
@@ -192,7 +192,10 @@ FILE_MISTAKES = [
         "scenes:\n  train_seeds: 0..9\n  test_seeds: 8..12\n",
         "mine.yaml:3: scenes.test_seeds: expected test scenes that are not trained on, got 2 seed(s) in both",
     ),
-    ("rig: {start: nowhere.yaml}\n", "mine.yaml:1: rig.start: expected random, highest or the path of a rig YAML, got"),
+    (
+        "rig: {start: nowhere.yaml}\n",
+        "mine.yaml:1: rig.start: expected random, highest, a preset, a run folder or the path of a rig YAML, got",
+    ),
     ("detector: {model: no.onnx}\n", "mine.yaml:1: detector.model: expected builtin or the path of an ONNX file, got"),
     (
         "optimiser: {schedule: cosin}\n",

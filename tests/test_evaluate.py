@@ -13,6 +13,8 @@ from warpav.detection.probability import DetectionProbability
 from warpav.evaluate import (
     PAIRED_METRICS,
     GroupRecall,
+    ObjectOutcome,
+    RigObserver,
     assign_to_nearest_cameras,
     evaluate_rig,
 )
@@ -196,6 +198,35 @@ def test_hidden_vehicles_are_in_frame_but_have_no_truth():
     assert metrics.tp_in_frame_rate == 1.0
     assert metrics.tp_detection_rate == 0.0
     assert metrics.ap50_pooled is None
+
+
+def test_what_becomes_of_every_object():
+    rig = rig_of((MODEL, WIDE))
+    wall = block(np.random.default_rng(0), [0.2, 6.0, 20.0], [-5.0, 0.0, 0.0])
+    scene = scene_of(AHEAD, FAR_LEFT_AHEAD, BEHIND, LEFT_SIDE, wall=wall)
+    box_px = truth_boxes(rig, scene)[0, 0]
+    calls = [ConstantDetector([[box_px]], [[0.8]]), ConstantDetector.silent(1)]
+    look = observer_of(rig, calls).look(scene)
+    assert look.outcomes == [
+        ObjectOutcome.DETECTED,
+        ObjectOutcome.MISSED,
+        ObjectOutcome.HIDDEN,
+        ObjectOutcome.OUT_OF_FRAME,
+    ]
+    np.testing.assert_allclose(look.confidence, [0.8, np.nan, np.nan, np.nan], rtol=1e-6)
+    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).look(scene_of()).outcomes == []
+
+
+def observer_of(rig, calls):
+    return RigObserver(
+        rig,
+        ScriptedDetector(calls),
+        confidence_min=0.1,
+        iou_min=0.5,
+        occlusion=Occlusion.EXACT,
+        supersampling=1,
+        device="cpu",
+    )
 
 
 def test_scenes_without_vehicles_have_no_rates():

@@ -30,21 +30,37 @@ app = App(
 scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 experiment_app = App(name="experiment", help="Run experiments, judge their rigs anew, write their results as a page.")
-rig_app = App(name="rig", help="Known camera rigs.")
+rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; what is in a rig.")
 detector_app = App(
     name="detector", help="Check, measure and train object detectors, and fit how probably they find objects."
 )
-for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app):
+vehicle_app = App(name="vehicle", help="Your own vehicle.")
+for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app, vehicle_app):
     app.command(_group)
 
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
 Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
+Triple = tuple[float, float, float]
+FileFormat = Annotated[
+    str,
+    Parameter(
+        name="--format",
+        help="nuscenes, argoverse2, urdf, autoware, carla-ros-bridge, carla-python, kitti, opencv; kalibr (import), "
+        "camera-info (export).",
+    ),
+]
+FileOrigin = Annotated[
+    Triple | None,
+    Parameter(help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z."),
+]
+FileTurn = Annotated[Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.")]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
 Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
 TaskExecutor = Annotated[
     Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
 ]
+FileAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
 
 
@@ -222,13 +238,20 @@ def inspect(
     /,
     *overrides: Overrides,
     out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
+    show: Annotated[
+        Literal["rig", "coverage", "outcomes", "sight"],
+        Parameter(
+            help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
+            "detected, missed, hidden or out of frame; sight, what every camera sees."
+        ),
+    ] = "rig",
 ) -> None:
-    """Show a rig on its vehicle, in a window when there is a display, else in a file."""
+    """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.gallery import inspect_rig
     from warpav.sources import config_for
 
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
-        file = inspect_rig(run_or_rig, settings, out)
+        file = inspect_rig(run_or_rig, settings, out, shown=show)
     if file is not None:
         _say(f"wrote {file}")
 
@@ -490,11 +513,149 @@ def config_diff(one: Config, other: Config, /) -> None:
 
 @rig_app.command(name="presets")
 def rig_presets() -> None:
-    """List the rigs that ship with warpav."""
-    from warpav.rig.presets import preset_names, preset_rig
+    """List the rigs that ship with warpav, with their sources."""
+    from warpav.rig.presets import preset_about, preset_names, preset_rig
 
     for name in preset_names():
-        _say(f"{name}: {len(preset_rig(name).cameras)} cameras")
+        about = preset_about(name)
+        _say(f"{name}: {len(preset_rig(name).cameras)} cameras. {about.title}")
+        _say(f"  source: {about.source}")
+        _say(f"  licence: {about.licence}")
+    _say("highest: the thesis's baseline, cameras around the highest point of your vehicle's roof, as the run says")
+
+
+@rig_app.command(name="import")
+def rig_import(
+    file: Annotated[Path, Parameter(help="File or folder of another tool.")],
+    /,
+    *,
+    format_name: FileFormat,
+    out: Annotated[Path | None, Parameter(help="Rig YAML to write; by default it is printed.")] = None,
+    origin_m: FileOrigin = None,
+    origin_rpy_deg: FileTurn = (0.0, 0.0, 0.0),
+    width_px: Annotated[int | None, Parameter(help="Image width, where the file has none.")] = None,
+    height_px: Annotated[int | None, Parameter(help="Image height, where the file has none.")] = None,
+    fov_deg: Annotated[float | None, Parameter(help="Horizontal field of view, where the file has no lens.")] = None,
+    intrinsics: Annotated[Path | None, Parameter(help="camera_info YAML, or a folder of such, for the lenses.")] = None,
+    part: Annotated[str | None, Parameter(help="Which rig: scene of nuScenes, vehicle of the ros-bridge.")] = None,
+    accept_mirrored: Annotated[
+        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+    ] = False,
+) -> None:
+    """Make a rig YAML of another tool's file, and say in which frame it was read."""
+    from warpav.rig.files.formats import ImportOptions, import_rig
+    from warpav.rig.rig import rig_text, write_rig
+
+    options = ImportOptions(
+        origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
+    )
+    rig, notes = import_rig(file, format_name, options)
+    for note in notes:
+        (_complain if out is None else _say)(note)  # what is printed is the rig, and nothing else
+    if out is None:
+        _say(rig_text(rig).rstrip())
+    else:
+        write_rig(rig, out)
+        _say(f"wrote {out}")
+
+
+@rig_app.command(name="export")
+def rig_export(
+    rig: RigSource,
+    /,
+    *,
+    format_name: FileFormat,
+    out: Annotated[Path, Parameter(help="File or folder to write.")],
+    origin_m: FileOrigin = None,
+    origin_rpy_deg: FileTurn = (0.0, 0.0, 0.0),
+    approximate: Annotated[
+        bool, Parameter(help="Leave out what the format cannot hold, and say what.", negative="")
+    ] = False,
+    overwrite: Annotated[bool, Parameter(help="Replace files that are there.", negative="")] = False,
+) -> None:
+    """Write a rig for another tool."""
+    from warpav.rig.files.formats import export_rig
+    from warpav.sources import rig_to_export
+
+    files, notes = export_rig(
+        rig_to_export(rig),
+        format_name,
+        out,
+        origin_m=origin_m,
+        origin_rpy_deg=origin_rpy_deg,
+        approximate=approximate,
+        overwrite=overwrite,
+    )
+    for line in (*notes, *(f"wrote {file}" for file in files)):
+        _say(line)
+
+
+@rig_app.command(name="check")
+def rig_check(
+    rig: RigSource,
+    /,
+    *,
+    accept_mirrored: Annotated[
+        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+    ] = False,
+) -> int:
+    """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
+    from warpav.rig.check import description, mirrored_cameras, oddities
+    from warpav.rig.files.formats import formats_for
+    from warpav.sources import rig_to_export
+
+    found = rig_to_export(rig)
+    for camera in found.cameras:
+        _say(description(camera))
+    for text in oddities(found):
+        _say(f"odd: {text}")
+    fit, unfit = formats_for(found)
+    _say(f"can be exported as {', '.join(fit)}")
+    for name, reason in unfit.items():
+        _say(f"not as {name}: {reason}")
+    mirrored = [] if accept_mirrored else list(mirrored_cameras(found.cameras))
+    for text in mirrored:
+        _complain(f"{rig}: {text}; was it made of a left-handed file? --accept-mirrored takes it as it is")
+    return 2 if mirrored else 0
+
+
+@vehicle_app.command(name="check")
+def vehicle_check(
+    file: Annotated[Path, Parameter(help="Mesh of the vehicle: GLB, glTF, OBJ, PLY or STL.")],
+    /,
+    *overrides: Overrides,
+    up: Annotated[
+        FileAxis | None,
+        Parameter(help="The file's axis that points up; by default glTF's y, else z.", allow_leading_hyphen=True),
+    ] = None,
+    forward: Annotated[
+        FileAxis | None,
+        Parameter(help="The file's axis that points to the front; by default x.", allow_leading_hyphen=True),
+    ] = None,
+    scale: Annotated[float | None, Parameter(help="Metres for each unit of the file, 0.01 for centimetres.")] = None,
+    rear_axle: Annotated[
+        float | None, Parameter(help="Metres from the vehicle's rear end to its rear axle; by default its wheels tell.")
+    ] = None,
+    out: Annotated[Path | None, Parameter(help="GLB to write it to, mended, for scenes.ego.")] = None,
+    picture: Annotated[Path | None, Parameter(help="PNG to draw it into, with the places for cameras.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> int:
+    """Tell whether a vehicle can carry the cameras: units, axes, ground, origin, faces, places for cameras.
+
+    Status 0: scenes.ego takes it as it is, or what --out wrote; 2: something has to be mended, and how.
+    """
+    from warpav.config import placed_config
+    from warpav.vehicle_check import check_vehicle
+
+    with placed_config(config, overrides) as settings:
+        report = check_vehicle(
+            file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, picture=picture
+        )
+    for line in report.lines:
+        _say(line)
+    for problem in report.problems:
+        _complain(problem)
+    return 2 if report.problems else 0
 
 
 @detector_app.command(name="check")

@@ -36,12 +36,16 @@ from pydantic_core import PydanticCustomError
 
 from warpav.errors import InputError, OptionError
 from warpav.rig.lens import Lens, LensShape, checked_distortion
+from warpav.rig.presets import preset_names
 from warpav.scene.scene import ROAD_USERS
 from warpav.yaml_file import Location, parse_yaml, read_yaml
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
 COMMAND_LINE = "command line"
+NAMED_STARTS = ("random", "highest")
+"""What rig.start may be besides a rig."""
+
 MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
 
@@ -166,16 +170,40 @@ def _read_device(value: object) -> object:
     return value
 
 
+_START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
+
+
 def _read_start(value: object) -> object:
-    if isinstance(value, str) and value not in ("random", "highest"):
-        _existing_file(value, "random, highest or the path of a rig YAML", [value], ["random", "highest"])
+    if isinstance(value, str) and value not in NAMED_STARTS:
+        names = preset_names()
+        if value not in names and not (Path(value).expanduser() / "config.yaml").is_file():
+            _existing_file(value, _START_TEXT, [value], [*NAMED_STARTS, *names])
     return value
+
+
+_NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
+
+
+def _read_names(value: object) -> tuple[Any, ...]:
+    names = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    for name in names:
+        if not isinstance(name, str) or not name:
+            _mistake(f"expected {_NAMES_TEXT}, got {_shown(value)}")
+        if names.count(name) > 1:
+            _mistake(f"expected every name once, got {name!r} {names.count(name)} times")
+    return names
 
 
 def _read_model(value: object) -> object:
     if isinstance(value, str) and value != "builtin":
         _existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
     return value
+
+
+def _read_mesh_file(value: object) -> object:
+    if isinstance(value, str):
+        _existing_file(value, "the path of a mesh file, or null", [value], [])
+    return _read_path(value)
 
 
 def _existing_file(value: str, expected: str, candidates: Sequence[str], words: Sequence[str]) -> None:
@@ -220,6 +248,19 @@ class SceneConfig(Section):
         default=None,
         description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
         "makes; null keeps that in the user's cache",
+    )
+    ego: (
+        Annotated[
+            Path,
+            BeforeValidator(_read_mesh_file),
+            PlainSerializer(str),
+            Expectation("the path of a mesh file"),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="mesh of your own vehicle, which takes the place of every scene's own; warpav vehicle check "
+        "examines and mends it; null: the scene's own",
     )
     mirror: bool = Field(
         default=False,
@@ -364,11 +405,19 @@ class RigConfig(Section):
     """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
     cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
-    start: Annotated[str, BeforeValidator(_read_start), Expectation("random, highest or the path of a rig YAML")] = (
-        Field(
-            default="random",
-            description="rig that the optimiser starts from: random, highest or the path of a rig YAML",
-        )
+    start: Annotated[str, BeforeValidator(_read_start), Expectation(_START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {_START_TEXT}"
+    )
+    freeze: Annotated[
+        tuple[str, ...],
+        BeforeValidator(_read_names),
+        PlainSerializer(list),
+        Expectation(_NAMES_TEXT),
+        WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "string"}}, {"type": "string"}]}),
+    ] = Field(
+        default=(),
+        description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
+        "others are optimised around them",
     )
     height_offset_m: Metres = Field(
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
@@ -672,6 +721,10 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 
+ONE_FIELD_LOSSES = (*METHOD_LOSSES["thesis"], "surface_blockage", "object_visibility", "angular_coverage")
+"""Losses that take one field of view for all cameras."""
+
+
 class ExecutorConfig(Section):
     """Where the tasks of an experiment run."""
 
@@ -740,6 +793,7 @@ class Config(Section):
                 "scenes.train_seeds",
             )
         self._check_free()
+        self._check_freeze()
         if self.segregation.rotations < self.rig.cameras:
             _mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -747,6 +801,20 @@ class Config(Section):
                 "rig.cameras",
             )
         return self
+
+    def _check_freeze(self) -> None:
+        frozen = self.rig.freeze
+        if not frozen:
+            return
+        if self.rig.start in NAMED_STARTS:
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {_shown(frozen)}"
+            _mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+        if len(frozen) >= self.rig.cameras:
+            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
+            _mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
+        if self.method == "thesis":
+            text = f"expected none, as the thesis moves all cameras, got {_shown(frozen)}; take method: default"
+            _mistake(text, "rig.freeze", "method")
 
     def _check_free(self) -> None:
         free = self.rig.free
@@ -774,10 +842,7 @@ class Config(Section):
         if self.camera.lens != "pinhole":
             text = f"expected null or a pinhole, got {_shown(free.fov_deg)} for a {self.camera.lens} lens"
             _mistake(text, "rig.free.fov_deg", "camera.lens")
-        alike = [name for name in METHOD_LOSSES["thesis"] if getattr(self.losses, name)]
-        alike += [
-            name for name in ("surface_blockage", "object_visibility", "angular_coverage") if getattr(self.losses, name)
-        ]
+        alike = [name for name in ONE_FIELD_LOSSES if getattr(self.losses, name)]
         if alike:
             _mistake(
                 f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "

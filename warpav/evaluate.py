@@ -6,6 +6,8 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from warpav.detection.average_precision import (
     mean_image_average_precision,
     score_images,
 )
-from warpav.detection.detector import ROAD_USERS, Detector
+from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
 from warpav.objective.constraints import min_camera_distance_m
 from warpav.objective.mount import CameraMount, views_of_rig
@@ -141,6 +143,99 @@ class ArmMetrics:
     per_scene: dict[str, list[float | None]]
 
 
+class ObjectOutcome(StrEnum):
+    """What becomes of an object before a rig."""
+
+    DETECTED = "detected"
+    MISSED = "missed"
+    """Some camera sees enough of it for a ground-truth box, and the detector does not find it."""
+
+    HIDDEN = "hidden"
+    """It lies in some camera's image, but too little of it can be seen."""
+
+    OUT_OF_FRAME = "out of frame"
+
+
+@dataclass(frozen=True)
+class CameraLook:
+    """What the detector makes of one camera's image.
+
+    Attributes:
+        image_rgb: uint8 [row, column, 3].
+        truth_box_px: Box of every object, NaN where too little of it is seen [px], float32 [object, 4].
+        detections: What the detector says.
+        match: Detection of every object, -1 for none, int64 [object].
+    """
+
+    image_rgb: np.ndarray
+    truth_box_px: np.ndarray
+    detections: Detections
+    match: np.ndarray
+
+
+@dataclass(frozen=True)
+class RigLook:
+    """What a rig makes of one scene.
+
+    Attributes:
+        observations: Of the cameras in order; where they have several models, one for each model.
+        in_frame: Whether some part of an object lies in some camera's image, hidden or not, bool [object].
+        camera: Number in the rig of every camera of the observations, one behind the other.
+    """
+
+    observations: list[Observation]
+    in_frame: np.ndarray
+    camera: list[int]
+
+    @property
+    def cameras(self) -> list[CameraLook]:
+        """What the detector makes of every camera's image, in the order of the rig."""
+        looks = [
+            CameraLook(image, truth, detections, match)
+            for seen in self.observations
+            for image, truth, detections, match in zip(
+                seen.image_rgb, seen.truth_box_px, seen.detections, seen.match, strict=True
+            )
+        ]
+        return [looks[place] for place in np.argsort(self.camera)]
+
+    @cached_property
+    def _best_confidence(self) -> np.ndarray:
+        """Confidence of the surest detection of every object, -inf where there is none."""
+        confidence = np.concatenate([each.matched_confidence() for each in self.observations])
+        return np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
+
+    @property
+    def detected(self) -> np.ndarray:
+        """Whether some camera detects an object, bool [object]."""
+        return np.isfinite(self._best_confidence)
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Confidence of the surest detection of every object, NaN where there is none, float64 [object]."""
+        return np.where(self.detected, self._best_confidence, np.nan)
+
+    @property
+    def visible(self) -> np.ndarray:
+        """Whether some camera sees enough of an object for a ground-truth box, bool [object]."""
+        box_px = np.concatenate([each.truth_box_px for each in self.observations])
+        return np.asarray(np.isfinite(box_px).all(axis=2).any(axis=0))
+
+    @property
+    def outcomes(self) -> list[ObjectOutcome]:
+        """What becomes of every object."""
+        return [
+            ObjectOutcome.DETECTED
+            if detected
+            else ObjectOutcome.MISSED
+            if visible
+            else ObjectOutcome.HIDDEN
+            if in_frame
+            else ObjectOutcome.OUT_OF_FRAME
+            for detected, visible, in_frame in zip(self.detected, self.visible, self.in_frame, strict=True)
+        ]
+
+
 class RigObserver:
     """Looks at scenes through the cameras of any rig, whatever their sizes; for rigs without a common camera model."""
 
@@ -165,10 +260,11 @@ class RigObserver:
                 [model] * len(part.cameras), supersampling=supersampling, occlusion=occlusion, device=device
             )
             self._groups.append((renderer, part))
+        self._camera = [k for model in models for k, camera in enumerate(rig.cameras) if camera.model == model]
 
-    def look(self, scene: DeviceScene) -> list[tuple[Observation, Measures]]:
-        """Observation and measures of the scene, one pair per camera model."""
-        looks = []
+    def look(self, scene: DeviceScene) -> RigLook:
+        """What the rig makes of the scene."""
+        observations, area_px = [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             renderer.render(scene, views.position_ego_m, views.camera_from_ego)
@@ -181,8 +277,18 @@ class RigObserver:
                 confidence_min=self._confidence_min,
                 iou_min=self._iou_min,
             )
-            looks.append((observation, renderer.measure(scene)))
-        return looks
+            observations.append(observation)
+            area_px.append(_amodal_area_px(renderer.measure(scene), ahead))
+        return RigLook(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
+
+
+def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
+    return measures.value.numpy()[view][:, :, AMODAL_AREA]
+
+
+def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
+    """Whether some part of an object lies in some image, from the areas of the objects alone [view, object]."""
+    return area_px.max(axis=0, initial=0.0) > 0.0
 
 
 def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
@@ -197,11 +303,7 @@ def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarr
         yaw_rad: The orientations [rad], [orientation]; as many as the rig has cameras.
         rig: The rig.
     """
-    from scipy.optimize import linear_sum_assignment
-
-    camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
-    difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
-    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
+    camera_of_orientation = nearest_cameras(yaw_rad, rig)
     return [
         AssignedScene(
             assigned.scene,
@@ -211,6 +313,16 @@ def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarr
         )
         for assigned in scenes
     ]
+
+
+def nearest_cameras(yaw_rad: np.ndarray, rig: Rig) -> np.ndarray:
+    """The camera of a rig that each orientation is paired with, int [orientation]; see `assign_to_nearest_cameras`."""
+    from scipy.optimize import linear_sum_assignment
+
+    camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
+    difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
+    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
+    return camera_of_orientation
 
 
 def evaluate_rig(
@@ -244,26 +356,19 @@ def evaluate_rig(
             supersampling=objective.supersampling,
             device=objective.device,
         )
-    looks: list[list[Observation]] = []  # [scene][camera model]
-    in_frame, losses = [], []
+    looks: list[RigLook] = []
+    losses = []
     for assigned in scenes:
         if observer is None:
             observation, measures, loss = objective.observe_rig(rig, assigned)
-            area_px = measures.value.numpy()[objective.ahead_view][:, :, AMODAL_AREA]
-            looks.append([observation])
+            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.ahead_view))
+            looks.append(RigLook([observation], is_in_frame, list(range(len(rig.cameras)))))
             losses.append(loss)
         else:
-            seen = observer.look(assigned.scene)
-            area_px = np.concatenate([measured.value.numpy()[:, :, AMODAL_AREA] for _, measured in seen])
-            looks.append([observation for observation, _ in seen])
-        in_frame.append(area_px.max(axis=0, initial=0.0) > 0.0)
-    detected, visible, confidence = [], [], []
-    for look in looks:
-        best = np.concatenate([each.matched_confidence() for each in look])
-        detected.append(np.isfinite(best).any(axis=0))
-        visible.append(np.isfinite(np.concatenate([each.truth_box_px for each in look])).all(axis=2).any(axis=0))
-        confidence.append(np.where(detected[-1], np.nan_to_num(best, nan=-1.0).max(axis=0, initial=-1.0), np.nan))
-    boxes = _Boxes([assigned.scene for assigned in scenes], looks, objective)
+            looks.append(observer.look(assigned.scene))
+    detected, visible = [look.detected for look in looks], [look.visible for look in looks]
+    in_frame, confidence = [look.in_frame for look in looks], [look.confidence for look in looks]
+    boxes = _Boxes([assigned.scene for assigned in scenes], [look.observations for look in looks], objective)
     camera_map = boxes.map50_of_cameras()
     ap50, ap50_95 = boxes.average_precision()
     position_m = np.array([camera.position_m for camera in rig.cameras])

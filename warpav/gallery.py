@@ -9,7 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -31,8 +31,11 @@ from warpav.results import RunFolder
 from warpav.rig.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.sources import (
+    camera_mount,
     checked_device,
+    constraints_of,
     find_rig,
+    load_detector,
     load_scene,
     load_scenes,
     plan_settings,
@@ -40,10 +43,13 @@ from warpav.sources import (
 )
 
 if TYPE_CHECKING:
+    from warpav.detection.detector import Detector
+    from warpav.evaluate import ObjectOutcome, RigObserver
     from warpav.figures import DetectionPanel
     from warpav.objective.objective import AssignedScene, RigObjective
     from warpav.render.images import CameraImage
     from warpav.scene.scene import Scene
+    from warpav.view.inspector import Inspector
 
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
@@ -70,7 +76,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     from warpav.render.images import render_images
 
     _check_folder(out, "--out")
-    scene = load_scene(source)
+    scene = load_scene(source, config)
     device = checked_device(config.device)
     cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
     images = render_images(scene, cameras, supersampling=config.camera.supersampling, device=device)
@@ -199,13 +205,19 @@ def _seed_text(seeds: Sequence[int]) -> str:
     return f"{seeds[0]}..{seeds[-1]}" if is_range else f"[{','.join(map(str, seeds))}]"
 
 
-def inspect_rig(source: str, config: Config, out: Path | None) -> Path | None:
-    """Show a rig on its vehicle in traffic, in a window when there is a display, else in a file.
+Shown = Literal["rig", "coverage", "outcomes", "sight"]
+"""What a picture of a rig shows besides: the ground by how many cameras see somebody there, traffic by what becomes of
+it, or what every camera sees."""
+
+
+def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown = "rig") -> Path | None:
+    """Show a rig on its vehicle in traffic: the interactive inspector when there is a display, else a file.
 
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives the scene: the first test scene.
+        config: Gives the scene: the first test scene; and the detector.
         out: PNG, HTML or GIF to write; None opens a window.
+        shown: What is drawn besides the rig and the path of its cameras.
 
     Returns:
         The file that was written, if one was.
@@ -213,15 +225,130 @@ def inspect_rig(source: str, config: Config, out: Path | None) -> Path | None:
     Raises:
         InputError: The rig or the file cannot be used, or this machine cannot draw.
     """
+    from warpav.view.opengl import has_display
     from warpav.view.picture import inspect_rig as show
 
+    if out is None and has_display():
+        inspector(source, config).plotter.show()
+        return None
     trajectory_m, fallback = None, Path("rig.png")
     if Path(source).is_dir():
         folder = RunFolder.open(source)
         trajectory_m, fallback = trajectory(folder.events()), folder.path / "inspect.png"
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
-    return show(rig, ego=scene.ego, scene=scene, trajectory_m=trajectory_m, out=out, out_without_display=fallback)
+    return show(
+        rig,
+        ego=scene.ego,
+        scene=scene,
+        trajectory_m=trajectory_m,
+        outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
+        add=_addition(rig, scene, config, shown),
+        out=out,
+        out_without_display=fallback,
+    )
+
+
+def inspector(source: str, config: Config, *, off_screen: bool | None = None) -> Inspector:
+    """The interactive picture of a rig on the test scenes, with the iterations of a run; not yet shown.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives scenes, detector, mount surface and constraints.
+        off_screen: Draw without a window; by default when there is no display.
+
+    Raises:
+        InputError: The rig or a scene cannot be used, or this machine cannot draw.
+    """
+    from warpav.view.inspected import InspectedRig
+    from warpav.view.inspector import Inspector
+
+    seeds, device = config.scenes.test_seeds, checked_device(config.device)
+    first = next(load_scenes(config, seeds[:1]))
+    rig = find_rig(source, config, first.ego)
+    frames, save_to = [rig], Path("rig.yaml")
+    if Path(source).is_dir():
+        folder = RunFolder.open(source)
+        frames, save_to = [*rigs_of_events(folder.events(), rig), rig], folder.path / "rig_inspected.yaml"
+    mount = camera_mount(config, first.ego)
+    detector = load_detector(config)
+    state = InspectedRig(
+        frames,
+        lambda index: first if index == 0 else next(load_scenes(config, seeds[index : index + 1])),
+        len(seeds),
+        constraints=constraints_of(config, mount.surface),
+        height_offset_m=mount.height_offset_m,
+        observer_of=lambda rig: _observer(rig, detector, config, device),
+        device=device,
+    )
+    return Inspector(state, save_to=save_to, off_screen=off_screen)
+
+
+def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig) -> list[Rig]:
+    """The rigs of a run's iterations.
+
+    Args:
+        events: Lines of ``events.jsonl``.
+        rig: The run's result; its names, and what the events do not tell, such as lenses that are not free.
+    """
+    rigs = []
+    for event in events:
+        free, cameras = event.get("free", {}), []
+        for k, camera in enumerate(rig.cameras):
+            pitch_deg, fov_deg = (free[name][k] if name in free else None for name in ("pitch_deg", "fov_deg"))
+            model = camera.model
+            if fov_deg is not None:
+                model = dataclasses.replace(model, fov_rad=math.radians(fov_deg), focal_px=None, centre_px=None)
+            cameras.append(
+                dataclasses.replace(
+                    camera,
+                    position_m=np.array(event["positions_m"][k]),
+                    yaw_rad=math.radians(event["yaw_deg"][k]),
+                    pitch_rad=camera.pitch_rad if pitch_deg is None else math.radians(pitch_deg),
+                    model=model,
+                )
+            )
+        rigs.append(Rig.create(cameras))
+    return rigs
+
+
+def _addition(rig: Rig, scene: Scene, config: Config, shown: Shown) -> Callable[[Any], object] | None:
+    """What draws coverage or sight into the picture of a rig."""
+    if shown not in ("coverage", "sight"):
+        return None
+    from warpav.render.coverage import Ground
+    from warpav.render.device_scene import DeviceScene
+    from warpav.view.sight_view import add_coverage, add_sight
+
+    packed = DeviceScene.pack(scene, device=checked_device(config.device))
+    if shown == "sight":
+        return lambda plotter: add_sight(plotter, rig, packed)
+    coverage = Ground.around(packed).coverage(rig.cameras)
+    return lambda plotter: add_coverage(plotter, coverage)
+
+
+def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
+    """What the configuration's detector makes of every vehicle."""
+    from warpav.render.device_scene import DeviceScene
+
+    device = checked_device(config.device)
+    observer = _observer(rig, load_detector(config), config, device)
+    return observer.look(DeviceScene.pack(scene, device=device)).outcomes
+
+
+def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:
+    from warpav.evaluate import RigObserver
+    from warpav.render.renderer import Occlusion
+
+    return RigObserver(
+        rig,
+        detector,
+        confidence_min=config.detector.confidence_min,
+        iou_min=config.detector.iou_min,
+        occlusion=Occlusion(config.visibility.occlusion),
+        supersampling=config.camera.supersampling,
+        device=device,
+    )
 
 
 def show_scene(source: str, out: Path | None) -> Iterator[str]:

@@ -32,7 +32,7 @@ from warpav.figures import (
     start_and_end_handles,
 )
 from warpav.gallery import trajectory
-from warpav.objective.mount import X_M, Y_M
+from warpav.objective.mount import RISE_M, X_M, Y_M
 from warpav.problem import (
     Problem,
     begin_descent,
@@ -179,7 +179,7 @@ def _walk(problem: Problem, descent: Descent, display: RunDisplay, how: str) -> 
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
     if problem.config.optimiser.multiplier_learning_rate != 0.0:
-        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]])
+        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
     return _Way(mount.rig(descent.start), np.array(positions, np.float64), mount.rig(pose))
 
 
@@ -226,25 +226,14 @@ class _Looker:
             supersampling=config.camera.supersampling,
             device=self._device,
         )
-        # the observer takes the cameras of one model together
-        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
-        cameras = sorted(rig.cameras, key=lambda camera: models.index(camera.model))
-        names = [camera.name for camera in rig.cameras]
         looks = []
         for scene in self._display.steps(how, scenes, count=len(scenes)):
-            seen = [observation for observation, _ in observer.look(DeviceScene.pack(scene, device=self._device))]
-            views = (
-                view
-                for each in seen
-                for view in zip(each.image_rgb, each.truth_box_px, each.detections, each.match, strict=True)
-            )
+            look = observer.look(DeviceScene.pack(scene, device=self._device))
             panels = [
-                DetectionPanel(camera.name, image, truth, detections.box_px, match)
-                for camera, (image, truth, detections, match) in zip(cameras, views, strict=True)
+                DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
+                for camera, seen in zip(rig.cameras, look.cameras, strict=True)
             ]
-            panels.sort(key=lambda panel: names.index(panel.title))
-            is_found = np.concatenate([each.match for each in seen]).max(axis=0, initial=-1) >= 0
-            looks.append(_Look(scene, np.asarray(is_found), panels))
+            looks.append(_Look(scene, look.detected, panels))
         return looks
 
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.config import Config, RigConfig, RunConfig, changed_config
+from warpav.config import NAMED_STARTS, Config, RigConfig, RunConfig, changed_config
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.detector_fit import fit_detector
 from warpav.errors import InputError, OptionError
-from warpav.evaluate import assign_to_nearest_cameras
+from warpav.evaluate import assign_to_nearest_cameras, nearest_cameras
 from warpav.geometry.mesh import Mesh
 from warpav.objective.losses import LossSettings, Reference
 from warpav.objective.mount import CameraMount
@@ -31,14 +31,16 @@ from warpav.optimise.segregation import Segregation, areas_around, assign_vehicl
 from warpav.optimise.starts import look_at_starts
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
-from warpav.rig.rig import Rig, read_rig
+from warpav.rig.rig import Rig
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.sources import (
     camera_model,
     camera_mount,
     checked_device,
+    checked_held,
     constraints_of,
     detector_use,
+    find_file_rig,
     load_detector,
     load_scenes,
 )
@@ -127,6 +129,8 @@ class Problem:
         test: Test scenes, likewise.
         ego: The vehicle that carries the cameras.
         shown: The first test scene, for pictures.
+        held_rig: The rig of ``rig.start`` where ``rig.freeze`` holds some of its cameras: all rigs have their cameras
+            in its order. None where none is held.
     """
 
     config: Config
@@ -137,6 +141,15 @@ class Problem:
     test: list[AssignedScene]
     ego: Mesh
     shown: Scene
+    held_rig: Rig | None = None
+
+    @property
+    def yaw_rad(self) -> np.ndarray:
+        """The orientation that each camera takes, unless its rig began otherwise [rad], [camera]."""
+        orientation_rad = self.segregation.yaw_rad
+        if self.held_rig is None:
+            return orientation_rad
+        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.held_rig))]
 
     def random_numbers(self, stream: Stream) -> np.random.Generator:
         """Random numbers for one purpose, from ``run.seed``."""
@@ -202,7 +215,7 @@ def load_traffic(config: Config, display: RunDisplay) -> Traffic:
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds), count=len(seeds))):
+    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds, say=display.say), count=len(seeds))):
         ego = scene.ego if ego is None else ego
         if not _is_same_vehicle(scene.ego, ego):
             raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
@@ -303,8 +316,11 @@ def problem_on(
         _random_numbers(config, Stream.SEGREGATION),
     )
     assigned = assign_vehicles(traffic.scenes, [area[:, segregation.rotation] for area in areas])
+    mount, held_rig = traffic.mount, read_start(config) if config.rig.freeze else None
+    if held_rig is not None:
+        mount = mount.holding(checked_held(config, held_rig), config.rig.freeze)
     objective = RigObjective(
-        traffic.mount,
+        mount,
         networks.detector,
         camera_count=config.rig.cameras,
         settings=LossSettings(
@@ -325,7 +341,7 @@ def problem_on(
             combine=config.losses.combine,
             probability=config.losses.probability,
         ),
-        constraints=constraints_of(config, traffic.mount.surface),
+        constraints=constraints_of(config, mount.surface, mount.held),
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
@@ -336,7 +352,7 @@ def problem_on(
     train, held_out = assigned[:train_count], assigned[train_count:]
     validation_count = len(traffic.validation)
     validation, test = held_out[:validation_count] or train, held_out[validation_count:]
-    return Problem(config, objective, segregation, train, validation, test, traffic.ego, traffic.shown)
+    return Problem(config, objective, segregation, train, validation, test, traffic.ego, traffic.shown, held_rig)
 
 
 @dataclass(frozen=True)
@@ -345,7 +361,8 @@ class Beginning:
 
     Attributes:
         descent: Before its first step.
-        rig: The rig that it begins with; None when camera k takes orientation k. See `Problem.assigned`.
+        rig: The rig whose cameras the orientations are paired with; None when camera k takes orientation k. See
+            `Problem.assigned`.
     """
 
     descent: Descent
@@ -369,13 +386,13 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
     start = start_pose(problem, start_rig)
     if has_ordered_start(config):
         further: list[np.ndarray] = []
-        rig = None
+        rig = problem.held_rig
         if config.optimiser.starts > 1:
             space = SearchSpace.over(
                 mount,
                 config.rig.cameras,
                 constraints=problem.objective.constraints,
-                yaw_rad=problem.segregation.yaw_rad,
+                yaw_rad=problem.yaw_rad,
             )
             rng = problem.random_numbers(Stream.STARTS)
             found = look_at_starts(
@@ -389,7 +406,7 @@ def begin_descent(problem: Problem, start_rig: Rig | None = None) -> Beginning:
 
 
 def has_ordered_start(config: Config) -> bool:
-    """Whether camera k of the rig that a run starts from takes orientation k, see `Problem.assigned`."""
+    """Whether the cameras of the rig that a run starts from are in the order of `Problem.yaw_rad`."""
     return config.rig.start == "random" or config.optimiser.starts > 1
 
 
@@ -416,19 +433,21 @@ def descent_from(
 
 
 def read_start(config: Config) -> Rig | None:
-    """The rig of the file that ``rig.start`` names; None where it names none.
+    """The rig that ``rig.start`` names; None where it names none.
 
     Raises:
-        InputError: It cannot be read, or has another number of cameras than ``rig.cameras``.
+        InputError: It cannot be read, has another number of cameras than ``rig.cameras``, or cameras of ``rig.freeze``
+            that cannot be held.
     """
-    if config.rig.start in ("random", "highest"):
+    if config.rig.start in NAMED_STARTS:
         return None
-    rig = read_rig(config.rig.start)
+    rig = find_file_rig(config.rig.start)
     if len(rig.cameras) != config.rig.cameras:
         raise InputError(
             f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
             f"set rig.cameras={len(rig.cameras)}"
         )
+    checked_held(config, rig)
     return rig
 
 
@@ -445,7 +464,7 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     config, constraints = problem.config, problem.objective.constraints
     if rig is not None:
         return problem.objective.mount.start_pose_of_rig(rig)
-    if config.rig.start not in ("random", "highest"):
+    if config.rig.start not in NAMED_STARTS:
         raise ValueError(f"the rig of {config.rig.start} has to be read first, see read_start")
     if config.rig.start == "highest":
         pose = highest_mount_pose(constraints, config.rig.cameras)

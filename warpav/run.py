@@ -122,7 +122,7 @@ def compare(
     """
     config, mount = problem.config, problem.objective.mount
     constraints = problem.objective.constraints
-    highest = highest_mount_pose(constraints, config.rig.cameras)
+    highest = mount.within(highest_mount_pose(constraints, config.rig.cameras))
     samples, rng = config.baselines.random_samples, problem.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
     display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
@@ -130,14 +130,14 @@ def compare(
         mount,
         config.rig.cameras,
         constraints=constraints,
-        yaw_rad=problem.segregation.yaw_rad,
+        yaw_rad=problem.yaw_rad,
         yaw_reach_rad=0.0,
     )
     scenes = [problem.train[k] for k in chosen]
     value = BudgetedValue.of(problem.objective, scenes, space, render_budget=samples * len(scenes))
     found = run_search(random_search, value, rng)
     poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
-    beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": None}
+    beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": problem.held_rig}
     arms = {}
     for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
         arms[arm] = evaluate_rig(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
@@ -163,7 +163,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, display:
     rig = find_rig(source, config, problem.ego)
     began_as = rig
     if Path(source).is_dir():
-        began_as = None if has_ordered_start(config) else RunFolder.open(source).rig("initial")
+        began_as = problem.held_rig if has_ordered_start(config) else RunFolder.open(source).rig("initial")
     metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
     evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
     show_verdict(display.console, evaluation)

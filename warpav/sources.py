@@ -7,7 +7,8 @@ import dataclasses
 import difflib
 import importlib.util
 import math
-from collections.abc import Iterator, Sequence
+import shlex
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +17,10 @@ import platformdirs
 
 from warpav.capture.plan import PlanSettings
 from warpav.collection import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
-from warpav.config import Config, placed_config
+from warpav.config import ONE_FIELD_LOSSES, Config, placed_config
 from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.recipe import digest
 from warpav.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from warpav.detection.probability import DetectorUse
     from warpav.geometry.mesh import Mesh
     from warpav.objective.constraints import Constraints
-    from warpav.objective.mount import CameraMount, FreeRanges
+    from warpav.objective.mount import CameraMount, FreeRanges, HeldCameras
     from warpav.scene.scene import Scene
 
 HIGHEST = "highest"
@@ -58,17 +60,68 @@ def device_name(device: str) -> str:
     return f"{found.alias} ({found.name})"
 
 
-def load_scenes(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
+def load_scenes(config: Config, seeds: Sequence[int], *, say: Callable[[str], None] | None = None) -> Iterator[Scene]:
     """The scenes of ``seeds``, one after the other: built, captured and reconstructed, or read.
 
     Their vehicles are the road users that ``scenes.targets`` names. Scenes that went through images hold people and
-    cyclists as part of the environment, so there only vehicles can be targets.
+    cyclists as part of the environment, so there only vehicles can be targets. With ``scenes.ego`` all are around that
+    vehicle, without the road users at whose places it stands.
+
+    Args:
+        config: Says which scenes.
+        seeds: Their numbers.
+        say: Told of road users that were left out.
 
     Raises:
         InputError: A file is missing or cannot be used.
     """
+    ego = own_vehicle(config)
     for scene in _scenes_of(config, seeds):
-        yield scene.targeting(config.scenes.targets)
+        around = scene if ego is None else scene.around(ego)
+        left_out = len(scene.road_users) - len(around.road_users)
+        if left_out and say is not None:
+            users = "1 road user" if left_out == 1 else f"{left_out} road users"
+            say(f"{scene.name}: {users} left out, where the vehicle of scenes.ego stands")
+        yield around.targeting(config.scenes.targets)
+
+
+def own_vehicle(config: Config) -> Mesh | None:
+    """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own.
+
+    Raises:
+        InputError: It cannot be read, or not be used as it is.
+    """
+    from warpav.scene.own_vehicle import examine, read_vehicle
+
+    path = config.scenes.ego
+    if path is None:
+        return None
+    try:
+        file = read_vehicle(path)
+        found = examine(file, file.usual)
+    except InputError as error:
+        raise OptionError("scenes.ego", str(error)) from None
+    if found.problems:
+        raise OptionError(
+            "scenes.ego",
+            f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to mend it",
+        )
+    return found.mesh
+
+
+def own_vehicle_digest(config: Config) -> str | None:
+    """Hash of the file that ``scenes.ego`` names, so that what was made with another one is made again; None for none.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    path = config.scenes.ego
+    if path is None:
+        return None
+    try:
+        return digest(path.expanduser().read_bytes())
+    except OSError as error:
+        raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None
 
 
 def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
@@ -153,12 +206,22 @@ def reconstruction_settings(config: Config) -> ReconstructionSettings:
     )
 
 
-def load_scene(source: str) -> Scene:
+def load_scene(source: str, config: Config | None = None) -> Scene:
     """The scene that ``source`` means: a GLB file, or the embedded scene of a seed.
+
+    Args:
+        source: What the user wrote.
+        config: Its ``scenes.ego`` takes the place of the scene's own vehicle; None: nothing does.
 
     Raises:
         InputError: It is neither.
     """
+    ego = None if config is None else own_vehicle(config)
+    scene = _scene_of(source)
+    return scene if ego is None else scene.around(ego)
+
+
+def _scene_of(source: str) -> Scene:
     from warpav.scene.glb import read_scene
     from warpav.scene.town import town_scene
 
@@ -184,8 +247,62 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     )
 
 
-def constraints_of(config: Config, surface: MountSurface) -> Constraints:
+def checked_held(config: Config, start: Rig) -> Rig:
+    """The rig of ``rig.start`` as a mount can hold the cameras of ``rig.freeze`` of it.
+
+    Raises:
+        InputError: The rig has no such camera, or one that cannot be in one rig with those of the configuration.
+    """
+    shared, known = camera_model(config), [camera.name for camera in start.cameras]
+    cameras = []
+    for camera in start.cameras:
+        model = dataclasses.replace(camera.model, near_m=shared.near_m)
+        cameras.append(dataclasses.replace(camera, model=model))
+    models = {camera.name: camera.model for camera in cameras}
+    for name in config.rig.freeze:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            names = f"{', '.join(known)}, the cameras of {config.rig.start}"
+            raise OptionError("rig.freeze", f"expected names out of {names}, got {name!r}{hint}")
+        model = models[name]
+        if not model.fits_beside(shared):
+            raise OptionError(
+                "rig.freeze",
+                "expected cameras with the image and the lens of the others, but for a pinhole's field of view, got "
+                f"{name} with {model.width_px} x {model.height_px} px ({model.lens}"
+                f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
+                f"({shared.lens}); {_as_held(model)}",
+            )
+        alike = [each for each in ONE_FIELD_LOSSES if getattr(config.losses, each)]
+        if alike and model.log_zoom_over(shared):
+            raise OptionError(
+                "rig.freeze",
+                f"expected cameras of camera.fov_deg={config.camera.fov_deg:g}, as losses.{alike[0]} takes one field "
+                f"of view for all, got {name} with {math.degrees(model.fov_rad):g}",
+            )
+    return Rig.create(cameras, name=config.rig.start)
+
+
+def _as_held(model: CameraModel) -> str:
+    """How a run's cameras can have the image and the lens of a camera."""
+    if model.focal_px is not None:
+        return "replace focal_px and centre_px by fov_deg in the rig's file"
+    options = f"camera.width_px={model.width_px} camera.height_px={model.height_px}"
+    if model.lens is Lens.PINHOLE:
+        return f"set {options} camera.lens=pinhole, or write the camera with the smaller image into a rig's file"
+    numbers = ",".join(f"{value:g}" for value in model.distortion)
+    angle = f" camera.fov_deg={math.degrees(model.fov_rad):g}"
+    return f"set {options} camera.lens={model.lens}{angle} camera.distortion=[{numbers}]"
+
+
+def constraints_of(config: Config, surface: MountSurface, held: HeldCameras | None = None) -> Constraints:
     """What the method demands of the places of the cameras.
+
+    Args:
+        config: The configuration.
+        surface: What they stand on.
+        held: Those that stay as they are.
 
     Raises:
         InputError: No place of the mountable zone is far enough from its border.
@@ -199,6 +316,7 @@ def constraints_of(config: Config, surface: MountSurface) -> Constraints:
         camera_count=config.rig.cameras,
         min_spacing_m=config.rig.min_spacing_m,
         margin_m=config.mount.margin_m,
+        held=held,
     )
 
 
@@ -250,6 +368,7 @@ def detector_use(config: Config) -> DetectorUse:
     from warpav.detection.probability import DetectorUse
 
     model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
+    ego = own_vehicle_digest(config)
     free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}
     return DetectorUse(
         model,
@@ -257,8 +376,9 @@ def detector_use(config: Config) -> DetectorUse:
             "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
             "camera": config.camera.model_dump(mode="json"),
             "scenes": config.scenes.model_dump(
-                mode="json", exclude={"train_seeds", "validation_seeds", "test_seeds", "mirror"}
+                mode="json", exclude={"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego"}
             ),
+            **({} if ego is None else {"scenes.ego": ego}),
             "rig.height_offset_m": config.rig.height_offset_m,
             "visibility.occlusion": config.visibility.occlusion,
             **({"rig.free": free} if free else {}),
@@ -299,7 +419,7 @@ def check_rig_source(source: str) -> None:
         InputError: ``source`` means no rig.
     """
     if source != HIGHEST:
-        _find_file_rig(source)
+        find_file_rig(source)
 
 
 def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
@@ -322,7 +442,7 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
     return Rig.create(
         [
             dataclasses.replace(camera, model=_completed(camera.model, shared))
-            for camera in _find_file_rig(source).cameras
+            for camera in find_file_rig(source).cameras
         ],
         name=source,
     )
@@ -346,12 +466,31 @@ def arm_name(source: str) -> str:
     return "optimised" if Path(source).is_dir() else Path(source).stem
 
 
-def _find_file_rig(source: str) -> Rig:
-    if Path(source).is_dir():
+def rig_to_export(source: str) -> Rig:
+    """The rig that ``source`` means; ``highest`` stands on the embedded vehicle, with the cameras of ``quick``.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    if source != HIGHEST:
+        return find_file_rig(source)
+    from warpav.scene.town import town_scene
+
+    with placed_config("quick", ()) as config:
+        return find_rig(source, config, town_scene(0).ego)
+
+
+def find_file_rig(source: str) -> Rig:
+    """The rig of a rig YAML, a preset or a run folder, as it stands there.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    names = preset_names()
+    if Path(source).is_dir() and (source not in names or (Path(source) / "config.yaml").is_file()):
         return RunFolder.open(source).rig()
     if Path(source).is_file():
         return read_rig(source)
-    names = preset_names()
     if source in names:
         return preset_rig(source)
     near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)

@@ -145,3 +145,20 @@ def spacing_excess_kernel(
             pair = i * (2 * camera_count - i - 1) / 2 + j - i - 1
             between_m = position_ego_m[i * view_stride] - position_ego_m[j * view_stride]
             excess_m[camera_count + pair] = min_spacing_m - wp.length(between_m)
+
+
+@wp.kernel
+def keep_excess_kernel(
+    # in
+    excess_m: wp.array[float],
+    kept: wp.array[wp.int32],
+    # out
+    kept_excess_m: wp.array[float],
+):
+    """Of all inequalities those that count: a camera that is held cannot mend what it breaks by itself.
+
+    Launch: ``dim=kept.shape[0]``; one thread per inequality that counts.
+    Writes: every element of ``kept_excess_m`` once.
+    """
+    k = wp.tid()
+    kept_excess_m[k] = excess_m[kept[k]]

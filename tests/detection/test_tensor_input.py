@@ -100,7 +100,7 @@ def test_a_provider_that_is_not_there_is_refused():
     import onnxruntime
 
     if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
-        pytest.skip("it is there")
+        pytest.skip("onnxruntime has its CUDA provider here")
     with pytest.raises(InputError, match=r"detector\.provider: expected one of cpu.*got 'cuda'"):
         OnnxDetector("builtin", provider="cuda")
 

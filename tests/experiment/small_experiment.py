@@ -3,6 +3,7 @@
 import functools
 
 from tests.driving_scene import street
+from warpav.cli import main
 from warpav.config import load_config
 from warpav.experiment.arms import Arm
 from warpav.experiment.experiment import Experiment
@@ -44,3 +45,11 @@ def overrides(folder, *more):
 def config(folder, *more):
     """The configuration for scenes in a folder."""
     return load_config("thesis", overrides(folder, *more))
+
+
+def complaint(capsys, *words):
+    """The one line that a command ends with that has been given something wrong."""
+    assert main(list(words)) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    return lines[0]

@@ -18,11 +18,6 @@ from warpav.rig.rig import read_rig
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    return tmp_path_factory.mktemp("scenes") / "street"
-
-
-@pytest.fixture(scope="module")
 def finished(tmp_path_factory, scenes):
     """All of the small experiment; nobody may change it."""
     return run(tmp_path_factory.mktemp("small") / "run", scenes)

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.experiment.small_experiment import overrides
+from tests.experiment.small_experiment import complaint, overrides
 from warpav.cli import main
 from warpav.config import load_config
 from warpav.errors import InputError
@@ -30,11 +30,6 @@ PLAIN = (
 )
 SCENES = 12
 GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
-
-
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    return tmp_path_factory.mktemp("scenes") / "street"
 
 
 @pytest.fixture(autouse=True)
@@ -61,13 +56,6 @@ def opened(tmp_path_factory, scenes):
 def copied(working_directory, opened):
     """A copy of it."""
     return shutil.copytree(opened, working_directory / "run")
-
-
-def complaint(capsys, *words):
-    assert main(list(words)) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    return lines[0]
 
 
 def made_run(arm, seed, recall, *, rng=None, objective=0.3, violation=0.0):
@@ -169,6 +157,7 @@ def test_goals_that_are_not_reached_are_said_to_be(rng):
     assert told[0].endswith("(worst of 14 runs 0.001 m, by gradient)")
     assert told[1].endswith("(0 of 3 runs; difference +0.0100 to +0.0100)")
     assert "0.7010 against highest 0.8000, random 0.7500, cma 0.7800" in told[3]
+    assert "; paired difference to cma -0.0" in told[3]
     assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("no rig can, for 110% of it is above 1")
     assert told[11].startswith("not reached: recall at least 10% above nuscenes's")
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.experiment.small_experiment import overrides
+from tests.experiment.small_experiment import complaint, overrides
 from warpav.cli import main
 from warpav.experiment import arms, thesis_experiments
 from warpav.experiment.tables import Cell, compare_results, result_table
@@ -24,11 +24,6 @@ METRICS = (
 )
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    return tmp_path_factory.mktemp("scenes") / "street"
-
-
 @pytest.fixture(autouse=True)
 def working_directory(tmp_path, monkeypatch):
     """An empty working directory."""
@@ -40,13 +35,6 @@ def result(number, **more):
     """A run all of whose numbers are the same."""
     metrics = {**dict.fromkeys(METRICS, number), "min_camera_distance_m": 2.0 * number}
     return {"metrics": metrics, "constraint_loss": 0.0, **more}
-
-
-def complaint(capsys, *words):
-    assert main(list(words)) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    return lines[0]
 
 
 # ------------------------------------------------------------------------------------------------ layout
@@ -190,6 +178,13 @@ def test_table1_measures_and_writes(working_directory, scenes, capsys):
     found = json.loads((folder / "results" / "gradients_1.json").read_text())
     assert found["renders"] == 2  # two iterations of one scene
     assert (folder / "table1.md").read_text().startswith("**Table I.")
+    page = working_directory / "results.md"
+    assert main(["experiment", "results", str(folder), "--out", str(page)]) == 0
+    assert "**Table I." in page.read_text()
+    published = json.loads((working_directory / "results" / "table1.json").read_text())
+    assert [run["gradients"] for run in published["runs"]] == [
+        json.loads((folder / "results" / f"gradients_{seed}.json").read_text())["gradients"] for seed in (0, 1)
+    ]
 
 
 def test_table2_and_table3_share_their_runs(working_directory, scenes, capsys):
@@ -205,6 +200,10 @@ def test_table2_and_table3_share_their_runs(working_directory, scenes, capsys):
     assert [row["labels"] for row in rows] == [["Highest", "IFR+DOA*"], ["start", "as configured"]]
     assert rows[0]["ours"]["optimisable_loss"]["mean"] > 0.0
     assert rows[1]["thesis"] == {}
+    page = working_directory / "results.md"
+    assert main(["experiment", "results", str(folder), "--out", str(page)]) == 0
+    assert "**Table II." in page.read_text()
+    assert "**Table III." in page.read_text()
 
 
 def test_a_failed_arm_ends_the_command_with_1(working_directory, scenes, monkeypatch, capsys):

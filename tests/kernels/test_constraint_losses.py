@@ -53,3 +53,23 @@ def test_spacing_excess_matches_numpy_and_leaves_the_zone_alone(device, rng, cam
     assert np.isnan(found[:camera_count]).all()
     expected = [0.7 - math.dist(position[i], position[j]) for i, j in pairs]
     np.testing.assert_allclose(found[camera_count:], expected, atol=2e-6)  # worst seen 4e-7
+
+
+def test_kept_inequalities_are_copied_and_so_are_their_gradients(device, rng):
+    excess = rng.normal(size=10).astype(np.float32)
+    kept = np.array([7, 2, 3], np.int32)
+    excess_m = wp.array(excess, dtype=float, device=device, requires_grad=True)
+    kept_m = wp.full(len(kept), math.nan, dtype=float, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(
+            constraint_losses.keep_excess_kernel,
+            dim=len(kept),
+            inputs=[excess_m, wp.array(kept, dtype=wp.int32, device=device)],
+            outputs=[kept_m],
+            device=device,
+        )
+    np.testing.assert_array_equal(kept_m.numpy(), excess[kept])
+    tape.backward(grads={kept_m: wp.array([1.0, 2.0, 3.0], dtype=float, device=device)})
+    expected = np.zeros(10)
+    expected[kept] = [1.0, 2.0, 3.0]
+    np.testing.assert_array_equal(excess_m.grad.numpy(), expected)

@@ -170,6 +170,10 @@ def spacing_excess(new):
     return 1, [new(size=(4 * ROTATIONS, 3), dtype=wp.vec3), ROTATIONS, 0.8], [new(np.zeros(4 + 6))]
 
 
+def keep_excess(new):
+    return 3, [new(size=6), new.integers([0, 3, 5])], [new(np.zeros(3))]
+
+
 def damped_lagrangian(new):
     # broken, nearly kept with a multiplier, kept by far with one, and with a small one
     excess, multiplier = new([0.6, -0.2, -0.9, -0.5]), new([0.5, 1.2, 0.6, 0.1])
@@ -226,6 +230,7 @@ CASES = {
     constraint_losses.camera_spacing_loss_kernel: camera_spacing_loss,
     constraint_losses.zone_excess_kernel: zone_excess,
     constraint_losses.spacing_excess_kernel: spacing_excess,
+    constraint_losses.keep_excess_kernel: keep_excess,
     placement_losses.in_frame_rotation_loss_kernel: in_frame_rotation_loss,
     placement_losses.sum_area_around_kernel: sum_area_around,
     placement_losses.detected_area_loss_kernel: detected_area_loss,

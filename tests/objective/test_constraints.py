@@ -82,7 +82,21 @@ def test_spacing_counts_in_space_not_in_the_plane():
     cliff = flat_surface([0.0, 0.0], [0.2, 0.2])
     cliff.height_m[2] += 1.0
     place = np.array([[1e-5, 0.1], [0.2 - 1e-5, 0.1]])
-    np.testing.assert_array_equal(BoundsAndSpacing(cliff, min_spacing_m=0.5).project(place), place)
+    constraints = BoundsAndSpacing(cliff, min_spacing_m=0.5)
+    np.testing.assert_array_equal(constraints.project(place), place)
+    np.testing.assert_array_equal(constraints.project(place, np.array([0.2, 0.4])), place)
+
+
+def test_cameras_on_masts_part_by_their_own_heights():
+    slope = flat_surface([0.0, 0.0], [2.0, 2.0])
+    slope.height_m[:] += np.linspace(0.0, 2.0, len(slope.height_m))[:, None]
+    constraints = BoundsAndSpacing(slope, min_spacing_m=0.5)
+    place = np.array([[0.8, 1.0], [1.2, 1.0]])
+    np.testing.assert_array_equal(constraints.project(place), place)
+    rise_m = np.array([0.4, 0.0])  # as high as the other one
+    parted = constraints.project(place, rise_m)
+    assert np.linalg.norm(parted[1] - parted[0]) > 0.45
+    assert min_camera_distance_m(np.c_[parted, slope.height_at_m(parted) + rise_m]) >= 0.5
 
 
 @pytest.mark.parametrize("camera_count", [2, 9])

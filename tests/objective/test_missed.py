@@ -269,7 +269,7 @@ def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
         ]
 
     launched = results()
-    monkeypatch.setattr("warpav.render.renderer._available_cores", lambda: 1)  # one thread records
+    monkeypatch.setattr("warpav.render.renderer.available_cores", lambda: 1)  # one thread records
     for one, other in zip(launched, results(), strict=True):
         assert one.terms == other.terms
         np.testing.assert_array_equal(one.gradient, other.gradient)

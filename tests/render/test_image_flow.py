@@ -12,6 +12,7 @@ from tests.driving_scene import SKY, block, camera_pose, on_device
 from tests.render.test_gradients import SIX, SIX_WEIGHT, SPIN_X, moved, poses_round_the_car, two_cars
 from tests.render.test_renderer import FAR_AWAY
 from warpav.render.device_scene import DeviceScene
+from warpav.render.graph import record_graph
 from warpav.render.renderer import Content, Renderer
 from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Scene
@@ -261,12 +262,11 @@ def test_a_recorded_step_equals_the_eager_one(device, rng):
         look.tape.backward(grads={look.rgb(): weight})
 
     step()
-    with wp.ScopedCapture(device=device) as capture:
-        step()
+    graph = record_graph(step, device)
     there = on_device(poses_round_the_car()[2:4], device)
     wp.copy(look.position, there[0])
     wp.copy(look.rotation, there[1])
-    wp.capture_launch(capture.graph)
+    wp.capture_launch(graph)
     replayed = [array.grad.numpy().copy() for array in (look.position, look.rotation, look.log_zoom)]
     recorded_tape, look.tape = look.tape, wp.Tape()  # a graph goes on using the arrays of the tape that it recorded
     step()

@@ -6,7 +6,7 @@ import pytest
 
 import warpav.rig.presets
 from warpav.errors import InputError
-from warpav.rig.presets import preset_names, preset_rig
+from warpav.rig.presets import preset_about, preset_names, preset_rig
 
 CAMERA_COUNT = {"argoverse2": 9, "edgar": 10, "nuscenes": 6, "unidrive_6x60": 6}
 
@@ -43,6 +43,15 @@ def test_preset_names_its_source_and_licence(name):
     text = (Path(warpav.rig.presets.__file__).parent / f"{name}.yaml").read_text()
     assert "\n# Source: " in text
     assert "\n# Licence: " in text
+
+
+def test_what_is_known_of_a_preset_is_told_whole():
+    about = preset_about("nuscenes")
+    assert about.title == "nuScenes vehicle (Renault Zoe): six cameras."
+    assert about.source.startswith("calibration of scene-0001")
+    assert about.source.endswith("agrees with the published calibrated_sensor table.")
+    assert "non-commercial" in about.licence
+    assert all(preset_about(name).source for name in preset_names())
 
 
 def test_preset_rig_rejects_an_unknown_name():

@@ -18,6 +18,7 @@ import warp as wp
 from warpav.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Workload
 from warpav.render.chunks import MAX_CHUNK_VIEWS, chunk_view_count, render_in_chunks
 from warpav.render.device_scene import FIRST_VEHICLE, DeviceScene
+from warpav.render.graph import record_graph
 from warpav.render.renderer import Content, Measures, Renderer
 from warpav.rig.camera import CameraModel
 from warpav_kernels import benchmark, linearise
@@ -227,10 +228,7 @@ class Bench:
         run()
         again = run
         if self.device.is_cuda and is_capturable:
-            with wp.ScopedCapture(device=self.device) as capture:
-                run()
-            assert capture.graph is not None
-            again = partial(wp.capture_launch, capture.graph)
+            again = partial(wp.capture_launch, record_graph(run, self.device))
             again()
         wp.synchronize_device(self.device)
         setup_ms = 1000.0 * (time.perf_counter() - began)

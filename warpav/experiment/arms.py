@@ -130,7 +130,12 @@ class Arm:
                 f"arm {self.name}: expected the package {package} to be installed, got none; "
                 "run: pip install 'warpav[rivals]'"
             )
-        if self.method in _DESCENDING:
+        if config.rig.freeze and self.method not in _HOLDING:
+            raise InputError(
+                f"arm {self.name}: rig.freeze: expected none, for it places all cameras, got "
+                f"{', '.join(config.rig.freeze)}; leave the arm or the option out"
+            )
+        if self.method in _DESCENDING or config.rig.freeze:
             read_start(config)
         least = self._least_renders(config)
         if render_budget is not None and render_budget < least:
@@ -295,14 +300,16 @@ def _random_rig(problem: Problem, render_budget: int | None) -> Found:
         problem.objective.mount, problem.config.rig.cameras, constraints=problem.objective.constraints
     )
     pose = space.random(problem.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(problem.objective.mount.rig(pose), None, 0, {}, mount_pose=pose)
+    return Found(problem.objective.mount.rig(pose), problem.held_rig, 0, {}, mount_pose=pose)
 
 
 def _highest(problem: Problem, render_budget: int | None) -> Found:
     """Cameras around the highest point."""
     del render_budget
+    mount = problem.objective.mount
     pose = highest_mount_pose(problem.objective.constraints, problem.config.rig.cameras).astype(np.float32)
-    found = problem.objective.mount.rig(pose)
+    pose = mount.within(pose)
+    found = mount.rig(pose)
     return Found(found, found, 0, {}, mount_pose=pose)
 
 
@@ -353,7 +360,7 @@ def _searched(
         raise RuntimeError(f"the search ended early: {result.error}")
     return Found(
         problem.objective.mount.rig(result.mount_pose),
-        None,
+        problem.held_rig,
         result.renders,
         _columns(result.history),
         mount_pose=result.mount_pose,
@@ -371,7 +378,7 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
     # its start is found already
     alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
-    second = _descended(rest, descent_from(rest, first.mount_pose, None), None)
+    second = _descended(rest, descent_from(rest, first.mount_pose, rest.held_rig), rest.held_rig)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
         both[name] += [None if number is None else number + shift for number in second.history[name]]
@@ -400,7 +407,7 @@ def _ranking(
         problem.objective.mount,
         config.rig.cameras,
         constraints=problem.objective.constraints,
-        yaw_rad=problem.segregation.yaw_rad,
+        yaw_rad=problem.yaw_rad,
         yaw_reach_rad=math.pi if free_yaw else 0.0,
     )
     return BudgetedValue.of(problem.objective, scenes, space, render_budget=render_budget), scenes
@@ -436,4 +443,10 @@ METHODS: dict[str, Finder] = {
 
 _SEEDLESS = ("highest",)
 _DESCENDING = ("gradient", "start")
+_HOLDING = (
+    *("gradient", "start", "random_rig", "highest", "random", "sobol"),
+    *("cma", "differential_evolution", "cma_then_gradient"),
+)
+"""Ways that keep the cameras of ``rig.freeze`` where they are."""
+
 _PACKAGES = {"cma": "cma", "cma_then_gradient": "cma"}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
-from warpav.config import Config, changed_config, dump_config, option_values, overridden_option
+from warpav.config import NAMED_STARTS, Config, changed_config, dump_config, option_values, overridden_option
 from warpav.errors import InputError, OptionError
 from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
@@ -39,7 +39,7 @@ from warpav.recipe import digest
 from warpav.results import RUNS_FOLDER, environment, write_json
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
-from warpav.sources import camera_mount, constraints_of, device_name, load_scenes
+from warpav.sources import camera_mount, constraints_of, device_name, load_scenes, own_vehicle_digest
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
@@ -211,13 +211,15 @@ class _TrafficOfProcess:
 
     def __init__(self) -> None:
         self._key: Config | None = None
+        self._vehicle: str | None = None
         self._traffic: Traffic | None = None
 
     def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
-        key = traffic_part(config)
-        if self._traffic is None or self._key is None or not same_scenes(key, self._key):
+        key, vehicle = traffic_part(config), own_vehicle_digest(config)
+        is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
+        if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
-            self._traffic, self._key = load_traffic(config, display), key
+            self._traffic, self._key, self._vehicle = load_traffic(config, display), key, vehicle
         elif key != self._key:
             self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
@@ -443,6 +445,8 @@ def _options(config: Config) -> dict[str, Any]:
         for name, value in option_values(config).items()
         if name not in ("run.seed", "run.out") and not name.startswith("executor.")
     }
+    if config.scenes.ego is not None:  # what it holds, wherever it lies
+        values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
     return json.loads(json.dumps(values))
 
 
@@ -451,13 +455,18 @@ def with_absolute_paths(config: Config) -> Config:
     overrides = []
     for option, value in (
         ("scenes.folder", config.scenes.folder),
+        ("scenes.ego", config.scenes.ego),
         ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
         ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
-        ("rig.start", None if config.rig.start in ("random", "highest") else config.rig.start),
+        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
     ):
         if value is not None:
             overrides.append(f"{option}={json.dumps(str(Path(value).expanduser().absolute()))}")
     return changed_config(config, overrides) if overrides else config
+
+
+def _is_path(start: str) -> bool:
+    return start not in NAMED_STARTS and Path(start).expanduser().exists()
 
 
 def _open_folder(folder: Path, experiment: Experiment, config: Config, render_budget: int | None) -> None:

@@ -139,7 +139,9 @@ def _above_rivals(metric: str, table: ArmsTable) -> Goal:
     if ours is None or not known:
         return Goal(text, None, "no rival has run")
     numbers = f"{ours:.4f} against " + ", ".join(f"{arm} {value:.4f}" for arm, value in known.items())
-    lost = any(ours < value for value in known.values())
+    lost = [arm for arm, value in known.items() if ours < value]
+    for arm in lost:
+        numbers += f"; paired difference to {arm} {_interval(table.differences[metric][arm])}"
     missing = [arm for arm in RIVALS if arm not in known]
     if missing:
         numbers += f"; no result of {', '.join(missing)}"

@@ -7,6 +7,7 @@ text of the summaries of some experiments.
 from __future__ import annotations
 
 import os
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,7 +41,7 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
         {
             "schema": SCHEMA,
             "experiment": described["experiment"],
-            "command": " ".join(map(_without_folders, command_line().split())),
+            "command": shlex.join(map(_without_folders, shlex.split(command_line()))),
             "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": {key: made[key] for key in _VERSIONS},
             "render_budget": described.get("render_budget"),
@@ -50,7 +51,7 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
             },
             "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
             "goals": [goal.data() for goal in goals],
-            "runs": [_run(run) for runs in results.values() for run in runs],
+            "runs": [_run(run) if "metrics" in run else _gradients(run) for runs in results.values() for run in runs],
         },
     )
 
@@ -81,6 +82,11 @@ def _run(run: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def _gradients(run: Mapping[str, Any]) -> dict[str, Any]:
+    """A run that has measured gradients and found no rig."""
+    return {name: run[name] for name in ("arm", "seed", "gradients", "renders")}
+
+
 def _rounded(value: float | None) -> float | None:
     return round(value, _DIGITS) if isinstance(value, float) else value
 
@@ -95,7 +101,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(
             f"{folder}: expected the folder of an experiment with a {SUMMARY}, got none; run warpav experiment open, "
-            "ablations, correlation or rescore first"
+            "ablations, correlation, rescore or a table first"
         )
     summary = read_json(file)
     if not isinstance(summary, dict) or summary.get("schema") != SCHEMA:

@@ -11,6 +11,7 @@ from warpav.config import Config
 from warpav.experiment.arms import Arm
 from warpav.experiment.experiment import GRADIENTS, Experiment, Finished, run_experiment
 from warpav.experiment.gradient_magnitude import LOSS_OF, THESIS_RUNS
+from warpav.experiment.summary import write_summary
 from warpav.experiment.tables import result_table
 from warpav.experiment.thesis_tables import TABLES, thesis_table
 from warpav.objective.losses import DETECTOR_GRADIENT, OBJECTIVES
@@ -133,13 +134,16 @@ def run_table(
     done = run_experiment(
         experiment, config, arms=arms, runs=runs, render_budget=render_budget, out=out, display=display
     )
+    texts = []
     for number in TABLES_OF[name]:
         table = result_table(number, done.results, _labels(number))
         stem = f"table{TABLES.index(number) + 1}"
-        write_text(done.folder / f"{stem}.md", table.markdown())
+        texts.append(table.markdown())
+        write_text(done.folder / f"{stem}.md", texts[-1])
         write_json(done.folder / f"{stem}.json", table.data())
         if number == TABLES_OF[name][0]:
             display.show(table.terminal())
+    write_summary(done.folder, done.results, "\n".join(texts), goals=[])
     for failure in done.failed:
         display.say(f"failed: {failure}")
     display.say(f"{done.done} new results; tables and results: {done.folder}")

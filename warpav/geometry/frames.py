@@ -78,6 +78,50 @@ def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, floa
     return wrap_angle_rad(yaw_rad), pitch_rad, wrap_angle_rad(roll_rad)
 
 
+def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """The rotation of a quaternion.
+
+    Args:
+        quaternion: ``w, x, y, z``, shape [4]; of any length but 0.
+
+    Returns:
+        float64, shape [3, 3].
+    """
+    w, x, y, z = np.asarray(quaternion, dtype=np.float64) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
+    """The quaternion of a rotation; the inverse of :func:`rotation_from_quaternion`.
+
+    Args:
+        rotation: Shape [3, 3].
+
+    Returns:
+        ``w, x, y, z`` of length 1 with ``w >= 0``, float64, shape [4].
+    """
+    turn = np.asarray(rotation, dtype=np.float64)
+    xx, yy, zz = np.diag(turn)
+    # four times the products of all components with one another; the row of the largest has no cancellation
+    product = np.array(
+        [
+            [1.0 + xx + yy + zz, turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]],
+            [turn[2, 1] - turn[1, 2], 1.0 + xx - yy - zz, turn[0, 1] + turn[1, 0], turn[0, 2] + turn[2, 0]],
+            [turn[0, 2] - turn[2, 0], turn[0, 1] + turn[1, 0], 1.0 - xx + yy - zz, turn[1, 2] + turn[2, 1]],
+            [turn[1, 0] - turn[0, 1], turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1], 1.0 - xx - yy + zz],
+        ]
+    )
+    quaternion = product[np.argmax(np.diag(product))]
+    quaternion = quaternion / np.linalg.norm(quaternion)
+    return -quaternion if quaternion[0] < 0.0 else quaternion
+
+
 def ego_from_carla_pose(
     location_m: np.ndarray, *, pitch_deg: float, yaw_deg: float, roll_deg: float
 ) -> tuple[np.ndarray, float, float, float]:

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpav.errors import OptionError
 from warpav.geometry.mount_surface import MountSurface
-from warpav.objective.mount import PlacedViews
+from warpav.objective.mount import RISE_M, X_M, Y_M, HeldCameras, PlacedViews
 from warpav.rig.rig import Rig
 from warpav_kernels import constraint_losses
 
@@ -40,12 +40,14 @@ class Constraints(ABC):
 
     are_inequalities: bool
 
-    def __init__(self, surface: MountSurface, *, min_spacing_m: float) -> None:
+    def __init__(self, surface: MountSurface, *, min_spacing_m: float, held: HeldCameras | None = None) -> None:
         """Constraints on a surface.
 
         Args:
             surface: What the cameras stand on.
             min_spacing_m: Least distance between two camera centres [m], positive.
+            held: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
+                them.
 
         Raises:
             ValueError: ``min_spacing_m`` is not positive.
@@ -54,6 +56,7 @@ class Constraints(ABC):
             raise ValueError(f"min_spacing_m must be positive, got {min_spacing_m}")
         self.surface = surface
         self.min_spacing_m = min_spacing_m
+        self.held = held
 
     @property
     @abstractmethod
@@ -83,46 +86,59 @@ class Constraints(ABC):
     def violation_m(self, rig: Rig) -> float:
         """By how much a rig breaks the constraints [m]: all excess over the borders plus all missing spacing.
 
-        Exactly 0 if it breaks none. The rig may have any number of cameras.
+        Exactly 0 if it breaks none. The rig may have any number of cameras. What is held breaks none by itself.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
-        missing = sum(max(self.min_spacing_m - math.dist(a, b), 0.0) for a, b in itertools.combinations(position_m, 2))
-        violation = float(self._excess_m(position_m[:, :2]).sum() + missing)
+        is_held = self._stands_held(position_m)
+        missing = sum(
+            max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
+            for i, j in itertools.combinations(range(len(position_m)), 2)
+            if not (is_held[i] and is_held[j])
+        )
+        violation = float(self._excess_m(position_m[~is_held, :2]).sum() + missing)
         return violation if violation > _ROUNDING_M else 0.0
 
-    def project(self, place_m: np.ndarray) -> np.ndarray:
+    def project(self, place_m: np.ndarray, rise_m: np.ndarray | None = None) -> np.ndarray:
         """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
 
         Args:
             place_m: x and y of the cameras [m], float [camera, 2].
+            rise_m: Height above the surface of each over that of the others [m], float [camera]; None: all alike.
 
         Returns:
             float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
-            distance in the plane, which is never more than the distance in space.
+            distance in the plane, which is never more than the distance in space. Cameras that are held stand where
+            they are held.
 
         Raises:
             InputError: The cameras do not fit.
         """
         place = np.array(place_m, np.float64)
+        rise = np.zeros(len(place)) if rise_m is None else np.array(rise_m, np.float64)
+        is_held = self._put_held(place, rise)
         wanted_m = self.min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
         rng = np.random.default_rng(0)
         for projection_round in range(1, PROJECTION_ROUNDS + 1):
             if projection_round % SHAKE_EVERY == 0:
                 # cameras on one line, such as an edge of the surface, would push each other along it for ever
-                place = place + rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
-            place = self._brought_in(place)
+                shaken = rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
+                place[~is_held] += shaken[~is_held]
+            place[~is_held] = self._brought_in(place[~is_held])
             moved = False
             for i, j in itertools.combinations(range(len(place)), 2):
-                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]])]
+                if is_held[i] and is_held[j]:
+                    continue
+                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]]) + rise[[i, j]]]
                 if math.dist(points[0], points[1]) >= self.min_spacing_m + 1e-6:
                     continue
                 between = place[j] - place[i]
                 distance = float(np.linalg.norm(between))
                 # two cameras at one point part along x
                 direction = between / distance if distance > 1e-9 else np.array([1.0, 0.0])
-                push = 0.5 * (wanted_m - distance) * direction
-                place[i] -= push
-                place[j] += push
+                push = (wanted_m - distance) * direction
+                # one that is held stays, and the other one goes the whole way
+                place[i] -= (0.0 if is_held[i] else 1.0 if is_held[j] else 0.5) * push
+                place[j] += (0.0 if is_held[j] else 1.0 if is_held[i] else 0.5) * push
                 moved = True
             if not moved:
                 return place
@@ -142,10 +158,34 @@ class Constraints(ABC):
             InputError: The cameras do not fit.
         """
         for _ in range(RANDOM_TRIES):
-            place = self._drawn(camera_count, rng)
-            if min_camera_distance_m(np.c_[place, self.surface.height_at_m(place)]) >= self.min_spacing_m:
+            place, rise = self._drawn(camera_count, rng), np.zeros(camera_count)
+            is_held = self._put_held(place, rise)
+            point_m = np.c_[place, self.surface.height_at_m(place) + rise]
+            if all(
+                math.dist(point_m[i], point_m[j]) >= self.min_spacing_m
+                for i, j in itertools.combinations(range(camera_count), 2)
+                if not (is_held[i] and is_held[j])
+            ):
                 return place
         raise self.do_not_fit(camera_count)
+
+    def _put_held(self, place: np.ndarray, rise: np.ndarray) -> np.ndarray:
+        """Put what is held into places [camera, 2] and rises [camera]; tells which cameras that are, bool [camera]."""
+        held = self.held
+        if held is None:
+            return np.zeros(len(place), bool)
+        if len(place) != len(held.is_held):
+            raise ValueError(f"expected {len(held.is_held)} cameras, some of them held, got {len(place)}")
+        place[held.is_held] = held.mount_pose[held.is_held][:, [X_M, Y_M]]
+        rise[held.is_held] = held.mount_pose[held.is_held, RISE_M]
+        return held.is_held
+
+    def _stands_held(self, position_m: np.ndarray) -> np.ndarray:
+        """Which cameras stand exactly where some are held, bool [camera]; position_m [camera, 3]."""
+        if self.held is None:
+            return np.zeros(len(position_m), bool)
+        offset_m = position_m[:, None] - self.held.position_m
+        return (np.linalg.norm(offset_m, axis=-1) <= _ROUNDING_M).any(axis=1)
 
     @abstractmethod
     def _excess_m(self, place: np.ndarray) -> np.ndarray:
@@ -227,7 +267,13 @@ class ZoneAndSpacing(Constraints):
     are_inequalities = True
 
     def __init__(
-        self, surface: MountSurface, *, camera_count: int, min_spacing_m: float = 0.2, margin_m: float = 0.0
+        self,
+        surface: MountSurface,
+        *,
+        camera_count: int,
+        min_spacing_m: float = 0.2,
+        margin_m: float = 0.0,
+        held: HeldCameras | None = None,
     ) -> None:
         """Constraints for rigs of ``camera_count`` cameras.
 
@@ -236,12 +282,15 @@ class ZoneAndSpacing(Constraints):
             camera_count: Number of cameras, at least 1.
             min_spacing_m: Least distance between two camera centres [m], positive.
             margin_m: Least distance of a camera's centre to the border of the zone [m], at least 0.
+            held: As in `Constraints`.
 
         Raises:
             InputError: No place of the zone is so far from its border.
             ValueError: An option is out of its range.
         """
-        super().__init__(surface, min_spacing_m=min_spacing_m)
+        super().__init__(surface, min_spacing_m=min_spacing_m, held=held)
+        if held is not None and len(held.is_held) != camera_count:
+            raise ValueError(f"held must be of a rig of {camera_count} cameras, got {len(held.is_held)}")
         if camera_count < 1:
             raise ValueError(f"camera_count must be at least 1, got {camera_count}")
         if not margin_m >= 0.0:
@@ -259,10 +308,22 @@ class ZoneAndSpacing(Constraints):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """``zone_<camera>``, then ``spacing_<camera>_<camera>``, as in `Constraints`."""
-        cameras = range(self.camera_count)
-        zone = (f"zone_{camera}" for camera in cameras)
-        return (*zone, *(f"spacing_{i}_{j}" for i, j in itertools.combinations(cameras, 2)))
+        """``zone_<camera>``, then ``spacing_<camera>_<camera>``, as in `Constraints`; none of held cameras alone."""
+        cameras, is_held = range(self.camera_count), self._is_held
+        zone = (f"zone_{camera}" for camera in cameras if not is_held[camera])
+        pairs = itertools.combinations(cameras, 2)
+        return (*zone, *(f"spacing_{i}_{j}" for i, j in pairs if not (is_held[i] and is_held[j])))
+
+    @property
+    def _is_held(self) -> np.ndarray:
+        return np.zeros(self.camera_count, bool) if self.held is None else self.held.is_held
+
+    @property
+    def _kept(self) -> np.ndarray:
+        """Which of the losses of all cameras and pairs count, int32 [constraint]."""
+        is_held = self._is_held
+        pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
+        return np.flatnonzero(~np.concatenate([is_held, is_held[pairs].all(axis=1)])).astype(np.int32)
 
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
         """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close.
@@ -277,7 +338,8 @@ class ZoneAndSpacing(Constraints):
         if raster is None:
             raster = wp.array(self.surface.border_distance_m, dtype=float, device=device)
             self._raster[str(device)] = raster
-        excess_m = wp.zeros(len(self.names), dtype=float, device=device, requires_grad=True)
+        count = self.camera_count * (self.camera_count + 1) // 2
+        excess_m = wp.zeros(count, dtype=float, device=device, requires_grad=True)
         wp.launch(
             constraint_losses.zone_excess_kernel,
             dim=self.camera_count,
@@ -292,7 +354,17 @@ class ZoneAndSpacing(Constraints):
             outputs=[excess_m],
             device=device,
         )
-        return excess_m
+        if self.held is None:
+            return excess_m
+        kept_m = wp.zeros(len(self.names), dtype=float, device=device, requires_grad=True)
+        wp.launch(
+            constraint_losses.keep_excess_kernel,
+            dim=len(kept_m),
+            inputs=[excess_m, wp.array(self._kept, dtype=wp.int32, device=device)],
+            outputs=[kept_m],
+            device=device,
+        )
+        return kept_m
 
     def contains(self, place_m: np.ndarray) -> np.ndarray:
         """As in `Constraints`."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +61,27 @@ class FreeRanges:
                 raise ValueError(f"{name} must be a range, the lower end first, got {pair}")
 
 
+@dataclass(frozen=True, eq=False)
+class HeldCameras:
+    """Cameras of a rig that stay as they are, wherever they stand.
+
+    Attributes:
+        camera: Every camera of the rig in its order; those that may move give their names alone.
+        is_held: Which of them stay, bool [camera].
+        mount_pose: Their mount poses, float32 [camera, 7]; those of the others mean nothing.
+    """
+
+    camera: tuple[RigCamera, ...]
+    is_held: np.ndarray
+    mount_pose: np.ndarray
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Centres of those that stay [m], float64 [held, 3]."""
+        places = [camera.position_m for camera, held in zip(self.camera, self.is_held, strict=True) if held]
+        return np.array(places, np.float64).reshape(-1, 3)
+
+
 class CameraMount:
     """A mount surface on the device, and the cameras that stand above it.
 
@@ -96,6 +119,8 @@ class CameraMount:
         if free.fov_rad is not None and camera.lens is not Lens.PINHOLE:
             raise ValueError(f"the field of view of a {camera.lens} lens cannot be free")
         narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
+        self.held: HeldCameras | None = None
+        self._narrowest_rad = narrowest_rad
         self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
         self.low, self.high = self._ends()
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
@@ -131,13 +156,51 @@ class CameraMount:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
         return np.isfinite(self.low)
 
+    def holding(self, rig: Rig, names: Collection[str]) -> CameraMount:
+        """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere.
+
+        Args:
+            rig: Its cameras give those of the mount their order and their names.
+            names: Which of them stay.
+
+        Raises:
+            ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
+                camera: all share image size and lens.
+        """
+        is_held = np.array([camera.name in names for camera in rig.cameras])
+        if is_held.sum() != len(set(names)) or is_held.all():
+            raise ValueError(f"names must be some of the rig's cameras and not all, got {sorted(names)}")
+        held = [camera for camera in rig.cameras if camera.name in names]
+        for camera in held:
+            if not camera.model.fits_beside(self.camera):
+                raise ValueError(
+                    f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
+                )
+        mount = copy.copy(self)
+        mount.held = HeldCameras(rig.cameras, is_held, self.mount_pose_of_rig(rig))
+        narrowest_rad = min(self._narrowest_rad, *(camera.model.fov_rad for camera in held))
+        mount.rotation_count, mount.rotation_step_rad = rotational_additions(narrowest_rad)
+        return mount
+
+    @property
+    def has_one_field(self) -> bool:
+        """Whether all cameras have one field of view: none is free, and none that stays has another."""
+        zooms = () if self.held is None else self.held.mount_pose[self.held.is_held, LOG_ZOOM]
+        return self.free.fov_rad is None and not np.any(zooms)
+
     def within(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The nearest mount poses [camera, 7] within the free ranges, of the same type."""
-        return np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
+        """The nearest mount poses [camera, 7] within the free ranges, of the same type; what is held is as it is."""
+        pose = np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
+        if self.held is not None:
+            pose[self.held.is_held] = self.held.mount_pose[self.held.is_held]
+        return pose
 
     def has_model(self, model: CameraModel) -> bool:
         """Whether a camera of this model can be one of the mount's."""
-        return model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera))
+        if model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera)):
+            return True
+        held = self.held
+        return held is not None and any(held.camera[k].model == model for k in np.flatnonzero(held.is_held))
 
     def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
         """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
@@ -209,12 +272,18 @@ class CameraMount:
         return window_rad
 
     def rig(self, mount_pose: np.ndarray) -> Rig:
-        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ..."""
+        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
+
+        Where some are held, all have the names of the rig that these are of, and these are the same to the last bit.
+        """
+        held = self.held
         height_m = self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, RISE_M]
         return Rig.create(
             [
-                RigCamera(
-                    name=f"camera_{i}",
+                held.camera[i]
+                if held is not None and held.is_held[i]
+                else RigCamera(
+                    name=f"camera_{i}" if held is None else held.camera[i].name,
                     position_m=np.array([pose[X_M], pose[Y_M], height_m[i]], np.float64),
                     yaw_rad=float(pose[YAW_RAD]),
                     pitch_rad=float(pose[PITCH_RAD]),

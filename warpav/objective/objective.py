@@ -140,8 +140,8 @@ class RigObjective:
             raise ValueError("settings.detector_gradient needs a differentiable_detector")
         if settings.missed > 0.0 and probability is None:
             raise ValueError("settings.missed needs the probability of detection")
-        if settings.needs_panorama and mount.free.fov_rad is not None:
-            raise ValueError("the losses of the thesis need one field of view for all cameras, got free ones")
+        if settings.needs_panorama and not mount.has_one_field:
+            raise ValueError("the losses of the thesis need one field of view for all cameras, got several")
         self.mount = mount
         self.differentiable_detector = differentiable_detector if settings.detector_gradient > 0.0 else None
         self.probability = probability if settings.missed > 0.0 else None
@@ -188,7 +188,7 @@ class RigObjective:
             mount_pose: As `CameraMount` counts them, float [camera, 7].
             scenes: The batch.
             multiplier: Lagrange multipliers, float [constraint]; None: 0.
-            gradient: Whether to differentiate.
+            gradient: Whether to differentiate; to cameras that the mount holds the gradient is 0.
             stage: How far along the optimisation is, for ``missed``; None: the last one.
             chances: Whether to tell which camera finds which object.
         """
@@ -235,6 +235,8 @@ class RigObjective:
             tape.backward(total)
             assert multiplier_array.grad is not None
             pose_gradient, multiplier_gradient = self._pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
+            if self.mount.held is not None:
+                pose_gradient[self.mount.held.is_held] = 0.0
             seconds["backward"] += time.perf_counter() - backward_started
         values = dict(zip(self.settings.objectives, objectives.tolist(), strict=True))
         terms = {name: values[name] for name in self.settings.measured_objectives}

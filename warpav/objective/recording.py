@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import warp as wp
 
+from warpav.render.graph import record_graph
 from warpav.render.renderer import Held, Renderer
 
 
@@ -39,9 +40,7 @@ class Recording:
             self._generation = self._renderer.generation
             return
         if self._graph is None:
-            with wp.ScopedCapture(device=self._renderer.device) as capture:
-                self._function()
-            self._graph, self._held = capture.graph, self._renderer.held
-        assert self._graph is not None
+            self._graph = record_graph(self._function, self._renderer.device)
+            self._held = self._renderer.held
         wp.capture_launch(self._graph)
         self._renderer.held = self._held

@@ -243,6 +243,8 @@ class Descent:
         is_moved = self._mount.is_free.copy()
         is_moved[[X_M, Y_M, YAW_RAD]] = True
         self._rate = rate * is_moved
+        if self._mount.held is not None:
+            self._rate[self._mount.held.is_held] = 0.0
 
     def _begin(self, start: np.ndarray) -> None:
         """Begin a descent with its share of the steps that are left."""
@@ -325,7 +327,7 @@ class Descent:
     def _look(self, mount_pose: np.ndarray | None = None) -> Candidate:
         """Evaluate the feasible poses nearest to these, or to the present ones, on all validation scenes."""
         pose = self._pose.value if mount_pose is None else mount_pose
-        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]])
+        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
         found = self.objective.evaluate(pose, self.validation or self.scenes, chances=bool(self.further_starts))
         candidate = Candidate(pose, found.objective, self.iteration, self.descent, found.chance)
         self.candidates.append(candidate)
@@ -340,7 +342,8 @@ class Descent:
             return
         count = len(self.start)
         first = best.index(_lowest(best)) * count + np.arange(count)
-        chosen = exchange_cameras(np.concatenate(chances), first)
+        held = self._mount.held
+        chosen = exchange_cameras(np.concatenate(chances), first, is_held=None if held is None else held.is_held)
         self._look(np.concatenate([each.mount_pose for each in best])[chosen])
 
     @property

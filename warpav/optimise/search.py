@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from warpav.objective.constraints import Constraints
-from warpav.objective.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.objective.mount import MOUNT_POSE_SIZE, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.objective.objective import AssignedScene, RigObjective
 from warpav.optimise.baselines import random_mount_pose
 
@@ -60,6 +60,9 @@ class SearchSpace:
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
         low[:, mount.is_free], high[:, mount.is_free] = mount.low[mount.is_free], mount.high[mount.is_free]
+        if mount.held is not None:
+            is_held = mount.held.is_held
+            low[is_held] = high[is_held] = mount.held.mount_pose[is_held]
         return cls(mount, constraints, low, high)
 
     def __post_init__(self) -> None:
@@ -74,6 +77,12 @@ class SearchSpace:
     def camera_count(self) -> int:
         """Number of cameras."""
         return len(self.low)
+
+    @property
+    def is_held(self) -> np.ndarray:
+        """Which cameras stay as they are, bool [camera]."""
+        held = self.mount.held
+        return np.zeros(self.camera_count, bool) if held is None else held.is_held
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -119,7 +128,8 @@ class SearchSpace:
             InputError: The cameras do not fit on the mount surface.
         """
         pose = np.array(mount_pose, np.float64)
-        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]])
+        rise_m = self.mount.within(pose.astype(np.float32))[:, RISE_M]
+        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]], rise_m)
         pose[:, YAW_RAD] = (pose[:, YAW_RAD] + math.pi) % (2.0 * math.pi) - math.pi
         return self.mount.within(pose.astype(np.float32))
 
@@ -145,17 +155,19 @@ class SearchSpace:
         return pose
 
     def in_order(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The same rig with its cameras in the order of the ranges of yaw.
+        """The same rig with its cameras in the order of the ranges of yaw; those that are held keep their places.
 
         Cameras that were chosen one by one, or come from elsewhere, may be asked to answer for the vehicles in certain
         directions. The sum of the squared angles to the middles of the ranges is smallest.
         """
         from scipy.optimize import linear_sum_assignment
 
-        middle_rad = 0.5 * (self.low + self.high)[:, YAW_RAD]
-        difference = middle_rad[:, None] - np.asarray(mount_pose)[None, :, YAW_RAD]
+        pose, movable = np.array(mount_pose), np.flatnonzero(~self.is_held)
+        middle_rad = 0.5 * (self.low + self.high)[movable, YAW_RAD]
+        difference = middle_rad[:, None] - pose[None, movable, YAW_RAD]
         _, order = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
-        return np.asarray(mount_pose)[order]
+        pose[movable] = pose[movable[order]]
+        return pose
 
 
 class BudgetSpentError(Exception):

@@ -91,9 +91,8 @@ def look_at_starts(
     while len(looked) < count:
         if len(looked) == count - 1 and len(looked) == len(chances) > 1:
             best = int(np.argmin([each.value for each in looked]))
-            chosen = exchange_cameras(
-                np.concatenate(chances), best * space.camera_count + np.arange(space.camera_count)
-            )
+            first = best * space.camera_count + np.arange(space.camera_count)
+            chosen = exchange_cameras(np.concatenate(chances), first, is_held=space.is_held)
             look(np.concatenate([each.mount_pose for each in looked])[chosen])
         else:
             look(next(rigs))
@@ -103,7 +102,7 @@ def look_at_starts(
     return sorted(finite, key=lambda each: each.value)
 
 
-def exchange_cameras(chance: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def exchange_cameras(chance: np.ndarray, chosen: np.ndarray, *, is_held: np.ndarray | None = None) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
     The loss is the expected number of objects that the rig misses, the sum of the products of 1 - chance over its
@@ -112,6 +111,7 @@ def exchange_cameras(chance: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     Args:
         chance: Probability that each candidate finds each object, float [candidate, object].
         chosen: Candidates that the rig begins with, int [camera].
+        is_held: Cameras that are not exchanged, bool [camera]; None: none.
 
     Returns:
         Candidates, int [camera]; one may be there twice.
@@ -120,7 +120,7 @@ def exchange_cameras(chance: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     chosen = np.array(chosen)
     while True:
         before = chosen.copy()
-        for camera in range(len(chosen)):
+        for camera in range(len(chosen)) if is_held is None else np.flatnonzero(~is_held):
             others = np.prod(missed[np.delete(chosen, camera)], axis=0)
             loss = missed @ others
             best = int(np.argmin(loss))

@@ -78,7 +78,7 @@ def _sky_rgb(scene: DeviceScene) -> list[wp.vec3]:
     return [wp.vec3(*(np.asarray(colour) / 255.0)) for colour in (scene.sky.horizon_rgb, scene.sky.zenith_rgb)]
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -300,7 +300,7 @@ class Renderer:
         self._flow_lanes = FLOW_LANES if self.device.is_cpu else CUDA_FLOW_LANES
         self._threads = None
         if self.device.is_cpu:
-            thread_count = thread_count or min(_available_cores(), 8)
+            thread_count = thread_count or min(available_cores(), 8)
             if thread_count > 1 and self.view_count > 1:
                 self._threads = ThreadPoolExecutor(thread_count)
         self.thread_count = thread_count or 1

@@ -211,6 +211,10 @@ class CameraModel:
         own, others = self._lens_px, other._lens_px
         return own[2:] == others[2:] and math.isclose(own[0] * others[1], own[1] * others[0], rel_tol=1e-9)
 
+    def fits_beside(self, other: CameraModel) -> bool:
+        """Whether both can be cameras of one rig that is optimised: the same, or pinholes that differ in zoom alone."""
+        return self == other or (self.lens is Lens.PINHOLE and self.is_zoom_of(other))
+
     def resized(self, width_px: int, height_px: int) -> CameraModel:
         """The same camera with another number of pixels: calibrated focal lengths and principal point grow with it."""
         grow_x, grow_y = width_px / self.width_px, height_px / self.height_px

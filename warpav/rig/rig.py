@@ -15,7 +15,12 @@ from typing import Any
 import numpy as np
 
 from warpav.errors import InputError
-from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad
+from warpav.geometry.frames import (
+    FLU_FROM_RDF,
+    rotation_from_yaw_pitch_roll,
+    wrap_angle_rad,
+    yaw_pitch_roll_from_rotation,
+)
 from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens, LensShape
 from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
@@ -46,6 +51,18 @@ class RigCamera:
     pitch_rad: float
     roll_rad: float
     model: CameraModel
+
+    @classmethod
+    def at(cls, name: str, ego_from_camera: np.ndarray, model: CameraModel) -> RigCamera:
+        """The camera of a transform; the inverse of `ego_from_camera`.
+
+        Args:
+            name: Short name.
+            ego_from_camera: The transform from camera to ego coordinates, shape [4, 4] or [3, 4].
+            model: Image size and lens.
+        """
+        angles = yaw_pitch_roll_from_rotation(ego_from_camera[:3, :3] @ FLU_FROM_RDF.T)
+        return cls(name, np.array(ego_from_camera[:3, 3], dtype=np.float64), *angles, model)
 
     @property
     def ego_from_camera(self) -> np.ndarray:
@@ -132,6 +149,29 @@ _EXPECTED = {
 _OPTIONAL = ("lens", "focal_px", "centre_px", "distortion")
 
 
+def rig_text(rig: Rig) -> str:
+    """A rig as YAML, as `write_rig` writes it."""
+    lines = [
+        "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
+        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
+        "# horizontal field of view.",
+    ]
+    if any(camera.model.focal_px for camera in rig.cameras):
+        lines.append("# centre_px is the principal point from the image's upper left corner: OpenCV's plus 0.5.")
+    lines += ["frame: ego", "cameras:"]
+    for camera in rig.cameras:
+        position = ", ".join(_number(value) for value in camera.position_m)
+        lines += [
+            f"  - name: {_name(camera.name)}",
+            f"    position_m: [{position}]",
+            f"    yaw_deg: {_angle(camera.yaw_rad)}",
+            f"    pitch_deg: {_angle(camera.pitch_rad)}",
+            f"    roll_deg: {_angle(camera.roll_rad)}",
+            *_model_lines(camera.model),
+        ]
+    return "\n".join(lines) + "\n"
+
+
 def write_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as YAML; the same rig gives the same bytes, and an existing file is replaced in one step.
 
@@ -145,12 +185,20 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     Raises:
         InputError: The folder does not exist or cannot be written to.
     """
-    file = Path(path)
+    replace_file(Path(path), rig_text(rig).encode())
+
+
+def replace_file(file: Path, content: bytes) -> None:
+    """Write a file that appears whole or not at all.
+
+    Raises:
+        InputError: The folder does not exist or cannot be written to.
+    """
     try:
         handle, temporary = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-                stream.write(_rig_text(rig))
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
             os.chmod(temporary, 0o644)  # a temporary file is private, a rig is not
             os.replace(temporary, file)
         except BaseException:
@@ -206,28 +254,6 @@ def _name(name: str) -> str:
 
 
 _YAML_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
-
-
-def _rig_text(rig: Rig) -> str:
-    lines = [
-        "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
-        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
-        "# horizontal field of view.",
-    ]
-    if any(camera.model.focal_px for camera in rig.cameras):
-        lines.append("# centre_px is the principal point from the image's upper left corner: OpenCV's plus 0.5.")
-    lines += ["frame: ego", "cameras:"]
-    for camera in rig.cameras:
-        position = ", ".join(_number(value) for value in camera.position_m)
-        lines += [
-            f"  - name: {_name(camera.name)}",
-            f"    position_m: [{position}]",
-            f"    yaw_deg: {_angle(camera.yaw_rad)}",
-            f"    pitch_deg: {_angle(camera.pitch_rad)}",
-            f"    roll_deg: {_angle(camera.roll_rad)}",
-            *_model_lines(camera.model),
-        ]
-    return "\n".join(lines) + "\n"
 
 
 def _model_lines(model: CameraModel) -> list[str]:

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "warpav-scene/1"
-_ROOT, _ENVIRONMENT, _EGO, _VEHICLE_PREFIX, _OTHER_PREFIX = "ego_frame", "environment", "ego", "vehicle_", "other_"
-# (x, y, z) in the ego frame is (x, z, -y) in glTF.
-_GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
+ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
+_VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
+GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
+"""(x, y, z) in the ego frame is (x, z, -y) in glTF."""
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
@@ -53,9 +54,9 @@ def write_scene(scene: Scene, path: str | Path) -> None:
         "sky_horizon_rgb": [int(value) for value in scene.sky.horizon_rgb],
         "sky_zenith_rgb": [int(value) for value in scene.sky.zenith_rgb],
     }
-    file.graph.update(frame_from="world", frame_to=_ROOT, matrix=_GLTF_FROM_EGO)
-    _add_node(file, _ENVIRONMENT, scene.environment, {"role": "environment"})
-    _add_node(file, _EGO, scene.ego, {"role": "ego"})
+    file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
+    _add_node(file, ENVIRONMENT_NODE, scene.environment, {"role": "environment"})
+    _add_node(file, EGO_NODE, scene.ego, {"role": "ego"})
     scene = scene.targeting(("vehicle",))
     for role, prefix, users in (
         ("vehicle", _VEHICLE_PREFIX, scene.vehicles),
@@ -73,7 +74,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
             _add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
-    _write_whole(path, data)
+    write_whole(path, data, what="scene")
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -104,7 +105,7 @@ def read_scene(path: str | Path) -> Scene:
         raise InputError(f"{path}: the GLB file is damaged: {_one_line(error)}; write it again") from error
 
     nodes = _mesh_nodes(file, path)
-    for name in (_ENVIRONMENT, _EGO):
+    for name in (ENVIRONMENT_NODE, EGO_NODE):
         if name not in nodes:
             known = ", ".join(sorted(nodes)) or "none"
             raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
@@ -120,8 +121,8 @@ def read_scene(path: str | Path) -> Scene:
     metadata: dict[str, Any] = file.metadata or {}
     scene = Scene(
         str(metadata.get("name", path.stem)),
-        _read_mesh(file, _ENVIRONMENT, f"{path}: node '{_ENVIRONMENT}'"),
-        _read_mesh(file, _EGO, f"{path}: node '{_EGO}'"),
+        _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
+        _read_mesh(file, EGO_NODE, f"{path}: node '{EGO_NODE}'"),
         users,
         Sky(
             _colour(metadata, "sky_horizon_rgb", BLACK_SKY.horizon_rgb, path),
@@ -132,22 +133,31 @@ def read_scene(path: str | Path) -> Scene:
     return scene.targeting(("vehicle",))
 
 
-def _add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
+def vertex_coloured(mesh: Mesh) -> trimesh.Trimesh:
+    """The mesh as trimesh writes it, with its exact vertices and colours."""
     import trimesh
 
     opaque = np.full((len(mesh.vertex_rgb), 1), 255, np.uint8)
-    geometry = trimesh.Trimesh(
+    return trimesh.Trimesh(
         vertices=mesh.vertex_m,
         faces=mesh.triangle,
         vertex_colors=np.concatenate([mesh.vertex_rgb, opaque], axis=1),
         process=False,
         validate=False,
     )
-    file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=_ROOT, metadata=extras)
 
 
-def _write_whole(path: Path, data: bytes) -> None:
-    """Write a file that is either complete or absent."""
+def _add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
+    geometry = vertex_coloured(mesh)
+    file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=ROOT_NODE, metadata=extras)
+
+
+def write_whole(path: Path, data: bytes, *, what: str) -> None:
+    """Write a file that is either complete or absent.
+
+    Raises:
+        InputError: The folder does not exist or cannot be written to; ``what`` is what the file holds, in words.
+    """
     temporary = None
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as stream:
@@ -160,7 +170,7 @@ def _write_whole(path: Path, data: bytes) -> None:
     except OSError as error:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot write the scene: {error.strerror}; choose a folder that exists") from error
+        raise InputError(f"{path}: cannot write the {what}: {error.strerror}; choose a folder that exists") from error
 
 
 def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:
@@ -171,7 +181,9 @@ def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:
         if "geometry" in data:
             extras[str(name)] = data.get("metadata") or {}
     if not extras:
-        raise InputError(f"{path}: expected mesh nodes '{_ENVIRONMENT}', '{_EGO}' and '{_VEHICLE_PREFIX}1', got none")
+        raise InputError(
+            f"{path}: expected mesh nodes '{ENVIRONMENT_NODE}', '{EGO_NODE}' and '{_VEHICLE_PREFIX}1', got none"
+        )
     return extras
 
 
@@ -181,7 +193,7 @@ def _read_mesh(file: trimesh.Scene, name: str, where: str) -> Mesh:
     if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
         raise InputError(f"{where}: expected a mesh with triangles, got none; export its faces")
     vertex = np.asarray(geometry.vertices, np.float64)
-    ego_from_node = np.linalg.inv(_GLTF_FROM_EGO) @ np.asarray(matrix, np.float64)
+    ego_from_node = np.linalg.inv(GLTF_FROM_EGO) @ np.asarray(matrix, np.float64)
     if not np.allclose(ego_from_node, np.eye(4), atol=1e-9):
         vertex = vertex @ ego_from_node[:3, :3].T + ego_from_node[:3, 3]
     colour = np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3]

@@ -52,6 +52,16 @@ class Box:
         side = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
         return self.center_m + side * self.size_m @ self.ego_from_box.T
 
+    def meets_m(self, low_m: np.ndarray, high_m: np.ndarray) -> bool:
+        """Whether its outline on the ground meets the rectangle between two corners, x and y [m], [2] each."""
+        corner = self.corners_m()[:, :2]
+        rectangle = np.array([[x, y] for x in (low_m[0], high_m[0]) for y in (low_m[1], high_m[1])])
+        for axis in (*np.eye(2), *self.ego_from_box[:2, :2].T):
+            one, other = corner @ axis, rectangle @ axis
+            if one.max() <= other.min() or other.max() <= one.min():
+                return False
+        return True
+
     def local_m(self, point_m: np.ndarray) -> np.ndarray:
         """Points of the ego frame in the box's axes from its centre [m], shape [point, 3]."""
         return (point_m - self.center_m) @ self.ego_from_box
@@ -159,6 +169,15 @@ class Scene:
             vehicles=tuple(user for user in self.road_users if user.road_user in road_users),
             others=tuple(user for user in self.road_users if user.road_user not in road_users),
         )
+
+    def around(self, ego: Mesh) -> Scene:
+        """The scene with another ego vehicle; road users at whose places it stands are left out."""
+        low_m, high_m = ego.bounds_m()[:, :2]
+        vehicles, others = (
+            tuple(user for user in users if not user.box.meets_m(low_m, high_m))
+            for users in (self.vehicles, self.others)
+        )
+        return replace(self, ego=ego, vehicles=vehicles, others=others)
 
     def surroundings(self) -> Mesh:
         """The environment, followed by the road users in `others`, as one mesh."""

@@ -27,6 +27,17 @@ TRUE_POSITIVE_RGB: Rgb = (57, 211, 83)
 FALSE_POSITIVE_RGB: Rgb = (240, 62, 62)
 MISS_RGB: Rgb = (255, 159, 28)
 
+OUTCOME_RGB: dict[str, Rgb] = {
+    "detected": TRUE_POSITIVE_RGB,
+    "missed": MISS_RGB,
+    "hidden": (150, 110, 210),
+    "out of frame": (96, 104, 116),
+}
+"""Of every `warpav.evaluate.ObjectOutcome`."""
+
+COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222), (38, 102, 180))
+"""Of ground that no, one, two, or more cameras see."""
+
 
 def camera_rgb(index: int) -> Rgb:
     """Colour of the camera with this index, from 0; the colours repeat after the eighth."""

@@ -15,12 +15,18 @@ from warpav.view.opengl import has_display, optional_module
 from warpav.view.rig_view import rig_plotter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from warpav.evaluate import ObjectOutcome
     from warpav.geometry.mesh import Mesh
     from warpav.geometry.mount_surface import MountSurface
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 
     Plotter = Any
+
+WIDE_ZOOM = 0.62
+"""Of pictures of what a rig sees."""
 
 PICTURE_SUFFIXES = (".png", ".html", ".gif")
 
@@ -32,6 +38,8 @@ def inspect_rig(
     scene: Scene | None = None,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
+    outcomes: Sequence[ObjectOutcome] | None = None,
+    add: Callable[[Plotter], object] | None = None,
     title: str | None = None,
     out: Path | str | None = None,
     out_without_display: Path | str = "rig.png",
@@ -44,6 +52,8 @@ def inspect_rig(
         scene: Traffic and street around it; an empty ground when None.
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3].
         mount_surface: When given, drawn on the vehicle in colours of height.
+        outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
+        add: Called with the plotter; draws more into the picture, which then shows more around the vehicle.
         title: A line in the upper left corner.
         out: File to write, ``.png``, ``.html`` or ``.gif``; a window when None.
         out_without_display: File to write when ``out`` is None and there is no display.
@@ -57,16 +67,22 @@ def inspect_rig(
     target = Path(out) if out is not None else None if has_display() else Path(out_without_display)
     if target is not None:
         _check_suffix(target)
+    is_wide = add is not None or outcomes is not None
     plotter = rig_plotter(
         rig,
         ego=ego,
         scene=scene,
         trajectory_m=trajectory_m,
         mount_surface=mount_surface,
+        outcomes=outcomes,
         title=title,
         off_screen=target is not None,
+        sectors=not is_wide,
+        zoom=WIDE_ZOOM if is_wide else 1.0,
     )
     try:
+        if add is not None:
+            add(plotter)
         if target is None:
             plotter.show()
             return None

@@ -6,6 +6,7 @@ Every function adds to a plotter that the caller owns. Actors carry stable names
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb,
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from warpav.evaluate import ObjectOutcome
     from warpav.geometry.mesh import Mesh
     from warpav.geometry.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
@@ -52,11 +54,13 @@ def rig_plotter(
     *,
     ego: Mesh,
     scene: Scene | None = None,
+    outcomes: Sequence[ObjectOutcome] | None = None,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_PX,
     title: str | None = None,
+    zoom: float = 1.0,
     frustum_depth_m: float = FRUSTUM_DEPTH_M,
     sectors: bool = True,
     labels: bool = True,
@@ -67,11 +71,13 @@ def rig_plotter(
         rig: The cameras.
         ego: The vehicle that carries them, in the ego frame.
         scene: Traffic and street around it; an empty ground when None.
+        outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
         trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
         mount_surface: When given, drawn on the vehicle in colours of height.
         off_screen: Draw without a window; by default when there is no display.
         window_size: Width and height [px].
         title: A line in the upper left corner.
+        zoom: 1 fills the picture with the vehicle, less shows more around it.
         frustum_depth_m: How far the frustums are drawn [m].
         sectors: Whether to draw on the ground what bearings each camera covers.
         labels: Whether to name the cameras.
@@ -87,12 +93,17 @@ def rig_plotter(
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="light kit")
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    look_at_ego(plotter, ego, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD)
+    look_at_ego(plotter, ego, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD, zoom=zoom)
     add_ego(plotter, ego)
     if scene is None:
         add_ground(plotter, ego)
     else:
         add_ground(plotter, ego, height_m=_lowest_m(scene), shadow=False, rings=False)
+        if outcomes is not None:
+            from warpav.view.sight_view import add_outcomes
+
+            add_outcomes(plotter, scene, outcomes)
+            scene = dataclasses.replace(scene, vehicles=())
         add_scene(plotter, scene)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
@@ -112,6 +123,7 @@ def look_at_ego(
     *,
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
     elevation_rad: float = math.radians(33.0),
+    zoom: float = 1.0,
 ) -> None:
     """Point the plotter's camera at the ego vehicle, by default from the front left.
 
@@ -120,10 +132,11 @@ def look_at_ego(
         ego: The vehicle in the middle of the picture.
         azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
         elevation_rad: Height of the viewer above the horizon [rad].
+        zoom: 1 fills the picture with the vehicle, less shows more around it.
     """
     low, high = ego.bounds_m().astype(np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
-    distance = 4.1 * float(high[0] - low[0])
+    distance = 4.1 * float(high[0] - low[0]) / zoom
     direction = np.array(
         [
             math.cos(elevation_rad) * math.cos(azimuth_rad),
@@ -279,13 +292,35 @@ def add_rig(
         labels: Whether to name the cameras.
     """
     for index, camera in enumerate(rig.cameras):
-        colour = camera_rgb(index)
-        _add_frustum(plotter, camera, colour, depth_m=frustum_depth_m, name=f"{name}/{camera.name}")
-        _add_camera_body(plotter, camera, colour, name=f"{name}/{camera.name}")
-        if sectors:
-            _add_sector(plotter, camera, colour, name=f"{name}/{camera.name}")
+        add_camera(plotter, camera, index, name=name, frustum_depth_m=frustum_depth_m, sector=sectors)
     if labels and rig.cameras:
         _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name)
+
+
+def add_camera(
+    plotter: Plotter,
+    camera: RigCamera,
+    index: int,
+    *,
+    name: str = "rig",
+    frustum_depth_m: float = FRUSTUM_DEPTH_M,
+    sector: bool = False,
+) -> None:
+    """Add one camera: body, frustum, sector on the ground.
+
+    Args:
+        plotter: Where to draw.
+        camera: The camera.
+        index: Its number in the rig, which gives its colour.
+        name: First part of the actors' names.
+        frustum_depth_m: How far the frustum is drawn [m].
+        sector: Whether to draw on the ground what bearings it covers.
+    """
+    colour, first = camera_rgb(index), f"{name}/{camera.name}"
+    _add_frustum(plotter, camera, colour, depth_m=frustum_depth_m, name=first)
+    _add_camera_body(plotter, camera, colour, name=first)
+    if sector:
+        _add_sector(plotter, camera, colour, name=first)
 
 
 def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "trajectory") -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import dataclass
 from pathlib import Path
 
 from warpav.errors import InputError
@@ -34,3 +35,33 @@ def preset_rig(name: str) -> Rig:
         hint = f"; did you mean {near[0]}?" if near else ""
         raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{hint}")
     return read_rig(_FOLDER / f"{name}.yaml")
+
+
+@dataclass(frozen=True)
+class PresetAbout:
+    """What the head of a preset's file says.
+
+    Attributes:
+        title: Which vehicle.
+        source: Where the numbers come from.
+        licence: Under which they stand.
+    """
+
+    title: str
+    source: str
+    licence: str
+
+
+def preset_about(name: str) -> PresetAbout:
+    """What is known of a shipped rig; ``name`` is one of :func:`preset_names`."""
+    head: dict[str, str] = {}
+    key = "title"
+    for line in (_FOLDER / f"{name}.yaml").read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#") or line.startswith("# Cameras in the vehicle's frame"):
+            break
+        text = line.removeprefix("#").strip()
+        word, colon, rest = text.partition(": ")
+        if colon and word in ("Source", "Licence", "Notes"):
+            key, text = word.lower(), rest
+        head[key] = f"{head[key]} {text}" if key in head else text
+    return PresetAbout(head["title"], head["source"], head["licence"])

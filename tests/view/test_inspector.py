@@ -1,0 +1,224 @@
+"""The inspector without a window: what users do, by calls and by events of the mouse and the keyboard."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import ConstantDetector, flat_surface
+from tests.view.stand_ins import rig, scene, vehicle
+from warpav.evaluate import RigObserver
+from warpav.objective.constraints import BoundsAndSpacing
+from warpav.render.renderer import Occlusion
+from warpav.rig.rig import Rig, read_rig
+from warpav.view.inspected import InspectedRig
+from warpav.view.inspector import KEYS, Inspector
+from warpav.view.opengl import opengl_problem
+from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
+from warpav.view.rig_view import project_px
+
+CAR = vehicle(1, 9.0, 0.5)
+SCENES = [scene(CAR), scene(vehicle(1, -8.0, -2.0), vehicle(2, 12.0, 3.0))]
+SURFACE = flat_surface([0.0, -0.6], [2.6, 0.6], height_m=1.5)
+HEIGHT_M = 0.08
+FOUND_PX = [[100.0, 110.0, 150.0, 150.0]]
+
+
+def frames(count=3):
+    whole = rig()
+    return [
+        Rig.create(
+            [
+                dataclasses.replace(camera, position_m=camera.position_m - [0.02 * (count - 1 - k), 0.0, 0.0])
+                for camera in whole.cameras
+            ]
+        )
+        for k in range(count)
+    ]
+
+
+@pytest.fixture
+def state():
+    asked = []
+
+    def observer_of(rig):
+        asked.append(rig)
+        detector = ConstantDetector([FOUND_PX, [], [], []], [[0.9], [], [], []])
+        return RigObserver(
+            rig,
+            detector,
+            confidence_min=0.1,
+            iou_min=0.5,
+            occlusion=Occlusion.EXACT,
+            supersampling=1,
+            device="cpu",
+        )
+
+    made = InspectedRig(
+        frames(),
+        lambda index: SCENES[index],
+        2,
+        constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
+        height_offset_m=HEIGHT_M,
+        observer_of=observer_of,
+    )
+    made.asked = asked
+    return made
+
+
+# ------------------------------------------------------------------------------------------------ state
+
+
+def test_a_moved_camera_stays_on_the_surface(state):
+    before = state.coverage
+    moved = state.move(0, np.array([9.0, 0.1, 7.0]))
+    np.testing.assert_allclose(moved.position_m, [2.6, 0.1, 1.58], atol=1e-5)
+    np.testing.assert_array_equal(state.rig.cameras[0].position_m, moved.position_m)
+    for ours, theirs in zip(state.rig.cameras[1:], frames()[-1].cameras[1:], strict=True):
+        np.testing.assert_array_equal(ours.position_m, theirs.position_m)
+    assert state.coverage is not before
+    assert (state.coverage.is_seen[1:] == before.is_seen[1:]).all()
+    assert state.violation_m == 0.0
+    state.move(1, moved.position_m)
+    assert state.violation_m == pytest.approx(0.2)
+    assert state.lines[-1] == "constraints broken by 0.20 m"
+
+
+def test_a_camera_from_elsewhere_is_put_on_the_surface(state):
+    elsewhere = dataclasses.replace(state.rig.cameras[0], position_m=np.array([3.5, 0.0, 0.6]))
+    state._set(Rig.create([elsewhere, *state.rig.cameras[1:]]))
+    np.testing.assert_allclose(state.move(0, np.array([2.0, 0.0])).position_m, [2.0, 0.0, 1.5 + HEIGHT_M], atol=1e-5)
+
+
+def test_turning_goes_round(state):
+    assert state.turn(0, 3.5).yaw_rad == pytest.approx(3.5 - 2.0 * math.pi)
+
+
+def test_frames_and_scenes(state, tmp_path):
+    assert state.frame == 2
+    state.move(0, np.array([1.0, 0.0]))
+    state.go_to(0)
+    assert state.rig is state.frames[0]
+    with pytest.raises(IndexError, match="frame must be from 0 to 2, got 3"):
+        state.go_to(3)
+    assert len(state.scene.vehicles) == 1
+    state.show_scene(3)
+    assert state.scene is SCENES[1]
+    assert state.save(tmp_path / "rig.yaml") == tmp_path / "rig.yaml"
+    saved = read_rig(tmp_path / "rig.yaml")
+    for ours, theirs in zip(saved.cameras, state.rig.cameras, strict=True):
+        np.testing.assert_allclose(ours.position_m, theirs.position_m, atol=1e-6)
+    with pytest.raises(ValueError, match="at least one rig and one scene, got 0 and 1"):
+        InspectedRig([], None, 1, constraints=None, height_offset_m=0.0, observer_of=None)
+
+
+def test_the_detector_is_asked_once_for_a_rig(state):
+    assert state.look is state.look
+    state.coverage  # noqa: B018 (needs no detector)
+    assert len(state.asked) == 1
+    state.turn(0, 0.1)
+    state.look  # noqa: B018
+    assert len(state.asked) == 2
+
+
+# ------------------------------------------------------------------------------------------------ picture
+
+
+@pytest.fixture
+def inspector(state, tmp_path):
+    if opengl_problem() is not None:
+        pytest.skip(f"no OpenGL: {opengl_problem()}")
+    made = Inspector(state, save_to=tmp_path / "mine.yaml", off_screen=True, window_size=(640, 400))
+    made.plotter.show(auto_close=False, interactive=False)
+    yield made
+    made.plotter.close()
+
+
+def picture(inspector):
+    inspector.plotter.render()
+    return inspector.plotter.screenshot(return_img=True).astype(int)
+
+
+def press(inspector, key):
+    inspector.plotter.iren.interactor.SetKeySym(key)
+    inspector.plotter.iren.interactor.KeyPressEvent()
+
+
+def test_a_camera_is_dragged_by_the_mouse(inspector):
+    plotter, state = inspector.plotter, inspector.state
+    before, old = picture(inspector), state.rig.cameras[0]
+    start = project_px(plotter, old.position_m[None])[0]
+    end = project_px(plotter, np.array([[1.4, 0.3, old.position_m[2]]]))[0]
+    height = plotter.window_size[1]
+    plotter.iren._mouse_move(int(start[0]), int(height - start[1]))
+    plotter.iren._mouse_left_button_press(int(start[0]), int(height - start[1]))
+    assert inspector.chosen == 0
+    plotter.iren._mouse_move(int(end[0]), int(height - end[1]))
+    dragged = state.rig.cameras[0]
+    assert np.linalg.norm(dragged.position_m[:2] - old.position_m[:2]) > 0.2
+    asked = len(state.asked)
+    plotter.iren._mouse_left_button_release(int(end[0]), int(height - end[1]))
+    # it stands on the surface, and the ball with it
+    assert state.rig.cameras[0].position_m[2] == pytest.approx(1.58)
+    np.testing.assert_allclose(inspector._balls[0].GetCenter(), state.rig.cameras[0].position_m)
+    assert len(state.asked) == asked + 1  # only now
+    assert np.abs(picture(inspector) - before).max() > 50
+
+
+def test_keys_do_what_the_help_says(inspector, tmp_path):
+    state = inspector.state
+    heights = []
+    for _ in range(3):
+        press(inspector, "c")
+        heights.append(inspector.shown_height)
+    assert heights == [1, None, 0]
+    press(inspector, "n")
+    assert state.scene is SCENES[1]
+    press(inspector, "d")
+    assert {"scene/outcomes/1/body", "scene/outcomes/2/box"} <= set(inspector.plotter.actors)
+    press(inspector, "n")
+    assert "scene/outcomes/2/box" not in inspector.plotter.actors  # the first scene has one vehicle
+    press(inspector, "d")
+    assert "scene/vehicles" in inspector.plotter.actors
+    yaw = state.rig.cameras[1].yaw_rad
+    press(inspector, "Left")
+    assert state.rig.cameras[1].yaw_rad == yaw  # no camera is chosen
+    inspector.choose(1)
+    press(inspector, "Left")
+    assert state.rig.cameras[1].yaw_rad == pytest.approx(yaw + math.radians(2.0))
+    press(inspector, "Return")
+    assert len(read_rig(tmp_path / "mine.yaml").cameras) == 4
+
+
+def test_no_key_is_one_of_vtk():
+    assert not set(KEYS) & set("wsrfpuea3jtl")
+
+
+def test_the_slider_goes_through_the_run(inspector):
+    [slider] = inspector.plotter.widgets.slider_widgets
+    slider.GetRepresentation().SetValue(0.2)
+    slider.InvokeEvent("EndInteractionEvent")
+    assert inspector.state.frame == 0
+    np.testing.assert_allclose(inspector._balls[0].GetCenter(), inspector.state.frames[0].cameras[0].position_m)
+
+
+def test_the_view_shows_the_boxes_of_the_chosen_camera(inspector):
+    before = picture(inspector)
+    inspector.choose(0)
+    after = picture(inspector)
+    view = inspector.view_rgb()
+    rows, columns = view.shape[:2]
+    bottom, right = 400 - 44, 640 - 16
+    shown = after[bottom - rows : bottom, right - columns : right]
+    assert np.abs(shown - view).max() <= 2
+    assert tuple(view[0, 0]) == camera_rgb(0)
+    # the detection fits nothing, so it is red, and the vehicle is missed
+    scale = 300 / 256
+    x0, y0, _, _ = (int(round(value * scale)) + 4 for value in FOUND_PX[0])
+    assert tuple(view[y0, x0 + 10]) == FALSE_POSITIVE_RGB
+    x0, y0, _, _ = (int(round(float(value) * scale)) + 4 for value in inspector.state.look.cameras[0].truth_box_px[0])
+    assert tuple(view[y0, x0 + 5]) == MISS_RGB
+    assert (after[bottom - 40 : bottom, right - 40 : right] != before[bottom - 40 : bottom, right - 40 : right]).any()
+    inspector.choose(None)
+    assert "view" not in inspector.plotter.actors

@@ -1,0 +1,74 @@
+"""What is odd about a rig: sides that contradict names, cameras under the ground or far away, cameras at one place."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from warpav.rig.rig import Rig, RigCamera
+
+FAR_M = 100.0
+"""No camera of a vehicle is farther from its rear axle; such a file holds another unit, or a camera beside the road."""
+
+_SIDES = {"left": 1.0, "right": -1.0}
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_LIES_M = 0.05
+_LOOKS = math.sin(math.radians(10.0))
+_SAME_PLACE_M = 1e-3
+
+
+def side_of_name(name: str) -> str | None:
+    """``left`` or ``right`` where the name says so, as ``CAM_FRONT_LEFT`` and ``rearRight`` do."""
+    found = {word.lower() for word in _WORD.findall(name)} & set(_SIDES)
+    return found.pop() if len(found) == 1 else None
+
+
+def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
+    """What contradicts a camera's name, one text for every camera that lies or looks to the other side.
+
+    A file in a left-handed frame that is read as a right-handed one gives such a rig.
+    """
+    for camera in cameras:
+        side = side_of_name(camera.name)
+        if side is None:
+            continue
+        forward_y = camera.ego_from_camera[1, 2]
+        is_wrong = _SIDES[side] * camera.position_m[1] < -_LIES_M or _SIDES[side] * forward_y < -_LOOKS
+        if is_wrong:
+            yaw_deg = math.degrees(math.atan2(forward_y, camera.ego_from_camera[0, 2]))
+            yield (
+                f"camera {camera.name!r}: expected it on the {side} (y {'>' if side == 'left' else '<'} 0) and looking "
+                f"there, got y = {camera.position_m[1]:.3f} m and a yaw of {yaw_deg:.1f} deg (left is positive)"
+            )
+
+
+def description(camera: RigCamera) -> str:
+    """A camera in one line: place, angles, lens, image."""
+    x, y, z = camera.position_m
+    yaw, pitch, roll = (
+        math.degrees(math.remainder(angle, 2.0 * math.pi))
+        for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)
+    )
+    model = camera.model
+    return (
+        f"{camera.name}: at {x:.3f} {y:.3f} {z:.3f} m, yaw {yaw:.1f} pitch {pitch:.1f} roll {roll:.1f} deg, "
+        f"{model.lens} {math.degrees(model.fov_rad):.1f} deg, {model.width_px} x {model.height_px} px"
+    )
+
+
+def oddities(rig: Rig) -> Iterator[str]:
+    """What else is odd but may be meant, one text each."""
+    for camera in rig.cameras:
+        if camera.position_m[2] < 0.0:
+            yield f"camera {camera.name!r} lies {-camera.position_m[2]:.3f} m below the ground"
+        if np.linalg.norm(camera.position_m) > FAR_M:
+            yield f"camera {camera.name!r} lies more than {FAR_M:g} m from the rear axle"
+        if abs(camera.roll_rad) > 0.5 * math.pi:
+            yield f"camera {camera.name!r} is mounted upside down (roll {math.degrees(camera.roll_rad):.1f} deg)"
+    for one, other in itertools.combinations(rig.cameras, 2):
+        if np.linalg.norm(one.position_m - other.position_m) < _SAME_PLACE_M:
+            yield f"cameras {one.name!r} and {other.name!r} share one place"

@@ -1,0 +1,594 @@
+"""A user's own vehicle: read from any mesh file, understood by its shape, mended, and written as GLB.
+
+A file says nothing about its units, and its axes are a matter of taste. The shape says more: vehicles are alike on
+their left and right, longer than they are high, and stand on wheels. `examine` compares what the shape says with how
+the file is read, `write_vehicle` writes the vehicle in the ego frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.errors import InputError
+from warpav.geometry.mesh import Mesh
+from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
+
+if TYPE_CHECKING:
+    import trimesh
+
+SCHEMA = "warpav-vehicle/1"
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+FORMATS = ("glb", "gltf", "obj", "ply", "stl", "off")
+
+USUAL_LENGTH_M = (3.0, 7.0)
+POSSIBLE_LENGTH_M = (2.0, 20.0)
+UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
+
+GROUND_TOLERANCE_M = 0.05
+AXLE_TOLERANCE_M = 0.1
+MANY_TRIANGLES = 300_000
+
+_GREY_RGB = np.array([150, 152, 156], np.uint8)
+_SAMPLE_COUNT = 200_000
+_SYMMETRY_COUNT = 20_000
+_ALIKE = 0.004
+"""Mean distance from a mirror image to the shape, over its length, up to which the two sides are alike."""
+
+_UNLIKE = 0.001
+"""The same distance from which on front and rear differ: a box has .0002 by chance, a bus .0016, a car .008."""
+
+_CABIN_BEHIND = 0.04
+"""Share of its length by which the upper quarter of a vehicle stands behind its middle at least: a bus's does not."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How the numbers of a file become metres in the ego frame.
+
+    Attributes:
+        up: The file's axis that points up, out of `AXES`.
+        forward: The file's axis that points to the front, likewise.
+        scale: Metres for each unit of the file, positive.
+    """
+
+    up: str
+    forward: str
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("up", "forward"):
+            if getattr(self, name) not in AXES:
+                raise InputError(f"{name}: expected one of {', '.join(AXES)}, got {getattr(self, name)!r}")
+        if self.up[-1] == self.forward[-1]:
+            raise InputError(f"forward: expected an axis across {self.up}, which points up, got {self.forward!r}")
+        if not 0.0 < self.scale < math.inf:
+            raise InputError(f"scale: expected a positive number, got {self.scale!r}")
+
+    @property
+    def ego_from_file(self) -> np.ndarray:
+        """Rotation from the file's axes to the ego frame's, float64 [3, 3]; its entries are -1, 0 and 1."""
+        up, forward = _unit(self.up), _unit(self.forward)
+        return np.stack([forward, np.cross(up, forward), up])
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleFile:
+    """A mesh as it stands in a file.
+
+    Attributes:
+        path: The file.
+        vertex: Vertices in the file's own units and axes, float64 [vertex, 3].
+        triangle: Vertex indices [triangle, 3].
+        vertex_rgb: Colours, uint8 [vertex, 3].
+        usual: How a file of this format is read unless the user knows better.
+        is_declared: Whether warpav wrote it, so that its axes and its origin are what a user said they are.
+        part: What of the file this is, in words.
+    """
+
+    path: Path
+    vertex: np.ndarray
+    triangle: np.ndarray
+    vertex_rgb: np.ndarray
+    usual: Reading
+    is_declared: bool
+    part: str
+
+    def in_ego_frame(self, reading: Reading, shift_m: np.ndarray | None = None) -> Mesh:
+        """The vehicle in the ego frame, moved by ``shift_m`` [3].
+
+        Raises:
+            InputError: Some vertices are NaN or infinite, or it has no triangles.
+        """
+        vertex_m = self.vertex @ (reading.scale * reading.ego_from_file).T
+        if shift_m is not None:
+            vertex_m = vertex_m + shift_m
+        return Mesh.create(vertex_m, self.triangle, self.vertex_rgb, name=str(self.path))
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Where a vehicle touches the ground.
+
+    Attributes:
+        axle_m: x of every axle, from the rear [m].
+        middle_m: y of the middle between left and right [m].
+    """
+
+    axle_m: tuple[float, ...]
+    middle_m: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the shape of a mesh tells, whatever the axes mean; None where it does not tell.
+
+    Attributes:
+        up: The axis that points up, out of `AXES`; without a sign that is known, the positive one.
+        forward: Likewise the axis that points to the front.
+        is_up_sure: Whether wheels tell up from down.
+        is_forward_sure: Whether the cabin tells the front from the rear: it stands nearer to the rear, as a rule.
+        asymmetry: Mean distance from the mirror image across the axis to the left to the shape, over its length.
+    """
+
+    up: str | None
+    forward: str | None
+    is_up_sure: bool = False
+    is_forward_sure: bool = False
+    asymmetry: float = math.nan
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something that keeps a vehicle from being used as it is.
+
+    Attributes:
+        text: What was expected and what came.
+        remedy: Options of ``warpav vehicle check`` that mend it, by name; empty where ``--out`` alone does, None where
+            nothing does.
+    """
+
+    text: str
+    remedy: dict[str, str] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """What a vehicle is like when it is read in a certain way.
+
+    Attributes:
+        mesh: In the ego frame as it was read.
+        shift_m: How it has to be moved so that it stands with its rear axle above the origin [m], [3].
+        shape: What its shape tells about the axes of the ego frame.
+        wheels: Where it touches the ground; None where that is not to be seen.
+        problems: What keeps it from being used.
+        hints: What its owner should know.
+        open_edge_count: Edges of an odd number of triangles in the welded mesh: the rims of holes.
+        flat_triangle_count: Triangles without area.
+    """
+
+    mesh: Mesh
+    shift_m: np.ndarray
+    shape: Shape
+    wheels: Wheels | None
+    problems: tuple[Problem, ...]
+    hints: tuple[str, ...]
+    open_edge_count: int
+    flat_triangle_count: int
+
+    @cached_property
+    def mended(self) -> Mesh:
+        """The vehicle on the ground with its rear axle above the origin, without triangles that have no area."""
+        mesh = self.mesh
+        moved = mesh.transformed(np.eye(3), self.shift_m) if self.shift_m.any() else mesh
+        return _without_flat_triangles(moved) if self.flat_triangle_count else moved
+
+
+def read_vehicle(path: str | Path) -> VehicleFile:
+    """Read the vehicle in a mesh file; of a scene that warpav wrote, its ego vehicle.
+
+    Args:
+        path: GLB, glTF, OBJ, PLY, STL, OFF or what else trimesh reads.
+
+    Raises:
+        InputError: The file cannot be read or holds no triangles.
+    """
+    import trimesh
+
+    path = Path(path).expanduser()
+    if not path.is_file():
+        raise InputError(f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got no such file")
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in FORMATS and suffix not in trimesh.available_formats():
+        raise InputError(
+            f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
+        )
+    try:
+        file = trimesh.load_scene(path, process=False)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
+        ) from None
+    nodes = [str(name) for name in file.graph.nodes_geometry]
+    is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
+    parts = [part for part in (_part(file, name) for name in nodes if not is_scene or name == EGO_NODE) if part]
+    if not parts:
+        raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
+    first = np.cumsum([0, *(len(vertex) for vertex, _, _ in parts)])
+    is_gltf = suffix in ("glb", "gltf")
+    return VehicleFile(
+        path,
+        np.concatenate([vertex for vertex, _, _ in parts]),
+        np.concatenate([triangle + start for (_, triangle, _), start in zip(parts, first, strict=False)]),
+        np.concatenate([colour for _, _, colour in parts]),
+        # glTF fixes its up axis; of the other formats none does, and the ego frame is as good as any
+        Reading("y" if is_gltf else "z", "x"),
+        is_scene or (file.metadata or {}).get("schema") == SCHEMA,
+        "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
+    )
+
+
+def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
+    """Write a vehicle as GLB with one node ``ego``, as scenes have it; the file appears once it is complete.
+
+    Args:
+        mesh: The vehicle in the ego frame.
+        path: A name that ends in ``.glb``.
+        source: Where it came from.
+
+    Raises:
+        InputError: Another suffix, or a folder that does not exist or cannot be written to.
+    """
+    import trimesh
+
+    path = Path(path)
+    if path.suffix.lower() != ".glb":
+        raise InputError(f"{path}: vehicle: expected a name that ends in .glb, got {path.name!r}")
+    file = trimesh.Scene(base_frame="world")
+    file.metadata = {
+        "schema": SCHEMA,
+        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's middle",
+        "units": "m",
+        "source": source,
+    }
+    file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
+    file.add_geometry(
+        vertex_coloured(mesh),
+        node_name=EGO_NODE,
+        geom_name=EGO_NODE,
+        parent_node_name=ROOT_NODE,
+        metadata={"role": "ego"},
+    )
+    data = file.export(file_type="glb")
+    assert isinstance(data, bytes)
+    write_whole(path, data, what="vehicle")
+
+
+def examine(
+    file: VehicleFile, reading: Reading, *, stated: frozenset[str] = frozenset(), rear_axle_m: float | None = None
+) -> Examination:
+    """Compare how a file is read with what the shape of the vehicle says.
+
+    Args:
+        file: The vehicle.
+        reading: How its numbers are read.
+        stated: What the user said in so many words, out of ``up``, ``forward`` and ``scale``: the shape does not
+            gainsay that.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: the wheels tell.
+
+    Raises:
+        InputError: Some vertices are NaN or infinite.
+    """
+    mesh = file.in_ego_frame(reading)
+    point_m = _points_on(mesh)
+    problems: list[Problem] = []
+    hints: list[str] = []
+    size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
+    problems += _unit_problems(float(size_m.max()), reading, is_stated="scale" in stated)
+    shape = shape_of(point_m)
+    wrong_axes, axis_hints = _axis_findings(shape, reading, size_m, file.is_declared, stated)
+    problems += wrong_axes
+    hints += axis_hints
+    wheels = None
+    shift_m = np.zeros(3)
+    if not problems:  # of a vehicle that lies on its side or is 4 km long nothing more can be said
+        wheels = wheels_of(point_m)
+        shift_m, found, more_hints = _place_findings(mesh, wheels, file.is_declared, rear_axle_m)
+        problems += found
+        hints += more_hints
+    open_edges, flat = _open_edge_count(mesh), int(np.count_nonzero(_is_flat(mesh)))
+    if open_edges:
+        hints.append(f"not watertight ({open_edges} open edges): it can be used, but cameras may see through gaps")
+    if flat:
+        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; --out leaves them out")
+    if len(mesh.triangle) > MANY_TRIANGLES:
+        hints.append(
+            f"{len(mesh.triangle)} triangles take time in every view: some 10 000 show as much; decimate it, as in "
+            "Blender or MeshLab"
+        )
+    return Examination(mesh, shift_m, shape, wheels, tuple(problems), tuple(hints), open_edges, flat)
+
+
+def shape_of(point_m: np.ndarray) -> Shape:
+    """What points spread evenly over a vehicle, [point, 3], tell about its axes."""
+    from scipy.spatial import KDTree
+
+    low, high = point_m.min(axis=0), point_m.max(axis=0)
+    middle, size = 0.5 * (low + high), high - low
+    count = min(_SYMMETRY_COUNT, len(point_m) // 2)
+    tree, others = KDTree(point_m[:count]), point_m[count : count + count // 5]
+    spacing = float(tree.query(others)[0].mean())
+    distance = np.zeros(3)
+    for axis in range(3):
+        mirrored = others.copy()
+        mirrored[:, axis] = 2.0 * middle[axis] - mirrored[:, axis]
+        distance[axis] = max(float(tree.query(mirrored)[0].mean()) - spacing, 0.0) / size.max()
+    ordered = np.argsort(distance)
+    left = int(ordered[0])
+    if distance[left] > _ALIKE or distance[ordered[1]] < max(2.5 * distance[left], _UNLIKE):
+        return Shape(None, None, asymmetry=float(distance[left]))
+    forward, up = sorted((axis for axis in range(3) if axis != left), key=lambda axis: -size[axis])
+    if size[forward] < 1.15 * size[up]:
+        return Shape(None, None, asymmetry=float(distance[left]))
+    stands = [wheels_of(_turned(point_m, forward, left, up, sign)) is not None for sign in (1.0, -1.0)]
+    is_up_sure = stands[0] != stands[1]
+    is_down = is_up_sure and stands[1]
+    height = (point_m[:, up] - low[up]) / max(size[up], 1e-12)
+    cabin = point_m[(height < 0.25) if is_down else (height > 0.75)]
+    behind = float(middle[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
+    is_forward_sure = is_up_sure and abs(behind) > _CABIN_BEHIND
+    return Shape(
+        ("-" if is_down else "") + "xyz"[up],
+        ("-" if is_forward_sure and behind < 0.0 else "") + "xyz"[forward],
+        is_up_sure,
+        is_forward_sure,
+        float(distance[left]),
+    )
+
+
+def wheels_of(point_m: np.ndarray) -> Wheels | None:
+    """Where a vehicle in the ego frame's axes touches the ground, from points on its surface [point, 3].
+
+    Its lowest fiftieth has to lie left and right of the middle, on two axles or more that are far apart.
+    """
+    low, high = point_m.min(axis=0), point_m.max(axis=0)
+    size = high - low
+    touching = point_m[point_m[:, 2] < low[2] + 0.02 * size[2]]
+    across = (touching[:, 1] - 0.5 * (low[1] + high[1])) / max(size[1], 1e-12)
+    if len(touching) < 8 or np.mean(np.abs(across) < 0.15) > 0.02 or across.min() > -0.15 or across.max() < 0.15:
+        return None
+    x = np.sort(touching[:, 0])
+    axles = np.split(x, np.flatnonzero(np.diff(x) > 0.08 * size[0]) + 1)
+    axle_m = tuple(0.5 * float(each[0] + each[-1]) for each in axles)
+    if len(axle_m) < 2 or not 0.3 < (axle_m[-1] - axle_m[0]) / size[0] < 0.95:
+        return None
+    return Wheels(axle_m, 0.5 * float(touching[:, 1].min() + touching[:, 1].max()))
+
+
+def unit_of(length: float) -> tuple[str, float] | None:
+    """The unit, and its metres, in which a number is the length of a vehicle; None if it is none in any."""
+    for least, greatest in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
+        for name, metres in UNITS:
+            if least <= length * metres <= greatest:
+                return name, metres
+    return None
+
+
+def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[Problem]:
+    if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
+        return []
+    least, greatest = POSSIBLE_LENGTH_M
+    text = f"units: expected a vehicle of {least:g} to {greatest:g} m, got {length_m:.4g} m"
+    unit = unit_of(length_m)
+    if unit is None:
+        scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
+        return [
+            Problem(f"{text}, a length in no usual unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"})
+        ]
+    with_scale = " with this --scale" if is_stated else ""
+    scale = reading.scale * unit[1]
+    return [Problem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
+
+
+def _axis_findings(
+    shape: Shape, reading: Reading, size_m: np.ndarray, is_declared: bool, stated: frozenset[str]
+) -> tuple[list[Problem], list[str]]:
+    """Whether the shape, seen in the ego frame as the file was read, stands as it should."""
+    if shape.up is None or shape.forward is None:
+        if shape.asymmetry > _ALIKE:
+            return [], ["no axis along which it is the same on both sides: look at a picture of it"]
+        return [], ["its shape does not tell which axis is which: look at a picture of it"]
+    has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
+    is_upside_down = shape.is_up_sure and shape.up == "-z"
+    is_backwards = shape.is_forward_sure and shape.forward == "-x"
+    up, forward = (_in_file(axis, reading) for axis in (shape.up, shape.forward))
+    if has_axes and not is_upside_down:
+        if is_backwards and not is_declared and "forward" not in stated:
+            return [], [
+                "the cabin stands nearer to what is read as the front, as in pickups and lorries, or in vehicles that "
+                f"face backwards: if the picture shows one of these, add --forward {forward}"
+            ]
+        return [], []
+    if not shape.is_up_sure and shape.up[-1] == "z":
+        up = reading.up
+    if shape.forward[-1] == "x" and not shape.is_forward_sure:
+        forward = reading.forward
+    remedy = {name: value for name, value in (("up", up), ("forward", forward)) if value != getattr(reading, name)}
+    length, width, height = (f"{value:.4g}" for value in size_m)
+    what = "stands on its roof" if has_axes else f"is {length} long, {width} wide and {height} high"
+    text = f"axes: expected wheels below, and left and right alike; read with {reading.up} up and {reading.forward} "
+    text += f"forward it {what}"
+    if is_declared or {"up", "forward"} <= stated:
+        return [], [f"{text}; taken as stated"]
+    return [Problem(text, remedy)], []
+
+
+def _place_findings(
+    mesh: Mesh, wheels: Wheels | None, is_declared: bool, rear_axle_m: float | None
+) -> tuple[np.ndarray, list[Problem], list[str]]:
+    """How the vehicle has to be moved [m], [3], why, and what is to be known about it."""
+    low, high = mesh.bounds_m().astype(np.float64)
+    shift_m = np.zeros(3)
+    problems: list[Problem] = []
+    hints: list[str] = []
+    if abs(low[2]) > GROUND_TOLERANCE_M:
+        shift_m[2] = -low[2]
+        problems.append(Problem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
+    if rear_axle_m is not None:
+        if not 0.0 <= rear_axle_m <= high[0] - low[0]:
+            length = f"{high[0] - low[0]:.2f} m"
+            raise InputError(
+                f"--rear-axle: expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
+            )
+        middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
+        target_m = np.array([low[0] + rear_axle_m, middle_m])
+        if np.abs(target_m).max() > 1e-6:
+            shift_m[:2] = -target_m
+            problems.append(Problem("origin: it is not below the rear axle as --rear-axle states it", {}))
+        return shift_m, problems, hints
+    is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
+    if is_declared and is_inside:
+        return shift_m, problems, hints
+    if wheels is None:
+        if is_inside:
+            hints.append(
+                "no wheels are to be seen, so whether the origin lies below the rear axle cannot be told; "
+                "--rear-axle 0.9 would put it 0.9 m before the rear end"
+            )
+        else:
+            problems.append(
+                Problem(
+                    "origin: expected it below the vehicle, got "
+                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
+                    "--rear-axle says how far before the rear end the rear axle is",
+                    {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
+                )
+            )
+        return shift_m, problems, hints
+    offset_m = np.array([wheels.axle_m[0], wheels.middle_m])
+    if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
+        shift_m[:2] = -offset_m
+        problems.append(
+            Problem(
+                "origin: expected it below the middle of the rear axle, got that at "
+                f"x {offset_m[0]:+.2f} m, y {offset_m[1]:+.2f} m",
+                {},
+            )
+        )
+    if len(wheels.axle_m) > 2:
+        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless --rear-axle says else")
+    return shift_m, problems, hints
+
+
+def _part(file: trimesh.Scene, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Vertices in the file's frame, triangles and colours of a node; None where it has no triangles."""
+    matrix, geometry_name = file.graph.get(name)
+    geometry: Any = file.geometry[geometry_name]
+    if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
+        return None
+    vertex = np.asarray(geometry.vertices, np.float64)
+    matrix = np.asarray(matrix, np.float64)
+    if not np.array_equal(matrix, np.eye(4)):
+        vertex = vertex @ matrix[:3, :3].T + matrix[:3, 3]
+    triangle = np.asarray(geometry.faces, np.int64)
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        triangle = triangle[:, ::-1]
+    return vertex, triangle, _colours(geometry, len(vertex))
+
+
+def _colours(geometry: Any, count: int) -> np.ndarray:  # noqa: ANN401 (trimesh tells checkers little)
+    """Vertex colours, uint8 [vertex, 3]: the texture's at the vertices, the material's, or grey."""
+    visual = geometry.visual
+
+    def of_vertices() -> object:
+        return None if visual.kind == "texture" else visual.vertex_colors
+
+    def of_texture() -> object:
+        return visual.to_color().vertex_colors if visual.kind == "texture" and visual.uv is not None else None
+
+    def of_material() -> object:
+        return visual.material.main_color if visual.kind == "texture" else None
+
+    sources: tuple[Callable[[], object], ...] = (of_vertices, of_texture, of_material)
+    for source in sources:
+        try:
+            colour = np.asarray(source())
+        except Exception:
+            continue
+        if colour.shape in ((count, 3), (count, 4)):
+            return colour[:, :3].astype(np.uint8)
+        if colour.shape in ((3,), (4,)):
+            return np.tile(colour[:3].astype(np.uint8), (count, 1))
+    return np.tile(_GREY_RGB, (count, 1))
+
+
+def _points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
+    """Points spread evenly over a mesh, the same for the same mesh, float64 [point, 3]."""
+    rng = np.random.default_rng(0)
+    corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    total = float(area.sum())
+    if not total > 0.0:
+        raise InputError("vehicle: expected triangles with an area, got none")
+    triangle = np.searchsorted(np.cumsum(area) / total, rng.random(count), side="right").clip(max=len(area) - 1)
+    share = rng.random((count, 2))
+    beyond = share.sum(axis=1) > 1.0
+    share[beyond] = 1.0 - share[beyond]
+    start = corner[triangle, 0]
+    return start + share[:, :1] * (corner[triangle, 1] - start) + share[:, 1:] * (corner[triangle, 2] - start)
+
+
+def _turned(point: np.ndarray, forward: int, left: int, up: int, sign: float) -> np.ndarray:
+    return np.stack([point[:, forward], point[:, left], sign * point[:, up]], axis=1)
+
+
+def _open_edge_count(mesh: Mesh) -> int:
+    """Edges of an odd number of triangles once vertices at one place are one: the rims of holes."""
+    size = float(np.ptp(mesh.vertex_m, axis=0).max())
+    _, welded = np.unique(
+        np.round(mesh.vertex_m / max(1e-6 * size, 1e-12)).astype(np.int64), axis=0, return_inverse=True
+    )
+    triangle = welded.reshape(-1)[mesh.triangle]
+    kept = triangle[(triangle != np.roll(triangle, 1, axis=1)).all(axis=1)]
+    edge = np.sort(np.stack([kept, np.roll(kept, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    _, count = np.unique(edge, axis=0, return_counts=True)
+    return int(np.count_nonzero(count % 2))
+
+
+def _is_flat(mesh: Mesh) -> np.ndarray:
+    """Which triangles have no area, bool [triangle]."""
+    corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]
+    side = corner[:, 1:] - corner[:, :1]
+    doubled = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
+    return doubled <= 1e-9 * np.maximum((side**2).sum(axis=(1, 2)), 1e-300)
+
+
+def _without_flat_triangles(mesh: Mesh) -> Mesh:
+    triangle = mesh.triangle[~_is_flat(mesh)]
+    used, index = np.unique(triangle, return_inverse=True)
+    return replace(
+        mesh,
+        vertex_m=mesh.vertex_m[used],
+        triangle=index.reshape(-1, 3).astype(np.int32),
+        vertex_rgb=mesh.vertex_rgb[used],
+    )
+
+
+def _in_file(axis: str, reading: Reading) -> str:
+    """The file's axis that an axis of the ego frame as it was read is."""
+    found = reading.ego_from_file.T @ _unit(axis)
+    number = int(np.abs(found).argmax())
+    return ("-" if found[number] < 0.0 else "") + "xyz"[number]
+
+
+def _unit(axis: str) -> np.ndarray:
+    unit = np.zeros(3)
+    unit["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return unit

@@ -1,0 +1,179 @@
+"""A rig under inspection: scenes to look at, iterations to go through, cameras to move, and what follows from it.
+
+Nothing here draws; `warpav.view.inspector` does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.objective.constraints import min_camera_distance_m
+from warpav.render.coverage import Ground
+from warpav.render.device_scene import DeviceScene
+from warpav.rig.rig import Rig, RigCamera, write_rig
+
+if TYPE_CHECKING:
+    from warpav.evaluate import RigLook, RigObserver
+    from warpav.objective.constraints import Constraints
+    from warpav.render.coverage import Coverage
+    from warpav.scene.scene import Scene
+
+KEPT_SCENES = 4
+"""Scenes that are held in memory; others are built again when they are shown."""
+
+
+class InspectedRig:
+    """A rig that is looked at and changed.
+
+    Attributes:
+        frames: Rigs to go through, such as those of the iterations of a run; at least one.
+        frame: Which of them was shown last.
+        rig: The rig as it is now; another one than that of the frame once a camera was moved.
+        scene_index: Which scene is shown.
+        scene_count: Number of scenes.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[Rig],
+        scene_of: Callable[[int], Scene],
+        scene_count: int,
+        *,
+        constraints: Constraints,
+        height_offset_m: float,
+        observer_of: Callable[[Rig], RigObserver],
+        device: str = "cpu",
+    ) -> None:
+        """Begin with the last frame and the first scene.
+
+        Args:
+            frames: Rigs to go through, at least one, all with the same cameras in the same order.
+            scene_of: Gives a scene by its number, from 0.
+            scene_count: Number of scenes, at least 1.
+            constraints: Where cameras may stand; on their surface they are moved.
+            height_offset_m: How far above the surface cameras stand that have been moved there [m].
+            observer_of: Looks at scenes through a rig.
+            device: Warp device.
+
+        Raises:
+            ValueError: There is no frame or no scene.
+        """
+        if not frames or scene_count < 1:
+            raise ValueError(f"expected at least one rig and one scene, got {len(frames)} and {scene_count}")
+        self.frames = list(frames)
+        self.frame = len(self.frames) - 1
+        self.rig = self.frames[-1]
+        self.scene_index, self.scene_count = 0, scene_count
+        self._constraints, self._height_offset_m = constraints, height_offset_m
+        self._observer_of, self._device = observer_of, device
+        kept = lru_cache(KEPT_SCENES)
+        self._scene_of = kept(scene_of)
+        self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
+        self._ground_of = kept(lambda index: Ground.around(self._packed_of(index)))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that is shown."""
+        return self._scene_of(self.scene_index)
+
+    @property
+    def packed(self) -> DeviceScene:
+        """The same on the device."""
+        return self._packed_of(self.scene_index)
+
+    def go_to(self, frame: int) -> None:
+        """Show the rig of a frame; moves of cameras are forgotten.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        if not 0 <= frame < len(self.frames):
+            raise IndexError(f"frame must be from 0 to {len(self.frames) - 1}, got {frame}")
+        self.frame = frame
+        self._set(self.frames[frame])
+
+    def show_scene(self, index: int) -> None:
+        """Show another scene; numbers beyond the last begin again with the first."""
+        self.scene_index = index % self.scene_count
+        self._forget()
+
+    def move(self, camera: int, place_m: np.ndarray) -> RigCamera:
+        """Move a camera to the place on the mount surface nearest to another, and return it as it is then.
+
+        A camera that stood on the surface keeps its height above it. Other cameras stay, so two may come too close:
+        `violation_m` tells.
+
+        Args:
+            camera: Its number.
+            place_m: x and y in the ego frame, more numbers are left out [m].
+        """
+        surface = self._constraints.surface
+        old = self.rig.cameras[camera]
+        at_m = self._constraints.project(np.asarray(place_m, np.float64)[None, :2])[0]
+        was_above_m = old.position_m[2] - float(surface.height_at_m(old.position_m[None, :2])[0])
+        stood_there = bool(self._constraints.contains(old.position_m[None, :2])[0])
+        above_m = was_above_m if stood_there else self._height_offset_m
+        z_m = float(surface.height_at_m(at_m[None])[0]) + above_m
+        return self._change(camera, position_m=np.array([*at_m, z_m]))
+
+    def turn(self, camera: int, yaw_rad: float) -> RigCamera:
+        """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""
+        return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """Which cameras see whom where in the scene."""
+        return self._ground_of(self.scene_index).coverage(self.rig.cameras)
+
+    @cached_property
+    def look(self) -> RigLook:
+        """What the detector makes of the scene."""
+        return self._observer_of(self.rig).look(self.packed)
+
+    @property
+    def violation_m(self) -> float:
+        """By how much the rig breaks the constraints [m]."""
+        return self._constraints.violation_m(self.rig)
+
+    @property
+    def lines(self) -> list[str]:
+        """What there is to know at once, without asking the detector."""
+        shares, areas = self.coverage.covered_share, self.coverage.blind_area_m2
+        seen = (
+            f"{height_m:g} m tall: seen on {share:.1%} of the ground, blind {area_m2:.0f} m2"
+            for height_m, share, area_m2 in zip(self.coverage.heights_m, shares, areas, strict=True)
+        )
+        distance_m = min_camera_distance_m(np.array([camera.position_m for camera in self.rig.cameras]))
+        apart = [f"closest pair of cameras {distance_m:.2f} m"] if math.isfinite(distance_m) else []
+        breach = [f"constraints broken by {self.violation_m:.2f} m"] if self.violation_m else []
+        return [f"scene {self.scene.name}, {len(self.scene.vehicles)} vehicles", *seen, *apart, *breach]
+
+    def save(self, path: Path | str) -> Path:
+        """Write the rig as it is now.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
+        write_rig(self.rig, path)
+        return Path(path)
+
+    def _change(self, camera: int, **changes: object) -> RigCamera:
+        cameras = list(self.rig.cameras)
+        cameras[camera] = dataclasses.replace(cameras[camera], **changes)  # pyright: ignore[reportArgumentType]
+        self._set(Rig.create(cameras))
+        return self.rig.cameras[camera]
+
+    def _set(self, rig: Rig) -> None:
+        self.rig = rig
+        self._forget()
+
+    def _forget(self) -> None:
+        for name in ("coverage", "look"):
+            self.__dict__.pop(name, None)

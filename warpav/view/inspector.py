@@ -1,0 +1,334 @@
+"""The interactive picture of a rig: go through a run, switch scenes, look through cameras, move them, save the rig."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.opengl import load_pyvista
+from warpav.view.palette import (
+    FALSE_POSITIVE_RGB,
+    INK_RGB,
+    MISS_RGB,
+    TRUE_POSITIVE_RGB,
+    camera_rgb,
+    hex_colour,
+)
+from warpav.view.picture import WIDE_ZOOM
+from warpav.view.rig_view import add_camera, add_scene, rig_plotter
+from warpav.view.sight_view import add_coverage, add_outcomes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from warpav.evaluate import CameraLook
+    from warpav.view.inspected import InspectedRig
+
+    Plotter = Any
+
+KEYS = {
+    "n": "next scene",
+    "c": "coverage: child, adult, off",
+    "d": "detections",
+    "Left": "turn left",
+    "Right": "turn right",
+    "Return": "write the rig",
+    "q": "quit",
+}
+"""What keys do, as the line of help in the window says. VTK has uses of its own for w, s, r, f, p, u, e, a and 3."""
+
+VIEW_PX = 300
+"""Longer side of the view through the chosen camera."""
+
+TURN_RAD = math.radians(2.0)
+_BALL_RADIUS_M = 0.11
+
+
+class Inspector:
+    """A plotter whose cameras can be dragged over the mount surface.
+
+    Attributes:
+        plotter: The picture; call ``show`` on it.
+        state: What is shown; change it by the methods of this class, so that the picture follows.
+        chosen: Number of the camera whose view is shown; None: no view.
+        shown_height: Which of the coverage's heights is shown; None: no coverage.
+        shows_outcomes: Whether traffic is coloured by what becomes of it.
+    """
+
+    def __init__(
+        self,
+        state: InspectedRig,
+        *,
+        save_to: Path,
+        off_screen: bool | None = None,
+        window_size: tuple[int, int] = (1280, 800),
+    ) -> None:
+        """Draw everything once.
+
+        Args:
+            state: What to show.
+            save_to: File that the rig is written to.
+            off_screen: Draw without a window; by default when there is no display.
+            window_size: Width and height [px].
+
+        Raises:
+            InputError: Nothing can be drawn on this machine.
+        """
+        load_pyvista()
+        self.state, self.save_to = state, save_to
+        self.chosen: int | None = None
+        self.shown_height: int | None = 0
+        self.shows_outcomes = False
+        self.plotter = rig_plotter(
+            state.rig,
+            ego=state.scene.ego,
+            scene=state.scene,
+            off_screen=off_screen,
+            window_size=window_size,
+            sectors=False,
+            labels=False,
+            zoom=WIDE_ZOOM,
+        )
+        self.plotter.disable_anti_aliasing()  # dragging has to be smooth; pictures are made by other functions
+        self._balls: list[Any] = []
+        self._add_controls()
+        self._redraw()
+
+    # ------------------------------------------------------------------------------------------------ what users do
+
+    def go_to(self, frame: int) -> None:
+        """Show the rig of an iteration."""
+        if frame == self.state.frame and self.state.rig is self.state.frames[frame]:
+            return  # the slider says so when it is made
+        self.state.go_to(frame)
+        with self._one_render():
+            for index in range(len(self.state.rig.cameras)):
+                self._draw_camera(index)
+                self._put_ball(index)
+            self._redraw()
+
+    def next_scene(self) -> None:
+        """Show the next scene, after the last the first."""
+        self.state.show_scene(self.state.scene_index + 1)
+        with self._one_render():
+            self._draw_scene()
+            self._redraw()
+
+    def cycle_coverage(self) -> None:
+        """Show who is seen where for the next height, then nothing, then the first height again."""
+        heights = [*range(len(self.state.coverage.heights_m)), None]
+        self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
+        with self._one_render():
+            self._redraw()
+
+    def toggle_outcomes(self) -> None:
+        """Colour traffic by what becomes of it, or no longer."""
+        self.shows_outcomes = not self.shows_outcomes
+        with self._one_render():
+            self._draw_scene()
+            self._redraw()
+
+    def choose(self, camera: int | None) -> None:
+        """Show the view through a camera, with boxes; None: through none."""
+        self.chosen = camera
+        with self._one_render():
+            self._draw_view()
+
+    def drag(self, camera: int, place_m: np.ndarray) -> None:
+        """Move a camera while it is dragged: all but what needs the detector follows."""
+        self.state.move(camera, place_m)
+        with self._one_render():
+            self._draw_camera(camera)
+            self._redraw(detector=False)
+
+    def drop(self, camera: int, place_m: np.ndarray) -> None:
+        """Move a camera and let go of it: everything follows."""
+        self.state.move(camera, place_m)
+        self.chosen = camera
+        self._after_change(camera)
+
+    def turn(self, angle_rad: float) -> None:
+        """Turn the chosen camera to the left by an angle [rad]."""
+        if self.chosen is not None:
+            self.state.turn(self.chosen, self.state.rig.cameras[self.chosen].yaw_rad + angle_rad)
+            self._after_change(self.chosen)
+
+    def save(self) -> Path:
+        """Write the rig as it is now."""
+        path = self.state.save(self.save_to)
+        with self._one_render():
+            self._say(f"wrote {path}")
+        return path
+
+    # ------------------------------------------------------------------------------------------------ what is drawn
+
+    def _after_change(self, camera: int) -> None:
+        with self._one_render():
+            self._draw_camera(camera)
+            self._put_ball(camera)
+            if self.shows_outcomes:
+                self._draw_scene()
+            self._redraw()
+
+    @contextmanager
+    def _one_render(self) -> Iterator[None]:
+        """Draw once when all is changed, instead of after every change."""
+        self.plotter.suppress_rendering = True
+        try:
+            yield
+        finally:
+            self.plotter.suppress_rendering = False
+        self.plotter.render()
+
+    def _add_controls(self) -> None:
+        plotter, count = self.plotter, len(self.state.frames)
+        plotter.add_text(
+            "   ".join(f"{key}: {word}" for key, word in KEYS.items()),
+            position=(0.02, 0.012),
+            viewport=True,
+            font_size=8,
+            color=hex_colour(INK_RGB),
+            name="help",
+        )
+        for index in range(len(self.state.rig.cameras)):
+            self._add_ball(index)
+        if count > 1:
+            plotter.add_slider_widget(
+                lambda value: self.go_to(round(value)),
+                (0, count - 1),
+                value=self.state.frame,
+                title="iteration",
+                pointa=(0.66, 0.93),
+                pointb=(0.97, 0.93),
+                fmt="%.0f",
+                color=hex_colour(INK_RGB),
+                interaction_event="end",
+            )
+        actions = {
+            "n": self.next_scene,
+            "c": self.cycle_coverage,
+            "d": self.toggle_outcomes,
+            "Left": lambda: self.turn(TURN_RAD),
+            "Right": lambda: self.turn(-TURN_RAD),
+            "Return": self.save,
+        }
+        for key, action in actions.items():
+            plotter.clear_events_for_key(key, raise_on_missing=False)
+            plotter.add_key_event(key, action)
+
+    def _add_ball(self, index: int) -> None:
+        """A ball around a camera that can be dragged."""
+        widget = self.plotter.add_sphere_widget(
+            lambda place_m: self.drop(index, np.array(place_m)),
+            center=tuple(self.state.rig.cameras[index].position_m),
+            radius=_BALL_RADIUS_M,
+            color=hex_colour(camera_rgb(index)),
+            selected_color=hex_colour(camera_rgb(index)),
+            interaction_event="end",
+            test_callback=False,
+        )
+        widget.AddObserver("InteractionEvent", lambda ball, _: self.drag(index, np.array(ball.GetCenter())))
+        widget.AddObserver("StartInteractionEvent", lambda ball, _: self.choose(index))
+        self._balls.append(widget)
+
+    def _put_ball(self, index: int) -> None:
+        self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
+
+    def _draw_camera(self, index: int) -> None:
+        add_camera(self.plotter, self.state.rig.cameras[index], index)
+
+    def _draw_scene(self) -> None:
+        scene, plotter = self.state.scene, self.plotter
+        for name in [name for name in plotter.actors if name.startswith(("scene/", "legend/"))]:
+            plotter.remove_actor(name)
+        if self.shows_outcomes:
+            add_outcomes(plotter, scene, self.state.look.outcomes, legend=False)
+            scene = dataclasses.replace(scene, vehicles=())
+        add_scene(plotter, scene)
+
+    def _redraw(self, *, detector: bool = True) -> None:
+        """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
+        if self.shown_height is None:
+            self.plotter.remove_actor("coverage")
+        else:
+            height_m = self.state.coverage.heights_m[self.shown_height]
+            add_coverage(self.plotter, self.state.coverage, height_m=height_m, legend=False)
+        lines = self.state.lines
+        if detector and (self.shows_outcomes or self.chosen is not None):
+            look = self.state.look
+            lines.append(f"{int(look.detected.sum())} of {len(look.detected)} vehicles detected")
+        self._say("\n".join(lines))
+        if detector:
+            self._draw_view()
+
+    def _say(self, text: str) -> None:
+        self.plotter.add_text(
+            text, position=(0.02, 0.80), viewport=True, font_size=10, color=hex_colour(INK_RGB), name="numbers"
+        )
+
+    def _draw_view(self) -> None:
+        """The image of the chosen camera with its boxes, in the lower right corner."""
+        if self.chosen is None:
+            self.plotter.remove_actor("view")
+            return
+        self.plotter.add_actor(
+            image_actor(self.view_rgb(), right_px=self.plotter.window_size[0] - 16, bottom_px=44), name="view"
+        )
+
+    def view_rgb(self) -> np.ndarray:
+        """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
+        assert self.chosen is not None
+        look = self.state.look.cameras[self.chosen]
+        return framed_view(look, scale=VIEW_PX / max(look.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen))
+
+
+def framed_view(look: CameraLook, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
+    """A camera's image with boxes and a coloured border.
+
+    Args:
+        look: What the detector makes of the image.
+        scale: By how much the image is enlarged.
+        border_rgb: Colour of the border.
+
+    Returns:
+        uint8 [row, column, 3].
+    """
+    import cv2
+
+    picture = cv2.resize(look.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+
+    def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:
+        x0, y0, x1, y1 = (int(round(float(value) * scale)) for value in box)
+        cv2.rectangle(picture, (x0, y0), (x1, y1), rgb, width)
+
+    matched = set(look.match.tolist())
+    for k, box in enumerate(look.detections.box_px):
+        draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
+    for box, found in zip(look.truth_box_px, look.match, strict=True):
+        if found < 0 and np.isfinite(box).all():
+            draw(box, MISS_RGB, 2)
+    return cv2.copyMakeBorder(picture, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
+
+
+def image_actor(image_rgb: np.ndarray, *, right_px: int, bottom_px: int) -> Any:  # noqa: ANN401 (a vtkActor2D)
+    """An image in the plane of the picture, whose lower right corner is so far from the left and lower edges [px]."""
+    from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
+
+    pyvista = load_pyvista()
+    rows, columns = image_rgb.shape[:2]
+    grid = pyvista.ImageData(dimensions=(columns, rows, 1))
+    grid.point_data["rgb"] = np.ascontiguousarray(image_rgb[::-1]).reshape(-1, 3)
+    grid.set_active_scalars("rgb")
+    mapper = vtkImageMapper()
+    mapper.SetInputData(grid)
+    mapper.SetColorWindow(255.0)
+    mapper.SetColorLevel(127.5)
+    actor = vtkActor2D()
+    actor.SetMapper(mapper)
+    actor.SetPosition(right_px - columns, bottom_px)
+    return actor
