@@ -1,7 +1,11 @@
 """Thinning, normals, trimming, cleaning, decimation and the methods by name."""
 
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
+import fast_simplification
 import numpy as np
 import pytest
 import trimesh
@@ -331,6 +335,29 @@ def test_decimation_repeats(rng):
     first, again = decimated(mesh, 500), decimated(mesh, 500)
     for array in ("vertex_m", "triangle", "vertex_rgb"):
         np.testing.assert_array_equal(getattr(again, array), getattr(first, array))
+
+
+def test_meshes_decimated_side_by_side_do_not_mix(monkeypatch):
+    """fast_simplification keeps its mesh in variables of the module: two threads in it would mix their meshes."""
+    simplify, inside = fast_simplification.simplify, []
+
+    def slow(*arguments, **options):
+        inside.append(threading.get_ident())
+        time.sleep(0.02)
+        found = simplify(*arguments, **options)
+        assert set(inside) == {threading.get_ident()}
+        inside.clear()
+        return found
+
+    body = trimesh.creation.icosphere(4, 1.0)
+    meshes = [Mesh.create(body.vertices * (1.0 + k), body.faces, [20 * k, 90, 90]) for k in range(4)]
+    alone = [decimated(mesh, 300) for mesh in meshes]
+    monkeypatch.setattr(fast_simplification, "simplify", slow)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda mesh: decimated(mesh, 300), meshes))
+    for found, expected in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(found.vertex_m, expected.vertex_m)
+        np.testing.assert_array_equal(found.vertex_rgb, expected.vertex_rgb)
 
 
 def test_decimation_refuses_too_few():

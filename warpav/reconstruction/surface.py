@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ _LIFTED_SHARE = 3  # final triangles times this are left by the first, faster co
 _BRIGHTNESS = np.array([0.30, 0.59, 0.11])
 _COLOUR_SAMPLES = 4  # rows of places in a triangle at which the dense mesh is asked for its colour
 _SPLIT_LEVELS = 40  # of 255; corners of one vertex that differ more get vertices of their own
+_SIMPLIFYING = threading.Lock()  # fast_simplification keeps the mesh that it works on in variables of the module
 _LEAST_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
 
 
@@ -340,7 +342,8 @@ def _collapsed_lifted(
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     lift_m = normal * (step_m / 255.0 * (rgb @ _BRIGHTNESS))[:, None]
     lifted_m = vertex_m + lift_m
-    kept_m, kept = fast_simplification.simplify(lifted_m, triangle, target_count=count)[:2]
+    with _SIMPLIFYING:
+        kept_m, kept = fast_simplification.simplify(lifted_m, triangle, target_count=count)[:2]
     nearest = KDTree(lifted_m).query(kept_m, workers=-1)[1]
     return kept_m - lift_m[nearest], kept.astype(np.int32), rgb[nearest]
 
