@@ -610,9 +610,12 @@ class LossConfig(Section):
     combine: Literal["any", "best"] = Field(
         default="any", description="missed: any camera may find an object (noisy or), or the surest one alone counts"
     )
-    probability: Literal["fitted", "visible_share"] = Field(
+    probability: Literal["fitted", "visible_share", "in_frame_share"] = Field(
         default="fitted",
-        description="missed: fitted to the detector, or plainly the share of an object's whole box that is visible",
+        description=(
+            "missed: fitted to the detector, or plainly the share of an object's whole box that is visible, or that is "
+            "in the image, be it hidden there or not"
+        ),
     )
 
     @model_validator(mode="after")

@@ -13,21 +13,25 @@ SUREST = wp.constant(0.9999)
 
 
 @wp.kernel
-def visible_share_kernel(
+def box_share_kernel(
     # in
     feature: wp.array3d[float],
+    hiding_counts: int,
     # out
     probability: wp.array2d[float],
 ):
     """Share of an object's whole box that a view shows, for comparison with a fitted probability of detection.
 
-    Its share inside the image times what nothing hides of that; 0 where nothing is visible.
+    Its share inside the image, with ``hiding_counts`` times what nothing hides of that; 0 where nothing is visible.
 
     Launch: ``dim=(view_count, object_count)``.
     Writes: every element of ``probability`` once.
     """
     view, k = wp.tid()
-    probability[view, k] = feature[view, k, IN_FRAME_SHARE] * feature[view, k, VISIBLE_SHARE]
+    if hiding_counts != 0:
+        probability[view, k] = feature[view, k, IN_FRAME_SHARE] * feature[view, k, VISIBLE_SHARE]
+    else:
+        probability[view, k] = feature[view, k, IN_FRAME_SHARE]
 
 
 @wp.kernel(enable_backward=False)

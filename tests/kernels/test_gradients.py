@@ -212,9 +212,9 @@ def log_missed(new):
     return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
 
 
-def visible_share(new):
+def box_share(new):
     pairs = (CAMERAS, VEHICLES)
-    return pairs, [new(size=(*pairs, int(detection_probability.FEATURE_COUNT)))], [new(np.zeros(pairs))]
+    return pairs, [new(size=(*pairs, int(detection_probability.FEATURE_COUNT))), 1], [new(np.zeros(pairs))]
 
 
 def missed(new):
@@ -242,7 +242,7 @@ CASES = {
     detection_probability.detection_probability_kernel: probability_of_detection,
     missed_loss.sum_over_panorama_kernel: sum_over_panorama,
     missed_loss.camera_probability_kernel: camera_probability,
-    missed_loss.visible_share_kernel: visible_share,
+    missed_loss.box_share_kernel: box_share,
     missed_loss.log_missed_kernel: log_missed,
     missed_loss.missed_loss_kernel: missed,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,

@@ -129,11 +129,14 @@ def test_the_surest_camera_alone_may_count(device, rng):
     assert not gradient[1].any()
 
 
-def test_the_visible_share_may_stand_for_the_probability(device, rng):
+@pytest.mark.parametrize("name", ["visible_share", "in_frame_share"])
+def test_a_share_of_the_box_may_stand_for_the_probability(device, rng, name):
     model = probability_model(rng)
-    objective, [scene] = objective_of(device, model=model, probability="visible_share"), scenes_of(device, 10)
+    objective, [scene] = objective_of(device, model=model, probability=name), scenes_of(device, 10)
     feature = features(objective, POSE, scene.scene, model)
-    share = np.minimum(feature[:, :, IN_FRAME_SHARE] * feature[:, :, VISIBLE_SHARE], 0.9999)
+    hiding = feature[:, :, VISIBLE_SHARE]
+    assert ((hiding > 0.0) & (hiding < 0.9)).any()  # so that the two differ
+    share = np.minimum(feature[:, :, IN_FRAME_SHARE] * (hiding if name == "visible_share" else 1.0), 0.9999)
     assert share.max() > 0.5
     result = objective.evaluate(POSE, [scene], gradient=True)
     assert result.terms["missed"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)

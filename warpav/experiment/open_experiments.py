@@ -61,6 +61,7 @@ _CHANGES = {
     "random_start_panorama": ("rig.start=random", "optimiser.starts=1", "optimiser.panorama_until=0.3"),
     "best_camera": ("losses.combine=best",),
     "visible_share": ("losses.probability=visible_share",),
+    "in_frame_share": ("losses.probability=in_frame_share",),
     "undamped": ("optimiser.multiplier_damping=0",),
     "steps_16cm_8deg": ("optimiser.learning_rate_position_m=0.16", "optimiser.learning_rate_yaw_deg=8"),
     "steps_1cm_half_deg": ("optimiser.learning_rate_position_m=0.01", "optimiser.learning_rate_yaw_deg=0.5"),

@@ -53,7 +53,8 @@ class LossSettings:
         window_softness_rad: Of the fields of view over the panorama, with ``missed`` [rad], positive.
         detector_share: How much of ``missed`` is what the detector really finds, in [0, 1); the rest is its model.
         combine: Whether with ``missed`` any camera may find an object (noisy or), or the surest one alone counts.
-        probability: With ``missed``, ``fitted`` to the detector, or the ``visible_share`` of an object's whole box.
+        probability: With ``missed``, ``fitted`` to the detector, or the ``visible_share`` of an object's whole box, or
+            its ``in_frame_share``, to which hiding does not matter.
     """
 
     in_frame_rotation: float = 1.0
@@ -71,7 +72,7 @@ class LossSettings:
     window_softness_rad: float = math.radians(10.0)
     detector_share: float = 0.0
     combine: Literal["any", "best"] = "any"
-    probability: Literal["fitted", "visible_share"] = "fitted"
+    probability: Literal["fitted", "visible_share", "in_frame_share"] = "fitted"
 
     @property
     def needs_panorama(self) -> bool:

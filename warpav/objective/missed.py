@@ -125,12 +125,12 @@ def add_missed_loss(
     pose = views.position_ego_m, views.camera_from_ego, views.log_zoom
     seen = model.on_tape(look.appearance, *pose)
     probability = seen.probability
-    if settings.probability == "visible_share":
+    if settings.probability != "fitted":
         probability = wp.zeros_like(seen.probability, requires_grad=True)
         wp.launch(
-            missed_loss.visible_share_kernel,
+            missed_loss.box_share_kernel,
             dim=probability.shape,
-            inputs=[seen.feature],
+            inputs=[seen.feature, int(settings.probability == "visible_share")],
             outputs=[probability],
             device=device,
         )
