@@ -405,6 +405,12 @@ def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
     assert not [name for name in os.listdir("images") if name.startswith(".")]
 
 
+def test_a_folder_with_a_presets_name_is_no_run_unless_it_holds_one(working_directory):
+    (working_directory / "nuscenes").mkdir()
+    assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
+    assert len(json.loads((working_directory / "images" / "views.json").read_text())) == 6
+
+
 def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
     assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
     views = json.loads((working_directory / "images" / "views.json").read_text())

@@ -35,6 +35,7 @@ from warpav.sources import (
     checked_device,
     constraints_of,
     find_rig,
+    is_run_folder,
     load_detector,
     load_scene,
     load_scenes,
@@ -232,7 +233,7 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
         inspector(source, config).plotter.show()
         return None
     trajectory_m, fallback = None, Path("rig.png")
-    if Path(source).is_dir():
+    if is_run_folder(source):
         folder = RunFolder.open(source)
         trajectory_m, fallback = trajectory(folder.events()), folder.path / "inspect.png"
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
@@ -267,7 +268,7 @@ def inspector(source: str, config: Config, *, off_screen: bool | None = None) ->
     first = next(load_scenes(config, seeds[:1]))
     rig = find_rig(source, config, first.ego)
     frames, save_to = [rig], Path("rig.yaml")
-    if Path(source).is_dir():
+    if is_run_folder(source):
         folder = RunFolder.open(source)
         frames, save_to = [*rigs_of_events(folder.events(), rig), rig], folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)

@@ -24,7 +24,7 @@ from warpav.problem import Problem, Stream, begin_descent, has_ordered_start, lo
 from warpav.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig
-from warpav.sources import arm_name, check_rig_source, device_name, find_rig
+from warpav.sources import arm_name, check_rig_source, device_name, find_rig, is_run_folder
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
@@ -162,7 +162,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, display:
     problem = load_problem(config, display)
     rig = find_rig(source, config, problem.ego)
     began_as = rig
-    if Path(source).is_dir():
+    if is_run_folder(source):
         began_as = problem.held_rig if has_ordered_start(config) else RunFolder.open(source).rig("initial")
     metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
     evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}

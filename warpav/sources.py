@@ -412,6 +412,12 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     )
 
 
+def is_run_folder(source: str) -> bool:
+    """Whether the source of a rig means a folder; one with a preset's name counts only if it holds a run."""
+    folder = Path(source)
+    return folder.is_dir() and (source not in preset_names() or (folder / "config.yaml").is_file())
+
+
 def check_rig_source(source: str) -> None:
     """Refuse early what :func:`find_rig` would refuse after the scenes have been built.
 
@@ -456,14 +462,14 @@ def config_for(
     Returns:
         What :func:`warpav.config.placed_config` returns.
     """
-    if config is None and Path(source).is_dir():
+    if config is None and is_run_folder(source):
         config = str(RunFolder.open(source).path / "config.yaml")
     return placed_config(config or default, overrides)
 
 
 def arm_name(source: str) -> str:
     """What the rig of ``source`` is called in results."""
-    return "optimised" if Path(source).is_dir() else Path(source).stem
+    return "optimised" if is_run_folder(source) else Path(source).stem
 
 
 def rig_to_export(source: str) -> Rig:
@@ -487,7 +493,7 @@ def find_file_rig(source: str) -> Rig:
         InputError: It means none, or the file cannot be used.
     """
     names = preset_names()
-    if Path(source).is_dir() and (source not in names or (Path(source) / "config.yaml").is_file()):
+    if is_run_folder(source):
         return RunFolder.open(source).rig()
     if Path(source).is_file():
         return read_rig(source)
