@@ -1,0 +1,187 @@
+"""Make the pictures of README and of the documents anew: ``python docs/pictures.py [NAME ...]``.
+
+Each is what a command of warpav writes, or is drawn here. All take some minutes, most of them for the run that README
+shows.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from warpav.cli import main
+
+PICTURES = Path(__file__).resolve().parents[1] / ".github" / "pictures"
+
+
+def _warpav(*arguments: str) -> None:
+    if main(list(arguments)) != 0:
+        raise SystemExit(f"failed: warpav {' '.join(arguments)}")
+
+
+def draw_run(folder: Path) -> None:
+    """rig.png and detections.png: of the run of README's table."""
+    run = folder / "run"
+    _warpav("optimise", f"run.out={run}")
+    for name in ("rig.png", "detections.png"):
+        shutil.copyfile(run / "figures" / name, PICTURES / name)
+
+
+def draw_coverage(folder: Path) -> None:
+    """coverage.png: where the cameras of nuScenes see a child."""
+    _warpav("inspect", "nuscenes", "--show", "coverage", "--out", str(PICTURES / "coverage.png"))
+
+
+def draw_vehicle(folder: Path) -> None:
+    """vehicle.png: what of the embedded vehicle can carry cameras."""
+    _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
+    _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--picture", str(PICTURES / "vehicle.png"))
+
+
+def draw_stages(folder: Path) -> None:
+    """stages.jpg: from images to triangle meshes."""
+    _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(PICTURES / "stages.jpg"))
+
+
+def draw_gradient(folder: Path) -> None:
+    """gradient.png: how the derivative of an area follows from a hard render (kernels/design.md).
+
+    The body is convex, so that its outline is the convex hull of its corners' images; all else is what the kernels do.
+    """
+    import matplotlib.pyplot as plt
+    import trimesh
+    from matplotlib.collections import LineCollection, PolyCollection
+    from scipy.spatial import ConvexHull
+
+    width, height, focal_px = 16, 12, 14.0
+    body = trimesh.creation.icosphere(2, 1.0)
+    lengthwise = np.array([[np.cos(0.6), -np.sin(0.6), 0.0], [np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
+    corner_m = body.vertices * (1.75, 1.15, 1.2) @ lengthwise.T + (-0.12, 0.0, 4.6)
+
+    def image_px(point_m: np.ndarray) -> np.ndarray:
+        return focal_px * point_m[:, :2] / point_m[:, 2:] + (width / 2, height / 2)
+
+    def hull(point_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the outline in turn, and the normals and offsets of its sides."""
+        found = ConvexHull(point_px)
+        return found.vertices, found.equations
+
+    def reach_px(start_px: np.ndarray, direction: np.ndarray, side: np.ndarray) -> float:
+        """How far the body goes on from a point inside it."""
+        along = side[:, :2] @ direction
+        distance = -(side[:, :2] @ start_px + side[:, 2])
+        return float((distance[along > 0.0] / along[along > 0.0]).min())
+
+    corner_px = image_px(corner_m)
+    rim, side = hull(corner_px)
+    shift_m = np.array([0.3, 0.04, 0.0])  # of the camera
+    after_px = image_px(corner_m - shift_m)[hull(image_px(corner_m - shift_m))[0]]
+    centre_px = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    covered = (centre_px @ side[:, :2].T + side[:, 2]).max(axis=-1) < 0.0
+
+    def crossing_px(row: int, column: int, down: int, right: int) -> np.ndarray | None:
+        """Where the outline crosses between a sample and its neighbour; None where both are on one side of it."""
+        if covered[row, column] == covered[row + down, column + right]:
+            return None
+        inside, sign = ((row, column), 1.0) if covered[row, column] else ((row + down, column + right), -1.0)
+        direction = sign * np.array([right, down], float)
+        return centre_px[inside] + reach_px(centre_px[inside], direction, side) * direction
+
+    reaches, segments = [], []
+    for row in range(height - 1):
+        for column in range(width - 1):
+            for down, right in ((0, 1), (1, 0)):
+                crossing = crossing_px(row, column, down, right)
+                if crossing is not None:
+                    inside = (row, column) if covered[row, column] else (row + down, column + right)
+                    reaches.append((centre_px[inside], crossing))
+            around = ((0, 0, 0, 1), (0, 0, 1, 0), (1, 0, 0, 1), (0, 1, 1, 0))  # the sides of a cell of four samples
+            ends = [crossing_px(row + i, column + j, down, right) for i, j, down, right in around]
+            met = [end for end in ends if end is not None]
+            if len(met) == 2:
+                segments.append(met)
+
+    pieces = []
+    for start, end in segments:  # cut where they pass from one pixel to the next
+        cuts = {0.0, 1.0}
+        for axis in range(2):
+            low, high = sorted((start[axis], end[axis]))
+            for line in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+                if high > low:
+                    cuts.add(float((line - start[axis]) / (end[axis] - start[axis])))
+        ordered = sorted(cut for cut in cuts if 0.0 <= cut <= 1.0)
+        pieces += [(start + a * (end - start), start + b * (end - start)) for a, b in pairwise(ordered)]
+
+    # the outline's points are points of the body: each moves as the surface there does
+    middle_px = np.array([0.5 * (start + end) for start, end in segments])
+    nearest = rim[np.argmin(np.linalg.norm(middle_px[:, None] - corner_px[rim], axis=2), axis=1)]
+    flow_px = -focal_px * shift_m[:2] / corner_m[nearest, 2:]
+
+    figure, axes = plt.subplots(1, 3, figsize=(16.6, 5.1), layout="constrained")
+    titles = (
+        "1  Decide: what covers each sample,\nand how far it goes on towards the next one",
+        "2  Outline: a closed polygon through the crossings,\ncut where it enters another pixel",
+        "3  Flow: area that each piece sweeps when the camera\nmoves; blue is gained, red is lost",
+    )
+    for axis, title in zip(axes, titles, strict=True):
+        axis.set(title=title, aspect="equal", xticks=range(width), yticks=range(height))
+        axis.set(xlim=(0, width), ylim=(height, 0))
+        axis.tick_params(length=0, labelbottom=False, labelleft=False)
+        axis.grid(color="0.9")
+        axis.set_axisbelow(True)
+        axis.spines[:].set_color("0.8")
+    decide, outline, flow = axes
+
+    facing = np.linalg.det(np.diff(corner_px[body.faces], axis=1)) < 0.0
+    triangle_px = corner_px[body.faces[facing]]
+    decide.add_collection(PolyCollection(triangle_px, facecolor="#dce7f3", edgecolor="#a9c4de", lw=0.8))
+    decide.scatter(*centre_px[covered].T, s=36, color="#1f4e80", label="covered", zorder=3)
+    decide.scatter(*centre_px[~covered].T, s=20, facecolor="none", edgecolor="0.55", label="not covered", zorder=3)
+    for number, (start, end) in enumerate(reaches):
+        label = "reach" if number == 0 else None
+        decide.plot(*np.stack([start, end]).T, "-o", color="#d0455c", lw=2, ms=5, markevery=[1], label=label, zorder=4)
+    for axis, points, label in ((outline, corner_px[rim], "true outline"), (flow, after_px, "true outline afterwards")):
+        axis.fill(*points.T, facecolor="none", edgecolor="0.45", ls="--", lw=1.0, label=label)
+    colour = plt.get_cmap("tab20")(np.arange(len(pieces)) % 20)
+    outline.add_collection(LineCollection(pieces, colors=colour, lw=3.5, label="piece in one pixel"))
+    outline.scatter(*np.concatenate(segments).T, s=24, color="black", zorder=3)
+
+    for (start, end), motion in zip(segments, flow_px, strict=True):
+        outward = np.array([(end - start)[1], -(end - start)[0]])
+        outward *= np.sign(outward @ (0.5 * (start + end) - centre_px[covered].mean(axis=0)))
+        swept = [start, end, end + motion, start + motion]
+        flow.add_collection(PolyCollection([swept], facecolor="#7aa3dc" if outward @ motion > 0.0 else "#e79fa4"))
+        middle = 0.5 * (start + end)
+        flow.annotate("", middle + motion, middle, arrowprops={"arrowstyle": "-|>", "color": "0.2", "lw": 1.0})
+    flow.add_collection(LineCollection(segments, colors="black", lw=2.0, label="outline now"))
+    for axis in axes:
+        axis.legend(loc="lower left", fontsize=9)
+    figure.savefig(PICTURES / "gradient.png", dpi=100)
+    plt.close(figure)
+
+
+DRAWN: dict[str, Callable[[Path], None]] = {
+    "rig.png": draw_run,
+    "detections.png": draw_run,
+    "coverage.png": draw_coverage,
+    "vehicle.png": draw_vehicle,
+    "stages.jpg": draw_stages,
+    "gradient.png": draw_gradient,
+}
+"""By file in .github/pictures."""
+
+
+if __name__ == "__main__":
+    wanted = sys.argv[1:] or list(DRAWN)
+    unknown = sorted(set(wanted) - set(DRAWN))
+    if unknown:
+        raise SystemExit(f"{', '.join(unknown)}: expected pictures out of {', '.join(DRAWN)}")
+    for draw in dict.fromkeys(DRAWN[name] for name in wanted):
+        with tempfile.TemporaryDirectory() as folder:
+            draw(Path(folder))
