@@ -162,7 +162,7 @@ def draw_gradient(folder: Path) -> None:
     flow.add_collection(LineCollection(segments, colors="black", lw=2.0, label="outline now"))
     for axis in axes:
         axis.legend(loc="lower left", fontsize=9)
-    figure.savefig(PICTURES / "gradient.png", dpi=100)
+    figure.savefig(PICTURES / "gradient.png", dpi=100, bbox_inches="tight")
     plt.close(figure)
 
 
