@@ -206,7 +206,7 @@ class RunFolder:
             raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
-        """Write what cameras see: ``figures/views.json``, and the pictures that it names as ``figures/views/<name>``."""
+        """Write what cameras see: ``figures/views.json``, and the pictures that it names."""
         folder = self.path / "figures" / "views"
         folder.mkdir(exist_ok=True)
         for name, encoded in image_of.items():

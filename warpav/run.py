@@ -22,7 +22,7 @@ from warpav.optimise.gradient import Descent
 from warpav.optimise.rivals import random_search
 from warpav.optimise.search import BudgetedValue, SearchSpace, run_search
 from warpav.problem import Problem, Stream, begin_descent, has_ordered_start, load_problem, read_start
-from warpav.report import write_report
+from warpav.report.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig
 from warpav.sources import arm_name, check_rig_source, device_name, find_rig

@@ -6,7 +6,7 @@ import pytest
 
 from warpav.config import load_config
 from warpav.errors import InputError
-from warpav.report import write_report
+from warpav.report.report import write_report
 from warpav.results import ARM_ROWS, RunFolder
 
 ONE_PIXEL_PNG = bytes.fromhex(
