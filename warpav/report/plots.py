@@ -108,13 +108,8 @@ def recall_of_groups(arms: Mapping[str, Arm], by: str, title: str) -> str | None
         axis.set_xlim(0.0, 1.02)
         axis.set_title(title)
         axis.set_xlabel("recall (number of objects)")
-        axis.legend(
-            handles[::-1],
-            names[::-1],
-            loc="upper center",
-            bbox_to_anchor=(0.4, -0.55 / (0.3 * len(groups) + 0.6)),
-            ncols=4,
-        )
+        below = (0.4, -0.55 / (0.3 * len(groups) + 0.6))
+        axis.legend(handles[::-1], names[::-1], loc="upper center", bbox_to_anchor=below, ncols=4)
 
     return _svg(draw, 1.45 + 0.3 * len(groups))
 
