@@ -232,10 +232,10 @@ def outcomes_of(
 
 
 def shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[ObjectOutcome]]) -> list[AssignedScene]:
-    """The first scene, and the one in which a rig leaves most objects undetected, if that is another."""
+    """The first scene, and of the others that in which a rig leaves most objects undetected, if it leaves any."""
     undetected = [sum(outcome != ObjectOutcome.DETECTED for outcome in each) for each in outcomes]
-    hardest = int(np.argmax(undetected))
-    return [scenes[0]] if hardest == 0 else [scenes[0], scenes[hardest]]
+    hardest = max(range(1, len(scenes)), key=undetected.__getitem__, default=0)
+    return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
 
 
 def measure_rig(source: str, config: Config, *, json_file: Path | None, display: RunDisplay) -> dict[str, Any]:

@@ -18,12 +18,6 @@ OVERRIDES = [
     "rig.cameras=2",
     "camera.fov_deg=80",
 ]
-    "run.iterations=2",
-    "run.batch_size=1",
-    "scenes.test_seeds=[1007,1009]",
-    "rig.cameras=2",
-    "camera.fov_deg=80",
-]
 
 
 def folder_at(path, *overrides, events=3):

@@ -230,7 +230,7 @@ def test_the_summary_says_what_the_numbers_say(folder, page):
         "camera's image. The nearest is 4 m away.",
         "no camera sees 25.0 % of the ground for someone 1.1 m tall (start 15.0 %, highest 0.0 %)",
         "That is more than at the start",
-        "worst front, 0 to 5 m from the vehicle's middle: a child is seen nowhere on 80 % of it.",
+        "worst in the sector front, 0 to 5 m from its middle: no camera sees a child on 80 % of it.",
         "All 2 hold; the tightest is the distance of left and right, with 50 mm to spare.",
         "No better rig in 2 looks, after 2 of 5 iterations; the rig after 1 is kept.",
         "12 test scenes are few, and the intervals of so few tend to be too short.",
@@ -252,6 +252,20 @@ def test_no_difference_is_claimed_that_is_not_proven(folder, found, told):
     words = words_of(folder, paired={"start": {"tp_detection_rate": found}})
     assert told in words
     assert "The optimised rig cannot be told from the start by what it detects." in words
+
+
+def test_what_is_proven_besides_recall_is_told(folder):
+    paired = {
+        "start": {
+            "tp_detection_rate": difference(0.0, -0.1, 0.1),
+            "ap50_pooled": difference(0.1, 0.05, 0.2),
+            "false_alarms_per_frame": difference(0.5, 0.25, 0.75),
+            "tp_in_frame_rate": difference(0.1, 0.05, 0.2, scenes=5),
+        }
+    }
+    words = words_of(folder, paired=paired)
+    told = "leaves 0 out for AP50 against the start (better) and false alarms against the start (worse)."
+    assert told in words
 
 
 def test_a_gain_of_the_search_alone_is_called_that(folder):

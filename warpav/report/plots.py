@@ -60,6 +60,7 @@ def differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> str | Non
         axis.set_yticks(range(len(rows)), [text for text, _, _ in rows])
         axis.set_ylim(len(rows) - 0.4, -0.6)
         axis.set_title("Differences with 95 % intervals")
+        axis.locator_params(axis="x", nbins=5)
         axis.set_xlabel(f"← worse    {evaluation.first} minus other    better →")
         axis.grid(visible=False, axis="y")
 

@@ -26,6 +26,13 @@ FEW_SCENES = 30
 
 BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
 
+PROVABLE = {
+    "ap50_pooled": ("AP50", False),
+    "false_alarms_per_frame": ("false alarms", True),
+    "tp_in_frame_rate": ("in frame", False),
+}
+"""Metrics that are told besides recall where their difference is proven, and whether less is better."""
+
 WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
 
@@ -178,9 +185,18 @@ def _proof(evaluation: Evaluation) -> Statement | None:
         sentences.append(f"{interval(found)} against {_arm(name)} ({told})")
     if not sentences:
         return None
-    tone: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
+    overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
     text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {'; '.join(sentences)}."
-    return Statement("Proven?", text, tone)
+    beyond = [
+        f"{PROVABLE[metric][0]} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
+        for name, differences in evaluation.paired.items()
+        for metric in PROVABLE
+        if metric in differences
+        and (tone := verdict(differences[metric], lower_is_better=PROVABLE[metric][1])) != "open"
+    ]
+    if beyond:
+        text += f" Of the other metrics the interval leaves 0 out for {_listed(beyond)}."
+    return Statement("Proven?", text, overall)
 
 
 def search_scenes(run: RunContent) -> str:
@@ -278,8 +294,8 @@ def _ground(evaluation: Evaluation) -> Statement | None:
     ]
     share, _, sector, band = max(near)
     if share > 0.0:
-        where = f"{sector}, {band.replace('-', ' to ')} m from the vehicle's middle"
-        text += f" Near the vehicle it is worst {where}: a child is seen nowhere on {percent(share, 0)} of it."
+        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its middle"
+        text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
