@@ -236,6 +236,9 @@ def test_the_run_folder_is_complete(run_folder):
         "figures/loss_curves.png",
         "figures/rig_top_view.png",
         "figures/detections.png",
+        "figures/ground.npz",
+        "figures/views.json",
+        "figures/views/0_start_camera_0.webp",
     }
     assert not [name for name in found if "draft" in name]
 
@@ -265,6 +268,18 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
         for by in ("distance_m", "sector", "category", "road_user"):
             assert sum(group["objects"] for group in metrics["recall_by"][by].values()) == metrics["objects"]
         assert metrics["constraint_violation"] == 0.0
+    for arm, metrics in evaluation["arms"].items():
+        told = [seen["outcome"][arm] for seen in evaluation["outcomes"]]
+        assert len(told) == metrics["objects"]
+        assert told.count("detected") == round(metrics["rig_recall"] * metrics["objects"])
+        assert told.count("out of frame") == round((1.0 - metrics["tp_in_frame_rate"]) * metrics["objects"])
+        assert np.shape(evaluation["ground"]["blind"][arm]) == np.shape(evaluation["ground"]["cells"]) == (2, 8, 5)
+        distances = [each["value_m"] for each in evaluation["constraints"][arm] if each["kind"] == "spacing"]
+        assert min(distances) == pytest.approx(metrics["min_camera_distance_m"])
+    by_distance = evaluation["arms"]["optimised"]["recall_by"]["distance_m"]
+    assert sum(seen["distance_m"] < 10.0 for seen in evaluation["outcomes"]) == by_distance["0-10"]["objects"]
+    assert evaluation["descent"] | {"kept": 0} == {"iterations": 3, "planned": 3, "ended": None, "kept": 0}
+    assert evaluation["seconds"]["total"] == pytest.approx(sum(evaluation["seconds"].values()) / 2.0)
     training = evaluation["training_objective"]
     assert training["optimised"] <= training["start"]  # the best iterate is kept, and the start is one of them
 

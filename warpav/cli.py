@@ -259,7 +259,7 @@ def inspect(
 @app.command
 def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
     """Write the HTML report of a run again."""
-    from warpav.report import write_report
+    from warpav.report.report import write_report
     from warpav.results import RunFolder
 
     _say(f"wrote {write_report(RunFolder.open(run))}")

@@ -949,6 +949,23 @@ def option_values(config: Config) -> dict[str, object]:
     return dict(walk(config.model_dump(mode="json"), ""))
 
 
+def overrides_from(base: Config, config: Config) -> list[str]:
+    """The overrides that make one configuration of another, as :func:`load_config` takes them.
+
+    Args:
+        base: The configuration that is overridden.
+        config: What it becomes.
+    """
+    before = option_values(base)
+    changed = {name: value for name, value in option_values(config).items() if value != before[name]}
+    return [f"{name}={_flow_text(value)}" for name, value in changed.items()]
+
+
+def _flow_text(value: object) -> str:
+    """A value as YAML on one line."""
+    return yaml.safe_dump(value, default_flow_style=True, width=math.inf, allow_unicode=True).partition("\n")[0]
+
+
 def read_seeds(text: str, place: str) -> tuple[int, ...]:
     """Seeds from a range such as ``1000..1009`` or a list such as ``[1, 2, 3]``.
 

@@ -332,12 +332,40 @@ def evaluate_rig(
     *,
     with_objective: bool = True,
 ) -> ArmMetrics:
-    """Metrics of a rig on scenes.
+    """Metrics of a rig on scenes; the arguments are those of `look_at_scenes`."""
+    return metrics_of(look_at_scenes(rig, scenes, objective, with_objective=with_objective), objective)
+
+
+@dataclass(frozen=True)
+class SceneLooks:
+    """What a rig makes of scenes.
+
+    Attributes:
+        rig: The rig.
+        scenes: The scenes.
+        looks: What it makes of every one.
+        losses: The training objective on every one; empty where it was not measured.
+    """
+
+    rig: Rig
+    scenes: list[DeviceScene]
+    looks: list[RigLook]
+    losses: list[float]
+
+
+def look_at_scenes(
+    rig: Rig,
+    scenes: Sequence[AssignedScene],
+    objective: RigObjective,
+    *,
+    with_objective: bool = True,
+) -> SceneLooks:
+    """Look at scenes through the cameras of a rig.
 
     Args:
         rig: The rig, anywhere in the ego frame.
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
-        objective: Knows the mount, the detector and the limits of a match. The objective is None for a rig whose
+        objective: Knows the mount, the detector and the limits of a match. There are no losses of a rig whose
             cameras are not all of the mount's model (of any zoom, where that is free); everything else is measured with
             the rig's own cameras.
         with_objective: Whether to measure the objective at all.
@@ -366,9 +394,15 @@ def evaluate_rig(
             losses.append(loss)
         else:
             looks.append(observer.look(assigned.scene))
+    return SceneLooks(rig, [assigned.scene for assigned in scenes], looks, losses)
+
+
+def metrics_of(seen: SceneLooks, objective: RigObjective) -> ArmMetrics:
+    """Metrics of a rig from what it makes of scenes; the objective knows the constraints and the limits of a match."""
+    rig, scenes, looks, losses = seen.rig, seen.scenes, seen.looks, seen.losses
     detected, visible = [look.detected for look in looks], [look.visible for look in looks]
     in_frame, confidence = [look.in_frame for look in looks], [look.confidence for look in looks]
-    boxes = _Boxes([assigned.scene for assigned in scenes], [look.observations for look in looks], objective)
+    boxes = _Boxes(scenes, [look.observations for look in looks], objective)
     camera_map = boxes.map50_of_cameras()
     ap50, ap50_95 = boxes.average_precision()
     position_m = np.array([camera.position_m for camera in rig.cameras])
@@ -399,9 +433,7 @@ def evaluate_rig(
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         objects=whole.objects,
         frames=boxes.false_alarms.size,
-        recall_by=_recall_by(
-            [assigned.scene for assigned in scenes], np.concatenate(visible), np.concatenate(detected)
-        ),
+        recall_by=_recall_by(scenes, np.concatenate(visible), np.concatenate(detected)),
         per_scene={
             "tp_detection_rate": [each.recall for each in of_scene],
             "rig_recall": [each.recall for each in of_scene],
@@ -475,14 +507,19 @@ class _Boxes:
         return [value for value in values if math.isfinite(value)]
 
 
+def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
+    """In which of `SECTORS` places lie, as seen from the middle of the ego vehicle: forward and left [m], [..., 2]."""
+    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
+    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
+
+
 def _recall_by(
     scenes: Sequence[DeviceScene], visible: np.ndarray, detected: np.ndarray
 ) -> dict[str, dict[str, GroupRecall]]:
     """The rig's recall by distance, sector, category and road user; flags are bool [object], scene by scene."""
     from_ego_m = np.concatenate([np.zeros((0, 2)), *(scene.from_ego_m for scene in scenes)])
     distance_bin = np.searchsorted(DISTANCE_EDGES_M, np.hypot(*from_ego_m.T), side="right") - 1
-    sector_rad = 2.0 * math.pi / len(SECTORS)
-    turn = np.arctan2(from_ego_m[:, 1], from_ego_m[:, 0]) / sector_rad
+    sector = sectors_of(from_ego_m)
     category = np.array([name for scene in scenes for name in scene.category], object)
     road_user = np.concatenate([np.zeros(0, np.int32), *(scene.road_user_index for scene in scenes)])
     groups = {
@@ -490,7 +527,7 @@ def _recall_by(
             f"{low:g}+" if math.isinf(high) else f"{low:g}-{high:g}": distance_bin == k
             for k, (low, high) in enumerate(itertools.pairwise(DISTANCE_EDGES_M))
         },
-        "sector": {name: np.floor(turn + 0.5) % len(SECTORS) == k for k, name in enumerate(SECTORS)},
+        "sector": {name: sector == k for k, name in enumerate(SECTORS)},
         "category": {name: category == name for name in sorted(set(category))},
         "road_user": {ROAD_USERS[k]: road_user == k for k in np.unique(road_user)},
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -104,53 +104,91 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
     missing = [key for key in ("iteration", "loss", "terms", "multipliers", "positions_m") if key not in records[0]]
     if missing:
         raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.6)
+        axes = figure.subplots(2, 2, sharex=True)
+        for axis, draw in zip(axes.flat, convergence_panels(records, min_distance_m).values(), strict=True):
+            draw(axis)
+        for axis in axes[0]:
+            axis.set_xlabel("")
+        return save_figure(figure, path)
+
+
+def convergence_panels(
+    records: Sequence[Mapping[str, Any]], min_distance_m: float | None = None
+) -> dict[str, Callable[[Any], None]]:
+    """What draws loss, loss terms, multipliers and the smallest camera distance, each into an axis, by its title.
+
+    The arguments are those of `loss_curves`.
+    """
     iteration = np.array([record["iteration"] for record in records])
     terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
     kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
     terms = {name: term for name, term in terms.items() if name not in kept}
     multiplier_names = [name for name in records[0]["multipliers"] if name not in kept]
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 5.6)
-        axes = figure.subplots(2, 2, sharex=True)
-        loss = np.array([record["loss"] for record in records], dtype=np.float64)
-        axes[0, 0].plot(iteration, loss, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2)
-        axes[0, 0].plot(iteration, running_mean(loss), color=hex_colour(INK_RGB))
-        axes[0, 0].set_title("Loss")
+
+    def begin(axis: Any, title: str) -> None:  # noqa: ANN401 (matplotlib)
+        axis.set_title(title)
+        axis.set_xlabel("iteration")
+        axis.xaxis.get_major_locator().set_params(integer=True)
+
+    def loss(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Loss")
+        value = np.array([record["loss"] for record in records], dtype=np.float64)
+        axis.plot(iteration, value, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2, label="batch")
+        axis.plot(iteration, running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
+        look = np.array([record.get("training_objective") for record in records], dtype=np.float64)
+        if np.isfinite(look).any():
+            at = np.isfinite(look)
+            axis.plot(iteration[at], look[at], "o", color=hex_colour(camera_rgb(0)), label="all scenes")
+            axis.legend(loc="best")
+
+    def loss_terms(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Loss terms")
         for index, (name, term) in enumerate(terms.items()):
             drawn = np.maximum(term, 0.0) if name in multiplier_names else term
             colour = hex_colour(camera_rgb(index))
-            axes[0, 1].plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
-            axes[0, 1].plot(iteration, running_mean(drawn), color=colour, label=name)
-        axes[0, 1].set_title("Loss terms")
+            axis.plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
+            axis.plot(iteration, running_mean(drawn), color=colour, label=name)
+        _name_lines(axis, terms)
+
+    def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Multipliers")
         for index, name in enumerate(multiplier_names):
             value = [np.max(record["multipliers"][name], initial=0.0) for record in records]
-            axes[1, 0].plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
-        axes[1, 0].set_title("Multipliers")
-        spacing = [_smallest_distance_m(record["positions_m"]) for record in records]
-        axes[1, 1].plot(iteration, spacing, color=hex_colour(INK_RGB))
-        axes[1, 1].set_title("Smallest distance between cameras [m]")
-        largest = np.nanmax([*spacing, min_distance_m or 0.0, 1e-3])
-        axes[1, 1].set_ylim(0.0, 1.1 * float(largest))
-        if min_distance_m is not None:
-            axes[1, 1].axhline(
-                min_distance_m, color=hex_colour(FALSE_POSITIVE_RGB), linestyle=(0, (4, 3)), linewidth=1.3
-            )
-            axes[1, 1].annotate(
-                f"must keep {min_distance_m:g} m",
-                (1.0, min_distance_m),
-                xycoords=("axes fraction", "data"),
-                xytext=(0, 4),
-                textcoords="offset points",
-                ha="right",
-                color=hex_colour(FALSE_POSITIVE_RGB),
-                fontsize=9,
-            )
-        for axis, names in ((axes[0, 1], terms), (axes[1, 0], multiplier_names)):
-            if names:
-                axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
-        for axis in axes[1]:
-            axis.set_xlabel("iteration")
-        return save_figure(figure, path)
+            axis.plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
+        _name_lines(axis, multiplier_names)
+        if not multiplier_names:
+            axis.text(0.5, 0.5, "all 0: no constraint was broken", ha="center", transform=axis.transAxes)
+            axis.set_yticks([])
+
+    def spacing(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Smallest distance between cameras [m]")
+        distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
+        axis.plot(iteration, distance_m, color=hex_colour(INK_RGB))
+        largest = np.nanmax([*distance_m, min_distance_m or 0.0, 1e-3])
+        axis.set_ylim(0.0, 1.1 * float(largest))
+        if min_distance_m is None:
+            return
+        axis.axhline(min_distance_m, color=hex_colour(FALSE_POSITIVE_RGB), linestyle=(0, (4, 3)), linewidth=1.3)
+        axis.annotate(
+            f"must keep {min_distance_m:g} m",
+            (1.0, min_distance_m),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="right",
+            color=hex_colour(FALSE_POSITIVE_RGB),
+            fontsize=9,
+        )
+
+    return {"loss": loss, "loss terms": loss_terms, "multipliers": multipliers, "camera distance": spacing}
+
+
+def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (matplotlib)
+    """Tell which line is which, where there is more than none."""
+    if names:
+        axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
 
 
 def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
@@ -246,7 +284,7 @@ def rig_top_view(
             has_names=True,
         )
         if rig_initial is not None:
-            axis.legend(handles=start_and_end_handles(), loc="upper left")
+            figure.legend(handles=start_and_end_handles(), loc="outside upper left", ncols=2)
         axis.set_aspect("equal")
         axis.use_sticky_edges = False
         axis.margins(0.04)

@@ -53,6 +53,9 @@ if TYPE_CHECKING:
     from warpav.view.inspector import Inspector
 
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
+VIEW_PX = 960
+"""Longer side of the pictures that are kept of what cameras see."""
+
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
 
@@ -385,17 +388,17 @@ def draw_run(
     *,
     objective: RigObjective,
     scene: Scene,
-    assigned: AssignedScene,
+    assigned: Sequence[AssignedScene],
     say: Callable[[str], None],
 ) -> None:
-    """Draw the figures of a run into its folder.
+    """Draw the figures of a run into its folder, and keep what the cameras see for its report.
 
     Args:
         folder: The run folder; its events are drawn too.
         rigs: The start and the result, in this order, by their headings.
         objective: Looks at the scene through the rigs.
         scene: A test scene.
-        assigned: The same scene on the device.
+        assigned: The same scene on the device, and others of which views are kept.
         say: Told when this machine cannot draw.
     """
     from warpav import figures
@@ -415,13 +418,47 @@ def draw_run(
         trajectory_m=path_m,
         shows_zone=objective.constraints.are_inequalities,
     )
-    sheet = {heading: _panels(rig, objective, assigned) for heading, rig in rigs.items()}
-    figures.detections_sheet(sheet, folder.figure_path("detections"))
+    seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
+    figures.detections_sheet(seen[0], folder.figure_path("detections"))
+    _keep_views(folder, {each.scene.name: panels for each, panels in zip(assigned, seen, strict=True)})
     problem = opengl_problem()
     if problem:
         say(f"no picture of the rig: {problem}")
         return
     show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+
+
+def _keep_views(folder: RunFolder, panels: Mapping[str, Mapping[str, Sequence[DetectionPanel]]]) -> None:
+    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes."""
+    import io
+
+    from PIL import Image
+
+    views, image_of = [], {}
+    for number, (scene, rigs) in enumerate(panels.items()):
+        for rig, cameras in rigs.items():
+            for panel in cameras:
+                name = f"{number}_{rig}_{panel.title}.webp"
+                encoded, image = io.BytesIO(), Image.fromarray(panel.image_rgb)
+                image.thumbnail((VIEW_PX, VIEW_PX))
+                image.save(encoded, "WEBP", quality=88)
+                image_of[name] = encoded.getvalue()
+                height_px, width_px = panel.image_rgb.shape[:2]
+                views.append(
+                    {
+                        "scene": scene,
+                        "rig": rig,
+                        "camera": panel.title,
+                        "image": name,
+                        "size_px": [width_px, height_px],
+                        "truth_box_px": [
+                            box.tolist() if np.isfinite(box).all() else None for box in panel.truth_box_px
+                        ],
+                        "detection_box_px": panel.detection_box_px,
+                        "detection_of_truth": panel.detection_of_truth,
+                    }
+                )
+    folder.write_views(views, image_of)
 
 
 def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:

@@ -4,6 +4,7 @@
 
     runs/<name>/  config.yaml  env.json  events.jsonl  metrics.csv  rig_initial.yaml  rig_best.yaml  rig_final.yaml
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
+                  figures/ground.npz  figures/views.json  figures/views/*.webp
 
 A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
 """
@@ -23,7 +24,8 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -172,10 +174,7 @@ class RunFolder:
 
     def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Write the state from which the run can go on to ``checkpoints/last.npz``."""
-        import numpy as np
-
-        with _replacing(self.path / "checkpoints" / "last.npz") as draft, draft.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
+        _write_arrays(self.path / "checkpoints" / "last.npz", arrays)
 
     def write_evaluation(self, evaluation: Mapping[str, Any]) -> None:
         """Write ``evaluation.json``; NaN becomes null."""
@@ -184,6 +183,43 @@ class RunFolder:
     def figure_path(self, name: str) -> Path:
         """Where the figure of this name belongs: ``figures/<name>.png``."""
         return self.path / "figures" / f"{name}.png"
+
+    def write_ground(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write ``figures/ground.npz``, the cells of the ground that no camera sees."""
+        _write_arrays(self.path / "figures" / "ground.npz", arrays)
+
+    def ground(self) -> dict[str, np.ndarray] | None:
+        """The content of ``figures/ground.npz``, or None.
+
+        Raises:
+            InputError: It cannot be read.
+        """
+        import numpy as np
+
+        file = self.path / "figures" / "ground.npz"
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                return dict(arrays)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+            raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
+
+    def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
+        """Write what cameras see: ``figures/views.json``, and the pictures that it names."""
+        folder = self.path / "figures" / "views"
+        folder.mkdir(exist_ok=True)
+        for name, encoded in image_of.items():
+            (folder / name).write_bytes(encoded)
+        write_json(self.path / "figures" / "views.json", views)
+
+    def views(self) -> Any:  # noqa: ANN401 (JSON)
+        """The content of ``figures/views.json``, or None."""
+        return self._read_json("figures/views.json")
+
+    def view_path(self, name: str) -> Path:
+        """Where the picture of this name in ``figures/views.json`` is."""
+        return self.path / "figures" / "views" / name
 
     def write_report(self, html: str) -> Path:
         """Write ``report.html`` and return its path."""
@@ -368,6 +404,17 @@ def _replacing(file: Path) -> Iterator[Path]:
         os.replace(draft, file)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    import numpy as np
+
+    with _replacing(file) as draft, draft.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def write_text(file: Path, text: str) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.blind_ground import BlindGround
 from warpav.config import Config
 from warpav.console import show_verdict
 from warpav.errors import InputError
-from warpav.evaluate import ArmMetrics, evaluate_rig
+from warpav.evaluate import ArmMetrics, ObjectOutcome, evaluate_rig, look_at_scenes, metrics_of
 from warpav.experiment.statistics import paired_differences
 from warpav.gallery import draw_run
 from warpav.optimise.baselines import highest_mount_pose
@@ -21,13 +22,15 @@ from warpav.optimise.gradient import Descent
 from warpav.optimise.rivals import random_search
 from warpav.optimise.search import BudgetedValue, SearchSpace, run_search
 from warpav.problem import Problem, Stream, begin_descent, has_ordered_start, load_problem, read_start
-from warpav.report import write_report
+from warpav.report.report import write_report
 from warpav.results import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
 from warpav.rig.rig import Rig
 from warpav.sources import arm_name, check_rig_source, device_name, find_rig, is_run_folder
 
 if TYPE_CHECKING:
     from warpav.console import RunDisplay
+    from warpav.objective.objective import AssignedScene
+    from warpav.render.device_scene import DeviceScene
 
 
 def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:
@@ -45,16 +48,18 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
         InputError: Something in the input is wrong.
         KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
     """
-    began = time.perf_counter()
+    laps = Laps()
     check_new_run(config)
     start_rig = read_start(config)
     problem = load_problem(config, display)
+    laps.end("scenes and detector")
     mount = problem.objective.mount
     if config.optimiser.starts > 1:
         display.stage(f"best of {config.optimiser.starts} rigs to start from")
     beginning = begin_descent(problem, start_rig)
     descent, began_as = beginning.descent, beginning.rig
     start = descent.start
+    laps.end("looking for a start")
 
     folder = RunFolder.create(config, name=name, device=device_name(config.device))
     display.say(f"run folder: {folder.path}")
@@ -64,33 +69,87 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
         result = descent.finish()
         folder.write_rig("best", mount.rig(descent.best.mount_pose))
         folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+        laps.end("descent")
 
         arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
+        laps.end("comparison on the test scenes")
+        display.stage("ground that no camera sees")
+        ground = BlindGround.of({arm: each.rig for arm, each in arms.items()}, scenes_of(problem.test))
+        laps.end("ground that no camera sees")
         evaluation = {
-            **evaluation_of(arms),
+            **evaluation_of({arm: each.metrics for arm, each in arms.items()}),
             "training_objective": {
                 "start": descent.candidates[0].training_objective,
                 "optimised": result.training_objective,
             },
-            "seconds": {"total": time.perf_counter() - began},
+            "descent": {
+                "iterations": descent.iteration,
+                "planned": config.run.iterations,
+                "ended": descent.verdict,
+                "kept": result.iteration,
+            },
+            "constraints": {arm: problem.objective.constraints.margins(each.rig) for arm, each in arms.items()},
+            "outcomes": outcomes_of(scenes_of(problem.test), {arm: each.outcomes for arm, each in arms.items()}),
+            "ground": ground.table(),
         }
-        folder.write_evaluation(evaluation)
+        folder.write_evaluation({**evaluation, "seconds": laps.seconds})
         display.stage("figures and report")
+        folder.write_ground(ground.arrays(problem.ego.bounds_m()))
         draw_run(
             folder,
             {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
             objective=problem.objective,
             scene=problem.shown,
-            assigned=problem.test[0],
+            assigned=shown_scenes(problem.test, arms["optimised"].outcomes),
             say=display.say,
         )
+        laps.end("figures")
+        folder.write_evaluation({**evaluation, "seconds": laps.seconds})
         report = write_report(folder)
         show_verdict(display.console, evaluation)
-        display.say(f"report: {report}   took {time.perf_counter() - began:.0f} s")
+        display.say(f"report: {report}   took {laps.total_s():.0f} s")
     except KeyboardInterrupt:
         display.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
     return folder
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A rig on the test scenes.
+
+    Attributes:
+        rig: The rig.
+        metrics: Its metrics.
+        outcomes: What becomes of every object, [scene][object].
+    """
+
+    rig: Rig
+    metrics: ArmMetrics
+    outcomes: list[list[ObjectOutcome]]
+
+
+class Laps:
+    """Wall time of the stages of a run [s]."""
+
+    def __init__(self) -> None:
+        self._began = self._last = time.perf_counter()
+        self._seconds: dict[str, float] = {}
+
+    def end(self, stage: str) -> None:
+        """The stage that began with the end of the one before ends now."""
+        now = time.perf_counter()
+        self._seconds[stage] = now - self._last
+        self._last = now
+
+    def total_s(self) -> float:
+        """Since the beginning [s]."""
+        return time.perf_counter() - self._began
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Of every stage that has ended, and ``total`` up to there."""
+        return {**self._seconds, "total": self._last - self._began}
 
 
 def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
@@ -111,8 +170,8 @@ def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
 
 def compare(
     problem: Problem, mount_poses: Mapping[str, np.ndarray], began_as: Rig | None, display: RunDisplay
-) -> dict[str, ArmMetrics]:
-    """Metrics on the test scenes of some rigs on the mount surface, of the highest point, and of the best random rig.
+) -> dict[str, Compared]:
+    """Look at the test scenes with some rigs on the mount surface, that of the highest point, and the best random rig.
 
     Args:
         problem: What to measure against.
@@ -140,8 +199,43 @@ def compare(
     beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": problem.held_rig}
     arms = {}
     for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
-        arms[arm] = evaluate_rig(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
+        seen = look_at_scenes(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
+        arms[arm] = Compared(seen.rig, metrics_of(seen, problem.objective), [look.outcomes for look in seen.looks])
     return arms
+
+
+def scenes_of(assigned: Sequence[AssignedScene]) -> list[DeviceScene]:
+    """The scenes, whoever their vehicles are assigned to."""
+    return [item.scene for item in assigned]
+
+
+def outcomes_of(
+    scenes: Sequence[DeviceScene], outcomes: Mapping[str, Sequence[Sequence[ObjectOutcome]]]
+) -> list[dict[str, Any]]:
+    """Every object of the scenes, where it is, and what becomes of it before every rig, for ``evaluation.json``.
+
+    Args:
+        scenes: The scenes.
+        outcomes: By the name of the arm, [scene][object].
+    """
+    return [
+        {
+            "scene": scene.name,
+            "category": scene.category[k],
+            "distance_m": round(float(np.hypot(*scene.from_ego_m[k])), 3),
+            "bearing_deg": round(float(np.degrees(np.arctan2(*scene.from_ego_m[k][::-1]))), 2),
+            "outcome": {arm: each[number][k] for arm, each in outcomes.items()},
+        }
+        for number, scene in enumerate(scenes)
+        for k in range(scene.vehicle_count)
+    ]
+
+
+def shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[ObjectOutcome]]) -> list[AssignedScene]:
+    """The first scene, and of the others that in which a rig leaves most objects undetected, if it leaves any."""
+    undetected = [sum(outcome != ObjectOutcome.DETECTED for outcome in each) for each in outcomes]
+    hardest = max(range(1, len(scenes)), key=undetected.__getitem__, default=0)
+    return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
 
 
 def measure_rig(source: str, config: Config, *, json_file: Path | None, display: RunDisplay) -> dict[str, Any]:

@@ -291,3 +291,31 @@ def test_views_of_another_number_of_cameras_are_refused(device):
     views = mount.place(wp.zeros((3, 7), dtype=float, device=device))
     with pytest.raises(ValueError, match="expected 4 cameras, got 3"):
         zone(SURFACE, 4).losses_of(views, mount.rotation_count)
+
+
+@pytest.mark.parametrize("kind", [BoundsAndSpacing, functools.partial(ZoneAndSpacing, camera_count=3, margin_m=0.05)])
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(place=st.lists(st.tuples(coordinate, coordinate), min_size=3, max_size=3))
+def test_margins_are_the_single_constraints(kind, place):
+    constraints = kind(SURFACE, min_spacing_m=0.3)
+    rig = rig_at(place, SURFACE)
+    margins = constraints.margins(rig)
+    assert [margin.kind for margin in margins] == ["border"] * 3 + ["spacing"] * 3
+    assert [margin.cameras for margin in margins[3:]] == list(
+        itertools.combinations([camera.name for camera in rig.cameras], 2)
+    )
+    for margin in margins:
+        assert margin.slack_m == pytest.approx(margin.value_m - margin.limit_m)
+    assert all(margin.is_kept for margin in margins) == (constraints.violation_m(rig) == 0.0)
+    inside = constraints.contains(np.array(place))
+    np.testing.assert_array_equal([margin.slack_m >= 0.0 for margin in margins[:3]], inside)
+    missing = sum(max(-margin.slack_m, 0.0) for margin in margins[3:])
+    assert constraints.violation_m(rig) >= missing - 1e-6
+
+
+def test_the_margin_of_a_camera_in_the_middle_is_the_way_out():
+    at = [[0.2, 0.1], [1.3, 0.0], [1.5, 0.0]]  # the nearest border of 2.4 m x 1.2 m is that of the left side
+    found = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).margins(rig_at(at, SURFACE))
+    assert [margin.value_m for margin in found[:3]] == pytest.approx([0.5, 0.1, -0.1])
+    assert [margin.is_kept for margin in found] == [True, True, False, True, True, False]
+    assert found[-1].slack_m == pytest.approx(-0.1)

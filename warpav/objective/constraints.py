@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,7 @@ import warp as wp
 from warpav.errors import OptionError
 from warpav.geometry.mount_surface import MountSurface
 from warpav.objective.mount import RISE_M, X_M, Y_M, HeldCameras, PlacedViews
-from warpav.rig.rig import Rig
+from warpav.rig.rig import Rig, RigCamera
 from warpav_kernels import constraint_losses
 
 if TYPE_CHECKING:
@@ -28,12 +30,42 @@ RANDOM_TRIES = 1000
 _ROUNDING_M = 1e-6
 
 
+@dataclass(frozen=True)
+class Margin:
+    """How far a rig is from breaking one constraint.
+
+    Attributes:
+        kind: ``border``, the distance of a camera to the border of where it may stand, negative outside; or
+            ``spacing``, the distance of two cameras.
+        cameras: Names of the cameras.
+        value_m: The distance [m].
+        limit_m: What it has to be at least [m].
+        slack_m: By how much it is more [m]; negative where the constraint is broken.
+        is_kept: Whether it holds, but for the rounding of rig files.
+    """
+
+    kind: str
+    cameras: tuple[str, ...]
+    value_m: float
+    limit_m: float
+    slack_m: float
+    is_kept: bool
+
+    @classmethod
+    def of(cls, kind: str, cameras: Sequence[RigCamera], value_m: float, limit_m: float) -> Margin:
+        """The margin of some cameras."""
+        slack_m = float(value_m) - limit_m
+        names = tuple(camera.name for camera in cameras)
+        return cls(kind, names, float(value_m), limit_m, slack_m, slack_m >= -_ROUNDING_M)
+
+
 class Constraints(ABC):
     """What a rig must satisfy. A kind of constraints says which places are allowed, and what a violation costs.
 
     Attributes:
         surface: What the cameras stand on.
         min_spacing_m: Least distance between two camera centres [m].
+        margin_m: Least distance of a camera's centre to the border of where it may stand [m].
         are_inequalities: Whether the losses are inequalities g <= 0 [m], negative where there is room to spare; or else
             penalties, 0 where the constraint holds and positive otherwise. `lagrangian_of` treats them differently.
     """
@@ -56,6 +88,7 @@ class Constraints(ABC):
             raise ValueError(f"min_spacing_m must be positive, got {min_spacing_m}")
         self.surface = surface
         self.min_spacing_m = min_spacing_m
+        self.margin_m = 0.0
         self.held = held
 
     @property
@@ -97,6 +130,26 @@ class Constraints(ABC):
         )
         violation = float(self._excess_m(position_m[~is_held, :2]).sum() + missing)
         return violation if violation > _ROUNDING_M else 0.0
+
+    def margins(self, rig: Rig) -> list[Margin]:
+        """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.
+
+        The rig may have any number of cameras. What is held has none of its own.
+        """
+        position_m = np.array([camera.position_m for camera in rig.cameras])
+        is_held = self._stands_held(position_m)
+        border_m = self._border_distance_m(position_m[:, :2])
+        free = [
+            Margin.of("border", [camera], border_m[k], self.margin_m)
+            for k, camera in enumerate(rig.cameras)
+            if not is_held[k]
+        ]
+        pairs = [
+            Margin.of("spacing", [one, other], math.dist(one.position_m, other.position_m), self.min_spacing_m)
+            for (i, one), (j, other) in itertools.combinations(enumerate(rig.cameras), 2)
+            if not (is_held[i] and is_held[j])
+        ]
+        return free + pairs
 
     def project(self, place_m: np.ndarray, rise_m: np.ndarray | None = None) -> np.ndarray:
         """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
@@ -188,6 +241,10 @@ class Constraints(ABC):
         return (np.linalg.norm(offset_m, axis=-1) <= _ROUNDING_M).any(axis=1)
 
     @abstractmethod
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        """Distance of places [camera, 2] to the border of where a camera may stand [m], [camera]; negative outside."""
+
+    @abstractmethod
     def _excess_m(self, place: np.ndarray) -> np.ndarray:
         """By how much places [camera, 2] lie beyond the borders [m], of any shape."""
 
@@ -245,6 +302,10 @@ class BoundsAndSpacing(Constraints):
         """As in `Constraints`."""
         size = np.diff(self.surface.bounds_m, axis=0)[0]
         return _do_not_fit(f"the mount surface of {size[0]:.2f} m x {size[1]:.2f} m", self.min_spacing_m, camera_count)
+
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        low_m, high_m = self.surface.bounds_m
+        return np.minimum(place - low_m, high_m - place).min(axis=-1)
 
     def _excess_m(self, place: np.ndarray) -> np.ndarray:
         low_m, high_m = self.surface.bounds_m
@@ -379,6 +440,9 @@ class ZoneAndSpacing(Constraints):
     def _kept_m(self) -> float:
         """The distance to the border that projected places keep [m], with room for the rounding to float32."""
         return self.margin_m + 1e-6
+
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        return self.surface.zone_distance_m(place)
 
     def _excess_m(self, place: np.ndarray) -> np.ndarray:
         return np.maximum(self.margin_m - self.surface.zone_distance_m(place), 0.0)
