@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.view.opengl import load_pyvista
-from warpav.view.palette import INK_RGB
+from warpav.view.palette import DESCENT_RGB
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -115,7 +115,7 @@ def add_descent(
             )
         for kind, way_m in ways.items():
             plotter.add_mesh(
-                _arrow(way_m), color=INK_RGB, ambient=0.5, name=f"{name}/{camera.name}/{kind}", smooth_shading=False
+                _arrow(way_m), color=DESCENT_RGB, ambient=0.7, name=f"{name}/{camera.name}/{kind}", smooth_shading=False
             )
 
 

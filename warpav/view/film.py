@@ -9,7 +9,7 @@ import numpy as np
 from warpav.view.descent_view import Descent, add_descent
 from warpav.view.palette import INK_RGB, hex_colour
 from warpav.view.picture import MOVIE_PX, picture_rgb
-from warpav.view.rig_view import add_rig, add_trajectory, rig_plotter
+from warpav.view.rig_view import add_rig, add_trajectory, no_render, rig_plotter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 
+ZOOM = 1.6
 MAX_FRAMES = 60
 """Of a longer run every n-th iteration is shown, and always the last one."""
 
@@ -49,25 +50,29 @@ def run_film(
     Raises:
         InputError: Nothing can be drawn on this machine.
     """
-    plotter = rig_plotter(frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False)
+    plotter = rig_plotter(
+        frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False, zoom=ZOOM
+    )
+    plotter.disable_anti_aliasing()  # supersampling does that
     width = max(len(str(event["iteration"])) for event in events)
     try:
         for k in shown_iterations(len(frames)):
             event = events[k]
-            own = [
-                j for j in range(k + 1) if events[j].get("descent") == event.get("descent")
-            ]  # a new descent begins anew
+            # the ways of an earlier descent go when another one begins
+            own = [j for j in range(k + 1) if events[j].get("descent") == event.get("descent")]
             way_m = np.array([[camera.position_m for camera in frames[j].cameras] for j in own])
-            add_rig(plotter, frames[k], sectors=False, labels=False)
-            add_trajectory(plotter, way_m)
-            if surface is not None:
-                add_descent(plotter, frames[k], Descent.of_event(event), surface)
-            _write(plotter, [f"iteration {event['iteration']:{width}d}", _objective_text(events[: k + 1])])
+            with no_render(plotter):
+                add_rig(plotter, frames[k], sectors=False, labels=False)
+                add_trajectory(plotter, way_m)
+                if surface is not None:
+                    add_descent(plotter, frames[k], Descent.of_event(event), surface)
+                _write(plotter, [f"iteration {event['iteration']:{width}d}", _objective_text(events[: k + 1])])
             yield picture_rgb(plotter, supersampling=supersampling)
-        add_rig(plotter, end, sectors=False, labels=False)
-        if surface is not None:
-            add_descent(plotter, end, None, surface)
-        _write(plotter, ["result", _objective_text(events)])
+        with no_render(plotter):
+            add_rig(plotter, end, sectors=False, labels=False)
+            if surface is not None:
+                add_descent(plotter, end, None, surface)
+            _write(plotter, ["result", _objective_text(events)])
         yield picture_rgb(plotter, supersampling=supersampling)
     finally:
         plotter.close()

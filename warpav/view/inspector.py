@@ -22,7 +22,7 @@ from warpav.view.palette import (
     hex_colour,
 )
 from warpav.view.picture import WIDE_ZOOM
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, rig_plotter
+from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_render, rig_plotter
 from warpav.view.sight_view import add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
@@ -199,11 +199,8 @@ class Inspector:
 
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
         """Answer to a move of the mouse; the ball draws the picture afterwards, so nothing else has to."""
-        self.plotter.suppress_rendering = True
-        try:
+        with no_render(self.plotter):
             self._follow(camera, np.array(ball.GetCenter()))
-        finally:
-            self.plotter.suppress_rendering = False
 
     def _after_change(self, camera: int) -> None:
         with self._one_render():
@@ -217,11 +214,8 @@ class Inspector:
     @contextmanager
     def _one_render(self) -> Iterator[None]:
         """Draw once when all is changed, instead of after every change."""
-        self.plotter.suppress_rendering = True
-        try:
+        with no_render(self.plotter):
             yield
-        finally:
-            self.plotter.suppress_rendering = False
         self.plotter.render()
 
     def _add_controls(self) -> None:

@@ -253,7 +253,7 @@ def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> b
     from PIL import Image
 
     some = image_rgb[:: max(1, len(image_rgb) // 4)]
-    palette = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    palette = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
     frames = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in image_rgb]
     shown_ms = [round(1000 * frame_s)] * len(frames)
     shown_ms[-1] += round(1000 * last_s)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from warpav.view.opengl import load_pyvista
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from warpav.evaluate import ObjectOutcome
     from warpav.geometry.mesh import Mesh
@@ -108,13 +109,15 @@ def rig_plotter(
     if scene is None:
         add_ground(plotter, bounds_m, shadow=ego is not None)
     else:
-        add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
+        shown = scene
         if outcomes is not None:
             from warpav.view.sight_view import add_outcomes
 
             add_outcomes(plotter, scene, outcomes)
-            scene = dataclasses.replace(scene, vehicles=())
-        add_scene(plotter, scene)
+            shown = dataclasses.replace(scene, vehicles=())
+        add_scene(plotter, shown)
+        # last, as most of it is hidden: what is drawn behind others costs little
+        add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
     add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
@@ -125,6 +128,16 @@ def rig_plotter(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
         )
     return plotter
+
+
+@contextmanager
+def no_render(plotter: Plotter) -> Iterator[None]:
+    """Change the picture without drawing it after every change, as pyvista does once it was drawn."""
+    plotter.suppress_rendering = True
+    try:
+        yield
+    finally:
+        plotter.suppress_rendering = False
 
 
 def look_at_ego(
