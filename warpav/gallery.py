@@ -219,7 +219,7 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives the scene: the first test scene; and the detector.
-        out: PNG, HTML or GIF to write; None opens a window.
+        out: PNG, HTML, GIF or MP4 to write, the last two films of a run; None opens a window.
         shown: What is drawn besides the rig and the path of its cameras.
 
     Returns:

@@ -218,7 +218,7 @@ class Scene:
         Args:
             out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
             rig: Cameras on the ego vehicle.
-            outcomes: What becomes of every vehicle before a rig (`warpav.evaluate.ObjectOutcome`); they are coloured by it.
+            outcomes: What becomes of every vehicle, `warpav.evaluate.ObjectOutcome`; they are then coloured by it.
             title: A line in the upper left corner.
             window_size: Width and height [px].
             zoom: 1 fills the picture with the ego vehicle, less shows more around it.

@@ -183,7 +183,7 @@ def run_to_pyvista(frames: Sequence[Rig], *, start: Rig, end: Rig, scene: Scene)
         way = [frame.cameras[index] for frame in frames]
         point_m = np.array([each.position_m for each in way], np.float64).reshape(-1, 3)
         lines = np.r_[len(way), np.arange(len(way))] if len(way) > 1 else None
-        line = pyvista.PolyData(point_m, lines=lines) if len(way) else pyvista.PolyData()
+        line = pyvista.PolyData(point_m, lines=lines) if way else pyvista.PolyData()
         line.point_data["iteration"] = np.arange(len(way))
         line.point_data["yaw_deg"] = np.degrees([each.yaw_rad for each in way])
         paths[camera.name] = line

@@ -104,7 +104,7 @@ def add_descent(
     widest = np.abs(descent.turn).max(initial=0.0)
     turn_rad = WIDEST_RAD * descent.turn / widest if widest > 0.0 else np.zeros(len(rig.cameras))
     for camera, arrow, angle in zip(rig.cameras, arrows_m(rig, descent, surface), turn_rad, strict=True):
-        start = np.asarray(camera.position_m) + [0.0, 0.0, _RISE_M]
+        start = camera.position_m + np.array([0.0, 0.0, _RISE_M])
         ways = {}
         if np.linalg.norm(arrow) > _LEAST * LONGEST_M:
             ways["move"] = start + np.linspace(0.0, 1.0, 2)[:, None] * arrow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
     INK_RGB,
@@ -87,22 +88,26 @@ class Inspector:
         Raises:
             InputError: Nothing can be drawn on this machine.
         """
-        load_pyvista()
         self.state, self.save_to = state, save_to
         self.chosen: int | None = None
         self.shown_height: int | None = 0
         self.shows_outcomes = False
         self.shows_descent = True
-        self.plotter = rig_plotter(
-            state.rig,
-            ego=state.scene.ego,
-            scene=state.scene,
-            off_screen=off_screen,
-            window_size=window_size,
-            sectors=False,
-            labels=False,
-            zoom=WIDE_ZOOM,
-        )
+        tell_vtk_where_to_draw()
+        with ThreadPoolExecutor(1) as beside:
+            # neither holds up the other: the one is Warp's, the other VTK's
+            coverage = beside.submit(lambda: state.coverage)
+            self.plotter = rig_plotter(
+                state.rig,
+                ego=state.scene.ego,
+                scene=state.scene,
+                off_screen=off_screen,
+                window_size=window_size,
+                sectors=False,
+                labels=False,
+                zoom=WIDE_ZOOM,
+            )
+            coverage.result()
         # dragging has to be smooth; pictures are made by other functions
         self.plotter.disable_anti_aliasing()
         self.plotter.renderer.SetUseOIT(False)

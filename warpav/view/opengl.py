@@ -20,7 +20,7 @@ _EGL_DEVICE_PLATFORM = 0x313F
 
 
 def has_display() -> bool:
-    """Whether a window can be opened: always on Windows and macOS, elsewhere when an X server with GLX answers to DISPLAY."""
+    """Whether a window can be opened: on Windows and macOS; else when an X server with GLX answers to DISPLAY."""
     if sys.platform in ("win32", "darwin"):
         return True
     name = os.environ.get("DISPLAY")
