@@ -19,7 +19,7 @@ from PIL import Image
 from warpav.cli import main
 from warpav.config import Config
 from warpav.errors import InputError
-from warpav.gallery import OBJECT_EGO, inspector
+from warpav.gallery import OBJECT_EGO, inspector, run_plotter
 from warpav.optimise.gradient import Descent
 from warpav.results import ARM_ROWS, RunFolder
 from warpav.rig.rig import rig_text
@@ -501,6 +501,9 @@ def test_a_run_is_a_film_a_plot_and_blocks(run_folder, working_directory, capsys
     message = f"{run_folder.path}: iteration: expected one of 3 from 0, got 3"
     with pytest.raises(InputError, match=re.escape(message)):
         run_folder.plot("x.png", iteration=3, scene=scene)
+    plotter = run_plotter(run_folder, iteration=1, scene=scene, off_screen=True, window_size=(320, 200))
+    assert any(name.startswith("descent/") for name in plotter.actors)
+    plotter.close()
     blocks = run_folder.to_pyvista(scene=scene)
     events = run_folder.events()
     for k, camera in enumerate(run_folder.rig().cameras):

@@ -264,6 +264,36 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
     )
 
 
+def run_plotter(
+    folder: RunFolder,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    **options: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401 (a pyvista.Plotter)
+    """A plotter with the picture of a run, not yet shown: what `RunFolder.plot` shows, to add to.
+
+    Args:
+        folder: The run folder.
+        iteration: Instead of the result, the rig before the step of this one; negative ones count from the end.
+        scene: Traffic and street; by default the first test scene of the run.
+        arrows: Whether to draw where the descent moves and turns the cameras.
+        **options: Those of `warpav.view.rig_view.rig_plotter`.
+
+    Raises:
+        InputError: A file of the folder cannot be used, there is no such iteration, or nothing can be drawn here.
+    """
+    from warpav.view.rig_view import rig_plotter
+
+    run = ShownRun.of(folder, scene=scene)
+    add = run.descent_at(iteration) if arrows else None
+    plotter = rig_plotter(run.rig_at(iteration), scene=run.scene, trajectory_m=run.way_to(iteration), **options)
+    if add is not None:
+        add(plotter)
+    return plotter
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShownRun:
     """A run as pictures need it.
@@ -307,7 +337,12 @@ class ShownRun:
         return mount_surface(self.config, self.scene.ego)
 
     def plot(
-        self, out: Path | str | None = None, *, iteration: int | None = None, arrows: bool = True, **options: object
+        self,
+        out: Path | str | None = None,
+        *,
+        iteration: int | None = None,
+        arrows: bool = True,
+        **options: Any,  # noqa: ANN401
     ) -> object:
         """What `RunFolder.plot` does; ``options`` are those of `warpav.view.picture.plot_rig`."""
         from warpav.view.picture import MOVIE_SUFFIXES, plot_rig
@@ -315,13 +350,17 @@ class ShownRun:
         if out is not None and iteration is None and Path(out).suffix.lower() in MOVIE_SUFFIXES:
             return self.save_film(Path(out), arrows=arrows)
         return plot_rig(
-            self.rig if iteration is None else self.frames[self._checked(iteration)],
+            self.rig_at(iteration),
             out,
             scene=self.scene,
             trajectory_m=self.way_to(iteration),
             add=self.descent_at(iteration) if arrows else None,
             **options,
         )
+
+    def rig_at(self, iteration: int | None) -> Rig:
+        """The rig before the step of an iteration; None: the result."""
+        return self.rig if iteration is None else self.frames[self._checked(iteration)]
 
     def to_pyvista(self) -> Any:  # noqa: ANN401 (a pyvista.MultiBlock)
         """What `RunFolder.to_pyvista` returns."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from warpav.errors import InputError
 from warpav.view.opengl import display_text, has_display, load_pyvista, optional_module
+from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 from warpav.view.rig_view import WINDOW_PX, rig_plotter
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ MOVIE_FRAME_S, MOVIE_LAST_S = 0.12, 2.0
 """How long a picture of a film of a run is shown, and how much longer the last one."""
 
 _ORBIT_FRAMES, _ORBIT_FRAME_S = 40, 0.1
+_INSTALL_MOVIE = 'pip install "warpav[movie]"'
 _GIF_COLOURS = 255  # and one for what stays as it was
 
 
@@ -211,7 +213,7 @@ def save_movie(image_rgb: Iterable[np.ndarray], path: Path | str, *, frame_s: fl
     if path.suffix.lower() == ".gif":
         return _write(path, _gif(list(image_rgb), frame_s=frame_s, last_s=last_s))
     for name in ("imageio", "imageio_ffmpeg"):
-        optional_module(name, purpose=f"{path}: a film as MP4", install='pip install "warpav[movie]"')
+        optional_module(name, purpose=f"{path}: a film as MP4", install=_INSTALL_MOVIE)
     return _write(path, _mp4(image_rgb, frame_s=frame_s, last_s=last_s))
 
 
@@ -249,11 +251,18 @@ def _orbit(plotter: Plotter, *, frame_count: int, supersampling: int) -> Iterato
 
 
 def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
-    """All pictures in the colours of a few of them, so that what does not move costs nothing."""
+    """All pictures in the colours of a few of them and in those of the cameras.
+
+    With one palette for all, what does not move costs nothing; the cameras' colours would be lost in it, as their lines
+    cover few pixels.
+    """
     from PIL import Image
 
     some = image_rgb[:: max(1, len(image_rgb) // 4)]
-    palette = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    accent = np.outer([1.0, 0.65], [*CAMERA_RGB, DESCENT_RGB]).round().astype(int).ravel().tolist()
+    common = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS - len(accent) // 3, kmeans=2)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(common.getpalette() or []), *accent])
     frames = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in image_rgb]
     shown_ms = [round(1000 * frame_s)] * len(frames)
     shown_ms[-1] += round(1000 * last_s)
@@ -267,8 +276,7 @@ def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> b
 def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
     import tempfile
 
-    import imageio.v2 as imageio
-
+    imageio = optional_module("imageio.v2", purpose="a film as MP4", install=_INSTALL_MOVIE)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "film.mp4"
         with imageio.get_writer(file, format="FFMPEG", fps=1.0 / frame_s, quality=7, macro_block_size=2) as film:
