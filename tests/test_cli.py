@@ -4,17 +4,22 @@ import dataclasses
 import json
 import math
 import os
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from warpav.cli import main
 from warpav.config import Config
-from warpav.gallery import OBJECT_EGO, inspector
+from warpav.errors import InputError
+from warpav.gallery import OBJECT_EGO, inspector, run_plotter
 from warpav.optimise.gradient import Descent
 from warpav.results import ARM_ROWS, RunFolder
 from warpav.rig.rig import rig_text
@@ -502,6 +507,77 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     for k, one in enumerate(pictures):
         assert all((one != other).any() for other in pictures[:k])
     assert "--show" in _complaint(capsys, "inspect", "highest", "--show", "blind")
+
+
+def test_a_run_is_a_film_a_plot_and_blocks(run_folder, working_directory, capsys):
+    assert main(["inspect", str(run_folder.path), "--out", "run.gif"]) == 0
+    assert os.path.getsize("run.gif") < 5e6
+    with Image.open("run.gif") as film:
+        assert film.n_frames == 4  # three iterations and the result
+    scene = town_scene(3)
+    first, last = (
+        run_folder.plot(f"{k}.png", iteration=k, scene=scene, window_size=(320, 200), title=str(k)) for k in (0, -1)
+    )
+    assert (cv2.imread(str(first)) != cv2.imread(str(last))).any()
+    message = f"{run_folder.path}: iteration: expected one of 3 from 0, got 3"
+    with pytest.raises(InputError, match=re.escape(message)):
+        run_folder.plot("x.png", iteration=3, scene=scene)
+    plotter = run_plotter(run_folder, iteration=1, scene=scene, off_screen=True, window_size=(320, 200))
+    assert any(name.startswith("descent/") for name in plotter.actors)
+    plotter.close()
+    blocks = run_folder.to_pyvista(scene=scene)
+    events = run_folder.events()
+    for k, camera in enumerate(run_folder.rig().cameras):
+        places_m = [event["positions_m"][k] for event in events]
+        np.testing.assert_allclose(blocks["path"][camera.name].points, places_m, atol=1e-5)
+    assert blocks["scene"].keys()[:2] == ["environment", "ego"]
+
+
+def _corrupt(run_folder, change):
+    shutil.copytree(run_folder.path, "copy")
+    change(Path("copy"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda run: (run / "config.yaml").unlink(), "copy: run folder: expected a folder written by warpav optimise"),
+        (lambda run: (run / "config.yaml").write_bytes(b"\xff\x00"), "copy/config.yaml: expected a readable YAML"),
+        (lambda run: [file.unlink() for file in run.glob("rig_*.yaml")], "copy: run folder: expected rig_best.yaml"),
+        (lambda run: (run / "events.jsonl").write_text('{"a": 1}\n'), "copy/events.jsonl:1: expected an iteration of"),
+        (lambda run: (run / "events.jsonl").write_bytes(b"\xff\n\x00\n"), "copy/events.jsonl:1: expected one JSON"),
+        (
+            lambda run: (run / "events.jsonl").write_text(
+                '{"iteration": 0, "loss": 1, "positions_m": [[1, 0, 2]], "yaw_deg": [0]}\n'
+            ),
+            "copy: run folder: expected events.jsonl and the rig files of one run, got 1 cameras in the one and 2",
+        ),
+    ],
+    ids=["no config", "garbage config", "no rigs", "foreign events", "garbage events", "events of another run"],
+)
+def test_a_corrupt_run_folder_is_one_line(run_folder, working_directory, capsys, change, message):
+    _corrupt(run_folder, change)
+    assert _complaint(capsys, "inspect", "copy", "--out", "x.png").startswith(message)
+    assert os.listdir(working_directory) == ["copy"]
+
+
+def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, capsys):
+    def cut(run):
+        text = (run / "events.jsonl").read_text()
+        (run / "events.jsonl").write_text(text[: len(text) - 100])
+        (run / "checkpoints" / "last.npz").write_bytes(b"garbage")
+
+    _corrupt(run_folder, cut)
+    assert len(RunFolder.open("copy").events()) == 2
+    assert main(["inspect", "copy", "--out", "x.gif"]) == 0
+    with Image.open("x.gif") as film:
+        assert film.n_frames == 3
+    (working_directory / "copy" / "events.jsonl").unlink()
+    capsys.readouterr()
+    assert _complaint(capsys, "inspect", "copy", "--out", "y.gif").startswith(
+        "copy/events.jsonl: expected iterations to make a film of, got none"
+    )
+    assert main(["inspect", "copy", "--out", "y.png"]) == 0
 
 
 def test_the_inspector_goes_through_a_run(run_folder):

@@ -20,11 +20,12 @@ class Record:
     loss: float
     terms: dict
     positions_m: list
+    yaw_deg: list
     training_objective: float | None = None
 
 
 def _record(iteration, loss=1.0):
-    return Record(iteration, loss, {"detected_area": np.float32(0.5)}, [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0]])
+    return Record(iteration, loss, {"detected_area": np.float32(0.5)}, [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0]], [0.0, 90.0])
 
 
 def _rig(x_m=1.0):
@@ -80,8 +81,38 @@ def test_a_line_cut_off_by_a_crash_is_left_out(folder):
 
 
 def test_a_broken_line_in_the_middle_is_named(folder):
-    (folder.path / "events.jsonl").write_text('{"iteration": 0}\nnot json\n{"iteration": 2}\n')
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write('not json\n{"iteration": 2}\n')
     with pytest.raises(InputError, match=r"events\.jsonl:2: expected one JSON object per line"):
+        folder.events()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (b"\x00\xff\xfe\n{}\n", r"events\.jsonl:2: expected one JSON object per line, got '\\x00"),
+        (b"[1, 2]\n", r"events\.jsonl:2: expected one JSON object per line, got '\[1, 2\]'"),
+        (b'{"a": 1, "b": 2}\n', r"events\.jsonl:2: expected an iteration of a run with iteration, got a, b"),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3]], "yaw_deg": [0]}\n',
+            r"events\.jsonl:2: positions_m: expected 2 cameras as in the lines before, got 1",
+        ),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, null], [1, 2, 3]], "yaw_deg": [0, 0]}\n',
+            r"events\.jsonl:2: positions_m: expected \[x, y, z\] of every camera",
+        ),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3], [1, 2, 3]], "yaw_deg": [0]}\n',
+            r"events\.jsonl:2: yaw_deg: expected a number for each of 2 cameras, got \[0\]",
+        ),
+    ],
+)
+def test_a_line_that_is_no_iteration_is_named(folder, line, message):
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("ab") as file:
+        file.write(line)
+    with pytest.raises(InputError, match=f"{message}.*; remove the line"):
         folder.events()
 
 

@@ -237,7 +237,10 @@ def inspect(
     run_or_rig: RigSource,
     /,
     *overrides: Overrides,
-    out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
+    out: Annotated[
+        Path | None,
+        Parameter(help="PNG, HTML, GIF or MP4 to write; of a run GIF and MP4 are films over its iterations."),
+    ] = None,
     show: Annotated[
         Literal["rig", "coverage", "outcomes", "sight"],
         Parameter(
@@ -252,7 +255,11 @@ def inspect(
 
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
         file = inspect_rig(run_or_rig, settings, out, shown=show)
-    if file is not None:
+    if file is not None and out is None:
+        from warpav.view.opengl import display_text
+
+        _say(f"no window here, as {display_text()}: wrote {file}")
+    elif file is not None:
         _say(f"wrote {file}")
 
 
@@ -386,7 +393,7 @@ def scenes_show(
     scene: SceneSource,
     /,
     *,
-    out: Annotated[Path | None, Parameter(help="PNG, HTML or GIF to write; by default a window.")] = None,
+    out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
 ) -> None:
     """Show a scene and list its vehicles."""
     from warpav.gallery import show_scene

@@ -106,6 +106,9 @@ def test_records_hold_what_happened(finished):
         a, b = record.positions_m
         assert record.min_camera_distance_m == pytest.approx(math.dist(a, b))
         assert record.gradient_norm["rotation"] >= 0.0
+        for kind, field in (("position", "position_per_m"), ("rotation", "yaw_per_rad")):
+            assert np.linalg.norm(record.gradient[field]) == pytest.approx(record.gradient_norm[kind], rel=1e-5)
+        assert np.shape(record.gradient["position_per_m"]) == (2, 2)
     assert records[0].multipliers == {"out_of_bounds": 0.0, "camera_spacing": 0.0}
     assert sum(r.gradient_norm["position"] for r in records) > 0.0
 

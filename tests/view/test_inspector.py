@@ -10,8 +10,10 @@ from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
 from warpav.evaluate import RigObserver
 from warpav.objective.constraints import BoundsAndSpacing
+from warpav.render.coverage import Ground
 from warpav.render.renderer import Occlusion
 from warpav.rig.rig import Rig, read_rig
+from warpav.view.descent_view import Descent
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
@@ -62,6 +64,7 @@ def state():
         constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
         height_offset_m=HEIGHT_M,
         observer_of=observer_of,
+        descents=[Descent(np.full((4, 2), 0.1 * (k + 1)), np.full(4, 0.2)) for k in range(2)] + [None],
     )
     made.asked = asked
     return made
@@ -189,6 +192,55 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert state.rig.cameras[1].yaw_rad == pytest.approx(yaw + math.radians(2.0))
     press(inspector, "Return")
     assert len(read_rig(tmp_path / "mine.yaml").cameras) == 4
+
+
+def test_a_drag_changes_what_is_drawn_in_place(inspector):
+    """The picture after moves equals one that is drawn anew, and no actor was made for it."""
+    plotter, state = inspector.plotter, inspector.state
+    actors = dict(plotter.actors)
+    for x_m in (1.0, 1.9, 1.4):
+        inspector.drag(0, np.array([x_m, 0.3]))
+    inspector.drop(0, np.array([1.5, -0.2]))
+    inspector.choose(None)
+    assert dict(plotter.actors) == actors
+    moved = picture(inspector)
+    np.testing.assert_array_equal(
+        state.coverage.is_seen, Ground.around(state.packed).coverage(state.rig.cameras).is_seen
+    )
+    state.frames[state.frame] = state.rig  # so that the new slider leaves it as it is
+    anew = Inspector(state, save_to=inspector.save_to, off_screen=True, window_size=(640, 400))
+    try:
+        anew.plotter.show(auto_close=False, interactive=False)
+        below = slice(90, None)  # of the numbers
+        assert (np.abs(picture(anew) - moved)[below].max(axis=2) > 40).mean() < 1e-3  # edges of the frustum
+    finally:
+        anew.plotter.close()
+
+
+def test_arrows_of_the_descent_come_and_go(inspector):
+    def arrows():
+        return {name for name in inspector.plotter.actors if name.startswith("descent/")}
+
+    assert not arrows()  # the last frame is the result
+    inspector.go_to(0)
+    assert arrows() == {f"descent/cam_{k}/{kind}" for k in range(4) for kind in ("move", "turn")}
+    press(inspector, "g")
+    assert not arrows()
+    press(inspector, "g")
+    assert arrows()
+    inspector.drag(1, np.array([1.0, 0.0]))
+    assert not arrows()  # the gradient was that of the rig before
+    with pytest.raises(ValueError, match="a descent for each of 3 rigs, got 1"):
+        InspectedRig(frames(), None, 1, constraints=None, height_offset_m=0.0, observer_of=None, descents=[None])
+
+
+def test_names_follow_the_cameras(inspector):
+    label = inspector.plotter.actors["label/cam_0"]
+    before = np.array(label.position)
+    move = np.array([0.3, 0.1, 0.0])
+    place = inspector.state.rig.cameras[0].position_m + move
+    inspector.drop(0, place)
+    np.testing.assert_allclose(np.array(label.position) - before, move, atol=1e-3)
 
 
 def test_no_key_is_one_of_vtk():

@@ -18,19 +18,63 @@ def no_display(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
 
 
+@pytest.fixture(autouse=True)
+def nothing_known(monkeypatch):
+    """What was found out about this machine is forgotten before and after."""
+    probes = (opengl._x_server_answers, opengl._egl_draws, opengl._draws_in_memory)
+    for probe in probes:
+        probe.cache_clear()
+    yield
+    monkeypatch.undo()
+    for probe in probes:
+        probe.cache_clear()
+
+
 def _only(*present):
-    def load(name, *_args, **_options):
+    load = ctypes.CDLL
+
+    def load_present(name, *args, **options):
         if name not in present:
             raise OSError(f"{name}: cannot open shared object file")
-        return object()
+        return load(name, *args, **options) if name == "libEGL.so.1" else object()
 
-    return load
+    return load_present
 
 
 def test_missing_libraries_are_named_instead_of_a_crash(no_display, monkeypatch):
     monkeypatch.setattr(ctypes, "CDLL", _only())
-    with pytest.raises(InputError, match=r"libEGL\.so\.1.*apt install libegl1"):
+    with pytest.raises(InputError, match=r"DISPLAY is not set.*libEGL\.so\.1.*apt install libegl1"):
         opengl.load_pyvista()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="EGL is Linux's")
+@pytest.mark.parametrize("window", [[], ["DISPLAY=:97"]], ids=["no display", "a display that does not answer"])
+def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
+    """In a process of its own: libEGL is there, but it finds no driver, and there is no OSMesa either."""
+    code = (
+        "import ctypes, sys; load = ctypes.CDLL\n"
+        "def without_osmesa(name, *a, **o):\n"
+        "    if 'OSMesa' in str(name): raise OSError(name)\n"
+        "    return load(name, *a, **o)\n"
+        "ctypes.CDLL = without_osmesa\n"
+        "from warpav.cli import main\n"
+        "sys.exit(main(['inspect', 'nuscenes', '--out', 'x.png']))"
+    )
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment |= dict(each.split("=") for each in window)
+    environment |= {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("pictures need OpenGL: there is no display")
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="X is Linux's")
+def test_a_display_that_does_not_answer_is_none(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":97")
+    assert not opengl.has_display()
+    assert opengl.display_text() == "no X server with GLX answers to DISPLAY=:97"
 
 
 @pytest.mark.parametrize(
@@ -38,6 +82,9 @@ def test_missing_libraries_are_named_instead_of_a_crash(no_display, monkeypatch)
     [("libEGL.so.1", "vtkEGLRenderWindow"), ("libOSMesa.so.8", "vtkOSOpenGLRenderWindow")],
 )
 def test_vtk_is_told_what_to_draw_with(no_display, monkeypatch, library, window):
+    if library == "libEGL.so.1" and not opengl._egl_draws():
+        pytest.skip("no EGL")
+    opengl._egl_draws.cache_clear()
     monkeypatch.setattr(ctypes, "CDLL", _only(library))
     monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "to be removed")
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW")
@@ -46,14 +93,15 @@ def test_vtk_is_told_what_to_draw_with(no_display, monkeypatch, library, window)
 
 
 def test_own_choice_of_window_is_kept(no_display, monkeypatch):
-    monkeypatch.setattr(ctypes, "CDLL", _only("libEGL.so.1"))
-    monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
+    monkeypatch.setattr(ctypes, "CDLL", _only("libOSMesa.so.8"))
+    monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     opengl.tell_vtk_where_to_draw()
-    assert os.environ["VTK_DEFAULT_OPENGL_WINDOW"] == "vtkOSOpenGLRenderWindow"
+    assert os.environ["VTK_DEFAULT_OPENGL_WINDOW"] == "vtkEGLRenderWindow"
 
 
 def test_display_needs_no_library(no_display, monkeypatch):
     monkeypatch.setattr(ctypes, "CDLL", _only())
+    monkeypatch.setattr(opengl, "_x_server_answers", lambda name: name == ":0")
     monkeypatch.setenv("DISPLAY", ":0")
     assert opengl.has_display()
     assert opengl.opengl_problem() is None

@@ -2,6 +2,7 @@
 
 import functools
 import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.view.stand_ins import ego, rig, scene, vehicle
 from warpav.errors import InputError
 from warpav.view import picture
 from warpav.view.opengl import opengl_problem
-from warpav.view.rig_view import rig_plotter
+from warpav.view.rig_view import project_px, rig_plotter
 
 needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
@@ -67,7 +68,9 @@ def test_html_without_trame_says_what_to_install(plotter, tmp_path, monkeypatch)
 
 def test_other_suffix_is_refused_before_anything_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(picture, "rig_plotter", lambda *_args, **_options: pytest.fail("drawn"))
-    with pytest.raises(InputError, match=r"rig\.bmp: expected a name that ends in \.png, \.html, \.gif, got '\.bmp'"):
+    with pytest.raises(
+        InputError, match=r"rig\.bmp: expected a name that ends in \.png, \.html, \.gif, \.mp4, got '\.bmp'"
+    ):
         picture.inspect_rig(rig(), ego=ego(), out=tmp_path / "rig.bmp")
 
 
@@ -87,3 +90,94 @@ def test_without_a_display_and_without_a_name_a_file_is_written(tmp_path, monkey
     )
     assert path == tmp_path / "here.png"
     assert path.stat().st_size > 10_000
+
+
+# ------------------------------------------------------------------------------------------------ films
+
+
+def moving_square(count=6):
+    """A blue square that moves to the right over a grey ramp."""
+    ramp = np.repeat(np.linspace(60, 240, 96).astype(np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
+    for k in range(count):
+        image = ramp.copy()
+        image[20:30, 10 + 10 * k : 20 + 10 * k] = (36, 107, 224)
+        yield image
+
+
+def test_a_gif_keeps_colours_places_and_times(tmp_path):
+    path = picture.save_movie(moving_square(), tmp_path / "film.gif", frame_s=0.1, last_s=2.0)
+    with Image.open(path) as film:
+        assert film.n_frames == 6
+        for k, image in enumerate(moving_square()):
+            film.seek(k)
+            shown = np.asarray(film.convert("RGB")).astype(int)
+            assert np.abs(shown - image).max() < 24
+            assert film.info["duration"] == (100 if k < 5 else 2100)
+
+
+def test_an_mp4_is_a_film_or_says_what_to_install(tmp_path):
+    if not importlib.util.find_spec("imageio_ffmpeg"):
+        with pytest.raises(
+            InputError, match=r"film\.mp4: a film as MP4 needs .*; run `pip install \"warpav\[movie\]\"`"
+        ):
+            picture.save_movie(moving_square(), tmp_path / "film.mp4", frame_s=0.1)
+        return
+    import imageio.v2 as imageio
+
+    path = picture.save_movie(moving_square(), tmp_path / "film.mp4", frame_s=0.1, last_s=0.5)
+    with imageio.get_reader(path) as film:
+        frames = [np.asarray(frame).astype(int) for frame in film]
+    assert len(frames) == 6 + 5
+    for frame, image in zip(frames, moving_square(), strict=False):
+        assert np.abs(frame - image).mean() < 6.0
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_mp4_without_imageio_is_refused_before_anything_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+
+    def never():
+        pytest.fail("drawn")
+        yield
+
+    with pytest.raises(InputError, match=r"film\.mp4: a film as MP4 needs the module imageio.*warpav\[movie\]"):
+        picture.save_movie(never(), tmp_path / "film.mp4", frame_s=0.1)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------------------------------------------------------ plot
+
+
+@needs_opengl
+def test_plot_writes_or_shows(tmp_path, monkeypatch):
+    street = scene(vehicle(1, 9.0, 3.4))
+    assert rig().plot(tmp_path / "rig.png", scene=street, window_size=(160, 100)) == tmp_path / "rig.png"
+    assert street.plot(tmp_path / "street.png", window_size=(160, 100), cpos="xy") == tmp_path / "street.png"
+    one, other = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("rig", "street"))
+    assert one.shape == other.shape == (100, 160, 3)
+    assert np.abs(one - other).mean() > 5.0
+    shown = rig().plot(off_screen=True, screenshot=tmp_path / "shot.png", return_img=True, window_size=(160, 100))
+    assert shown.shape == (100, 160, 3)
+    assert (tmp_path / "shot.png").is_file()
+    with pytest.raises(InputError, match=r"expected a name that ends in .*, got '\.bmp'"):
+        rig().plot(tmp_path / "rig.bmp")
+    monkeypatch.setattr(picture, "has_display", lambda: False)
+    monkeypatch.setattr("warpav.view.opengl.has_display", lambda: False)
+    monkeypatch.setattr("pyvista.OFF_SCREEN", False)
+    with pytest.raises(InputError, match=r"plot: expected a display .* write a file instead, such as plot"):
+        rig().plot()
+
+
+@needs_opengl
+def test_a_rig_without_a_vehicle_floats_above_the_axes():
+    alone = rig_plotter(rig(), off_screen=True, window_size=(160, 100))
+    on_ego = rig_plotter(rig(), scene=scene(), off_screen=True, window_size=(160, 100))
+    try:
+        assert {"axis/x", "axis/y", "axis/z"} <= set(alone.actors)
+        assert "ego" not in alone.actors
+        assert "ego" in on_ego.actors
+        centre_px = project_px(alone, np.array([camera.position_m for camera in rig().cameras]))
+        assert ((centre_px > 0) & (centre_px < [160, 100])).all()
+    finally:
+        alone.close()
+        on_ego.close()

@@ -22,6 +22,9 @@ INK_RGB: Rgb = (38, 44, 54)
 MUTED_RGB: Rgb = (132, 140, 152)
 GRID_RGB: Rgb = (226, 229, 234)
 
+DESCENT_RGB: Rgb = (255, 214, 10)
+"""Of arrows that show where a step moves and turns cameras."""
+
 TRUTH_RGB: Rgb = (255, 255, 255)
 TRUE_POSITIVE_RGB: Rgb = (57, 211, 83)
 FALSE_POSITIVE_RGB: Rgb = (240, 62, 62)

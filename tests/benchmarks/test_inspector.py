@@ -1,0 +1,93 @@
+"""Time until the inspector shows a scene of 200,000 triangles, and of one move of the mouse while a camera is dragged.
+
+Left out of the ordinary run; ``pytest tests/benchmarks/test_inspector.py --benchmark-only`` runs it, off screen.
+"""
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from warpav.config import load_config
+from warpav.gallery import inspector
+from warpav.geometry.mesh import Mesh
+from warpav.rig.rig import write_rig
+from warpav.scene.glb import write_scene
+from warpav.scene.town import town_scene
+from warpav.sources import find_rig
+from warpav.view.opengl import opengl_problem
+from warpav.view.rig_view import project_px
+
+pytestmark = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+
+TRIANGLES = 200_000
+SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=[0]", "device=cpu"]
+OPEN = """
+import sys
+from warpav.gallery import inspector
+from warpav.sources import config_for
+with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
+    inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)
+"""
+
+
+def finer(mesh):
+    colour = {"rgb": mesh.vertex_rgb.astype(float)}
+    vertex_m, triangle, attribute = trimesh.remesh.subdivide(mesh.vertex_m, mesh.triangle, vertex_attributes=colour)
+    return Mesh.create(vertex_m, triangle, np.clip(attribute["rgb"].round(), 0, 255))
+
+
+def large_scene():
+    scene = town_scene(1000)
+    environment, users = finer(scene.environment), list(scene.vehicles)
+    count = len(environment.triangle) + len(scene.ego.triangle) + sum(len(user.mesh.triangle) for user in users)
+    for k, user in enumerate(users):
+        if count < TRIANGLES:
+            users[k] = dataclasses.replace(user, mesh=finer(user.mesh))
+            count += len(users[k].mesh.triangle) - len(user.mesh.triangle)
+    assert count >= TRIANGLES
+    return dataclasses.replace(scene, environment=environment, vehicles=tuple(users), others=())
+
+
+@pytest.fixture(scope="module")
+def arguments(tmp_path_factory):
+    """A rig of four cameras, and what makes the inspector show it in the large scene."""
+    folder = tmp_path_factory.mktemp("large")
+    scene = large_scene()
+    write_scene(scene, folder / "scene_0.glb")
+    config = load_config("quick", [])
+    write_rig(find_rig("highest", config, scene.ego), folder / "four.yaml")
+    return [str(folder / "four.yaml"), f"scenes.folder={folder}", *SCENES]
+
+
+def test_open(benchmark, arguments):
+    """From the start of the process to the first picture."""
+    command = [sys.executable, "-c", OPEN, *arguments]
+    benchmark.pedantic(lambda: subprocess.run(command, check=True), rounds=3, warmup_rounds=1)
+
+
+def test_drag(benchmark, arguments):
+    """One move of the mouse with the ball of a camera held: camera, coverage of four cameras, numbers, picture."""
+    config = load_config("quick", arguments[1:])
+    opened = inspector(arguments[0], config, off_screen=True)
+    plotter = opened.plotter
+    try:
+        plotter.show(auto_close=False, interactive=False)
+        before = opened.state.rig.cameras[0].position_m
+        column, row = project_px(plotter, before[None])[0]
+        row = plotter.window_size[1] - row
+        plotter.iren._mouse_move(int(column), int(row))
+        plotter.iren._mouse_left_button_press(int(column), int(row))
+        step = iter(range(1, 10_000))
+
+        def move():
+            k = next(step)
+            plotter.iren._mouse_move(int(column + 60.0 * np.sin(0.3 * k)), int(row + 20.0 * np.cos(0.3 * k)))
+
+        benchmark.pedantic(move, rounds=40, warmup_rounds=5)
+        assert (opened.state.rig.cameras[0].position_m != before).any()
+    finally:
+        plotter.close()
