@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import math
 import os
@@ -38,6 +39,7 @@ from warpav.sources import (
     load_detector,
     load_scene,
     load_scenes,
+    mount_surface,
     plan_settings,
     reconstruction_settings,
 )
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.evaluate import ObjectOutcome, RigObserver
     from warpav.figures import DetectionPanel
+    from warpav.geometry.mount_surface import MountSurface
     from warpav.objective.objective import AssignedScene, RigObjective
     from warpav.render.images import CameraImage
     from warpav.scene.scene import Scene
@@ -226,27 +229,166 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
         InputError: The rig or the file cannot be used, or this machine cannot draw.
     """
     from warpav.view.opengl import has_display
+    from warpav.view.picture import MOVIE_SUFFIXES
     from warpav.view.picture import inspect_rig as show
 
     if out is None and has_display():
         inspector(source, config).plotter.show()
         return None
-    trajectory_m, fallback = None, Path("rig.png")
-    if Path(source).is_dir():
-        folder = RunFolder.open(source)
-        trajectory_m, fallback = trajectory(folder.events()), folder.path / "inspect.png"
+    is_run = Path(source).is_dir()
+    if is_run and shown == "rig" and out is not None and out.suffix.lower() in MOVIE_SUFFIXES:
+        return ShownRun.of(RunFolder.open(source), config=config).save_film(out)
+    if is_run and shown == "rig":
+        run = ShownRun.of(RunFolder.open(source), config=config)
+        return show(
+            run.rig,
+            ego=run.scene.ego,
+            scene=run.scene,
+            trajectory_m=trajectory(run.events),
+            add=run.descent_at(None),
+            out=out,
+            out_without_display=run.folder.path / "inspect.png",
+        )
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
     return show(
         rig,
         ego=scene.ego,
         scene=scene,
-        trajectory_m=trajectory_m,
+        trajectory_m=trajectory(RunFolder.open(source).events()) if is_run else None,
         outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
         add=_addition(rig, scene, config, shown),
+        is_wide=shown != "rig",
         out=out,
-        out_without_display=fallback,
+        out_without_display=Path(source) / "inspect.png" if is_run else Path("rig.png"),
     )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ShownRun:
+    """A run as pictures need it.
+
+    Attributes:
+        folder: The run folder.
+        config: Its configuration, or another one that says where to look at it.
+        events: Its iterations.
+        rig: Its result.
+        frames: The rig before the step of every iteration.
+        scene: Where it is shown.
+    """
+
+    folder: RunFolder
+    config: Config
+    events: list[dict[str, Any]]
+    rig: Rig
+    frames: list[Rig]
+    scene: Scene
+
+    @classmethod
+    def of(cls, folder: RunFolder, *, config: Config | None = None, scene: Scene | None = None) -> ShownRun:
+        """A run folder, read.
+
+        Args:
+            folder: The run folder.
+            config: Says where to look at it; by default that of the run.
+            scene: Where to look at it; by default the first test scene.
+
+        Raises:
+            InputError: A file of the folder is missing or cannot be used.
+        """
+        config = folder.config() if config is None else config
+        scene = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
+        events, rig = folder.events(), find_rig(str(folder.path), config, scene.ego)
+        return cls(folder, config, events, rig, rigs_of_events(events, rig, place=folder.path), scene)
+
+    @functools.cached_property
+    def surface(self) -> MountSurface:
+        """What the cameras stand on."""
+        return mount_surface(self.config, self.scene.ego)
+
+    def plot(
+        self, out: Path | str | None = None, *, iteration: int | None = None, arrows: bool = True, **options: object
+    ) -> object:
+        """What `RunFolder.plot` does; ``options`` are those of `warpav.view.picture.plot_rig`."""
+        from warpav.view.picture import MOVIE_SUFFIXES, plot_rig
+
+        if out is not None and iteration is None and Path(out).suffix.lower() in MOVIE_SUFFIXES:
+            return self.save_film(Path(out), arrows=arrows)
+        return plot_rig(
+            self.rig if iteration is None else self.frames[self._checked(iteration)],
+            out,
+            scene=self.scene,
+            trajectory_m=self.way_to(iteration),
+            add=self.descent_at(iteration) if arrows else None,
+            **options,
+        )
+
+    def to_pyvista(self) -> Any:  # noqa: ANN401 (a pyvista.MultiBlock)
+        """What `RunFolder.to_pyvista` returns."""
+        from warpav.view.blocks import run_to_pyvista
+
+        start = find_rig(str(self.folder.path / "rig_initial.yaml"), self.config, self.scene.ego)
+        return run_to_pyvista(self.frames, start=start, end=self.rig, scene=self.scene)
+
+    def way_to(self, iteration: int | None) -> np.ndarray | None:
+        """Camera positions up to an iteration of its descent [m], [iteration, camera, 3]; None: of the best descent."""
+        if iteration is None:
+            return trajectory(self.events)
+        index = self._checked(iteration)
+        own = self.events[index].get("descent")
+        return np.array(
+            [event["positions_m"] for event in self.events[: index + 1] if event.get("descent") == own], np.float64
+        )
+
+    def descent_at(self, iteration: int | None) -> Callable[[Any], object] | None:
+        """What draws the arrows of an iteration into a picture; None where the run did not record gradients.
+
+        Args:
+            iteration: Its number; None: the one whose cameras stood nearest to the result.
+        """
+        from warpav.view.descent_view import Descent, add_descent
+
+        if not self.events:
+            return None
+        index = self._nearest() if iteration is None else self._checked(iteration)
+        descent = Descent.of_event(self.events[index])
+        if descent is None:
+            return None
+        return lambda plotter: add_descent(plotter, self.frames[index], descent, self.surface)
+
+    def save_film(self, out: Path, *, arrows: bool = True) -> Path:
+        """Write the run as a film: the cameras move over the vehicle, their ways grow.
+
+        Raises:
+            InputError: The run has no iteration, the file cannot be written, or a module for it is missing.
+        """
+        from warpav.view.film import run_film
+        from warpav.view.picture import MOVIE_FRAME_S, MOVIE_LAST_S, save_movie
+
+        if not self.events:
+            raise InputError(
+                f"{self.folder.path / 'events.jsonl'}: expected iterations to make a film of, got none; "
+                "a picture of the rig is made with --out rig.png"
+            )
+        film = run_film(
+            self.frames,
+            self.events,
+            end=self.rig,
+            scene=self.scene,
+            surface=self.surface if arrows else None,
+        )
+        return save_movie(film, out, frame_s=MOVIE_FRAME_S, last_s=MOVIE_LAST_S)
+
+    def _checked(self, iteration: int) -> int:
+        count = len(self.events)
+        if not -count <= iteration < count:
+            raise InputError(f"{self.folder.path}: iteration: expected one of {count} from 0, got {iteration}")
+        return iteration % count
+
+    def _nearest(self) -> int:
+        end_m = np.array([camera.position_m for camera in self.rig.cameras])
+        places_m = np.array([event["positions_m"] for event in self.events], np.float64)
+        return int(np.linalg.norm(places_m - end_m, axis=2).max(axis=1).argmin())
 
 
 def inspector(source: str, config: Config, *, off_screen: bool | None = None) -> Inspector:
@@ -260,16 +402,20 @@ def inspector(source: str, config: Config, *, off_screen: bool | None = None) ->
     Raises:
         InputError: The rig or a scene cannot be used, or this machine cannot draw.
     """
+    from warpav.view.descent_view import Descent
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
 
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
     first = next(load_scenes(config, seeds[:1]))
     rig = find_rig(source, config, first.ego)
-    frames, save_to = [rig], Path("rig.yaml")
+    frames, descents, save_to = [rig], [None], Path("rig.yaml")
     if Path(source).is_dir():
         folder = RunFolder.open(source)
-        frames, save_to = [*rigs_of_events(folder.events(), rig), rig], folder.path / "rig_inspected.yaml"
+        events = folder.events()
+        frames = [*rigs_of_events(events, rig, place=folder.path), rig]
+        descents = [*map(Descent.of_event, events), None]
+        save_to = folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)
     detector = load_detector(config)
     state = InspectedRig(
@@ -279,19 +425,30 @@ def inspector(source: str, config: Config, *, off_screen: bool | None = None) ->
         constraints=constraints_of(config, mount.surface),
         height_offset_m=mount.height_offset_m,
         observer_of=lambda rig: _observer(rig, detector, config, device),
+        descents=descents,
         device=device,
     )
     return Inspector(state, save_to=save_to, off_screen=off_screen)
 
 
-def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig) -> list[Rig]:
+def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:
     """The rigs of a run's iterations.
 
     Args:
         events: Lines of ``events.jsonl``.
         rig: The run's result; its names, and what the events do not tell, such as lenses that are not free.
+        place: The run folder, for messages.
+
+    Raises:
+        InputError: The events are of another number of cameras.
     """
     rigs = []
+    counts = {len(event["positions_m"]) for event in events}
+    if counts - {len(rig.cameras)}:
+        raise InputError(
+            f"{place}: run folder: expected events.jsonl and the rig files of one run, got {min(counts)} cameras in "
+            f"the one and {len(rig.cameras)} in the other; take the rig file instead of the folder"
+        )
     for event in events:
         free, cameras = event.get("free", {}), []
         for k, camera in enumerate(rig.cameras):
@@ -428,7 +585,7 @@ def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
 
     Of several descents it is the way of the one that came upon the best rig.
     """
-    looks = [event for event in events if event["training_objective"] is not None]
+    looks = [event for event in events if event.get("training_objective") is not None]
     best = min(looks, key=lambda event: event["training_objective"], default=None)
     way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
     return np.array(way) if len(way) > 1 else None

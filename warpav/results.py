@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.rig.rig import Rig
+    from warpav.scene.scene import Scene
+
+    MultiBlock = Any
 
 RigRole = Literal["initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
@@ -199,22 +202,35 @@ class RunFolder:
         return self._read_json("env.json") or {}
 
     def events(self) -> list[dict[str, Any]]:
-        """All iterations so far; a line that was cut off in the middle of being written is left out."""
+        """All iterations so far; a line that was cut off in the middle of being written is left out.
+
+        Raises:
+            InputError: The file cannot be read, or a line is no iteration of a run.
+        """
+        file = self.path / "events.jsonl"
         try:
-            lines = (self.path / "events.jsonl").read_text(encoding="utf-8").split("\n")
+            lines = file.read_bytes().split(b"\n")
         except FileNotFoundError:
             return []
-        events = []
+        except OSError as error:
+            raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
+        events: list[dict[str, Any]] = []
         for number, line in enumerate(lines, start=1):
             try:
-                if line:
-                    events.append(json.loads(line))
-            except ValueError:
-                if number < len(lines):
-                    place = self.path / "events.jsonl"
-                    raise InputError(
-                        f"{place}:{number}: expected one JSON object per line, got {line[:40]!r}"
-                    ) from None
+                event = json.loads(line) if line.strip() else None
+            except ValueError:  # also where the bytes are no text
+                if number == len(lines):
+                    break
+                shown = line[:40].decode(errors="backslashreplace")
+                raise InputError(
+                    f"{file}:{number}: expected one JSON object per line, got {shown!r}; {_MEND_EVENTS}"
+                ) from None
+            if event is not None:
+                count = len(events[0]["positions_m"]) if events else None
+                wrong = _event_mistake(event, camera_count=count)
+                if wrong:
+                    raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
+                events.append(event)
         return events
 
     def evaluation(self) -> dict[str, Any] | None:
@@ -247,6 +263,69 @@ class RunFolder:
             if file.is_file():
                 return read_rig(file)
         raise InputError(f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none; the run has none yet")
+
+    def plot(
+        self,
+        out: Path | str | None = None,
+        *,
+        iteration: int | None = None,
+        scene: Scene | None = None,
+        arrows: bool = True,
+        title: str | None = None,
+        window_size: tuple[int, int] = (1280, 800),
+        zoom: float = 1.0,
+        off_screen: bool | None = None,
+        **show: Any,  # noqa: ANN401 (those of pyvista)
+    ) -> Any:  # noqa: ANN401
+        """Show the run in a window or in a notebook, or write it to a file.
+
+        The result on its vehicle in traffic, with the way of every camera and arrows for where the descent wanted to
+        move and turn it.
+
+        Args:
+            out: ``.png``, ``.html``, or ``.gif`` and ``.mp4`` for a film over the iterations; None: show it.
+            iteration: Instead of the result, the rig before the step of this one; negative ones count from the end.
+            scene: Traffic and street; by default the first test scene of the run.
+            arrows: Whether to draw the arrows, where the run recorded gradients.
+            title: A line in the upper left corner.
+            window_size: Width and height [px].
+            zoom: 1 fills the picture with the vehicle, less shows more around it.
+            off_screen: Draw without a window; by default when there is no display.
+            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
+
+        Returns:
+            The file that was written, else what ``pyvista.Plotter.show`` returns.
+
+        Raises:
+            InputError: A file of the folder cannot be used, there is no such iteration, or nothing can be drawn here.
+        """
+        from warpav.gallery import ShownRun
+
+        return ShownRun.of(self, scene=scene).plot(
+            out,
+            iteration=iteration,
+            arrows=arrows,
+            title=title,
+            window_size=window_size,
+            zoom=zoom,
+            off_screen=off_screen,
+            show=show,
+        )
+
+    def to_pyvista(self, *, scene: Scene | None = None) -> MultiBlock:
+        """The run as ``pyvista.MultiBlock``: ``start``, ``path``, ``end``, ``scene``.
+
+        See `warpav.view.blocks.run_to_pyvista`.
+
+        Args:
+            scene: Traffic and street; by default the first test scene of the run.
+
+        Raises:
+            InputError: A file of the folder is missing or cannot be used.
+        """
+        from warpav.gallery import ShownRun
+
+        return ShownRun.of(self, scene=scene).to_pyvista()
 
     def _append(self, name: str, line: str) -> None:
         with (self.path / name).open("ab", buffering=0) as file:
@@ -391,6 +470,34 @@ def _json_ready(value: object) -> Any:  # noqa: ANN401
     if isinstance(value, Path):
         return str(value)
     return value
+
+
+_MEND_EVENTS = "remove the line, or the file to go without the iterations"
+
+
+def _event_mistake(event: object, *, camera_count: int | None) -> str | None:
+    """What keeps a line of ``events.jsonl`` from being an iteration of a run of so many cameras; None: nothing."""
+    if not isinstance(event, dict):
+        return f"expected one JSON object per line, got {str(event)[:40]!r}"
+    missing = [name for name in ("iteration", "loss", "positions_m", "yaw_deg") if name not in event]
+    if missing:
+        return f"expected an iteration of a run with {missing[0]}, got {', '.join(list(event)[:5]) or 'no field'}"
+    places, yaws = event["positions_m"], event["yaw_deg"]
+    if not (isinstance(places, list) and places and all(_are_finite(place, 3) for place in places)):
+        return f"positions_m: expected [x, y, z] of every camera, got {str(places)[:40]}"
+    if camera_count not in (None, len(places)):
+        return f"positions_m: expected {camera_count} cameras as in the lines before, got {len(places)}"
+    if not _are_finite(yaws, len(places)):
+        return f"yaw_deg: expected a number for each of {len(places)} cameras, got {str(yaws)[:40]}"
+    return None
+
+
+def _are_finite(numbers: object, count: int) -> bool:
+    return (
+        isinstance(numbers, list)
+        and len(numbers) == count
+        and all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
+    )
 
 
 def _flat_numbers(event: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -82,6 +82,8 @@ class IterationRecord:
         min_camera_distance_m: Smallest distance between two cameras [m].
         training_objective: Objective of the feasible poses on all validation scenes, None where it was not looked at.
         best_training_objective: The lowest of them so far, None before the first look.
+        gradient: Of the loss to what the step moves: ``position_per_m`` to x and y on the surface, [camera][2], and
+            ``yaw_per_rad``, [camera]; 0 for what is held.
         free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
         descent: From 0, of those that the run has one after the other.
     """
@@ -97,6 +99,7 @@ class IterationRecord:
     min_camera_distance_m: float | None
     training_objective: float | None
     best_training_objective: float | None
+    gradient: dict[str, list[Any]] = field(default_factory=dict)
     free: dict[str, list[float]] = field(default_factory=dict)
     descent: int = 0
 
@@ -395,6 +398,7 @@ class Descent:
         position_m = np.array([camera.position_m for camera in rig.cameras])
         distance_m = min_camera_distance_m(position_m)
         is_free = self._mount.is_free
+        moving = np.where(self._rate > 0.0, gradient, 0.0)
         free: dict[str, np.ndarray] = {}
         norm = {
             "position": gradient[:, [X_M, Y_M, *([RISE_M] if is_free[RISE_M] else [])]],
@@ -420,5 +424,9 @@ class Descent:
             min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
             training_objective=look.training_objective if look else None,
             best_training_objective=self.best.training_objective if self.candidates else None,
+            gradient={
+                "position_per_m": moving[:, [X_M, Y_M]].tolist(),
+                "yaw_per_rad": moving[:, YAW_RAD].tolist(),
+            },
             free={name: numbers.tolist() for name, numbers in free.items()},
         )

@@ -120,17 +120,30 @@ class Ground:
         if not heights_m or not all(height_m > 0.0 for height_m in heights_m):
             raise ValueError(f"heights_m must be positive, got {tuple(heights_m)}")
         is_open = np.stack([self.is_open(height_m) for height_m in heights_m])
-        height, row, column = np.nonzero(is_open)
-        point_m = np.stack(
-            [self.x_m[row], self.y_m[column], self.ground_m[row, column] + np.asarray(heights_m)[height]], axis=-1
-        )
+        height, row, column, point_m = self.points_m(is_open, heights_m)
         is_seen = np.zeros((len(cameras), *is_open.shape), bool)
         for camera, seen in zip(cameras, is_seen, strict=True):
-            seen[height, row, column] = self._is_seen(camera, point_m)
+            seen[height, row, column] = self.is_seen(camera, point_m)
         return Coverage(self, tuple(heights_m), is_open, is_seen)
 
-    def _is_seen(self, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-        """Whether a camera sees points [point, 3]; bool [point]."""
+    def points_m(
+        self, is_open: np.ndarray, heights_m: Sequence[float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The tops of everybody who can stand somewhere.
+
+        Args:
+            is_open: Where somebody of a height can stand, bool [height, row, column].
+            heights_m: Heights above the ground [m].
+
+        Returns:
+            Number of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
+        """
+        height, row, column = np.nonzero(is_open)
+        top_m = self.ground_m[row, column] + np.asarray(heights_m)[height]
+        return height, row, column, np.stack([self.x_m[row], self.y_m[column], top_m], axis=-1)
+
+    def is_seen(self, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+        """Whether a camera sees points of the ego frame [m], [point, 3]; bool [point]."""
         ego_from_camera = camera.ego_from_camera
         in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
         with np.errstate(invalid="ignore"):
@@ -207,6 +220,13 @@ class Coverage:
     heights_m: tuple[float, ...]
     is_open: np.ndarray
     is_seen: np.ndarray
+
+    def with_camera(self, index: int, camera: RigCamera) -> Coverage:
+        """The same with another camera in the place of one; what the others see is not asked again."""
+        height, row, column, point_m = self.ground.points_m(self.is_open, self.heights_m)
+        is_seen = self.is_seen.copy()
+        is_seen[index, height, row, column] = self.ground.is_seen(camera, point_m)
+        return Coverage(self.ground, self.heights_m, self.is_open, is_seen)
 
     @cached_property
     def count(self) -> np.ndarray:

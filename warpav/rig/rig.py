@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,13 @@ from warpav.geometry.frames import (
 from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens, LensShape
 from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
+
+if TYPE_CHECKING:
+    from warpav.geometry.mesh import Mesh
+    from warpav.geometry.mount_surface import MountSurface
+    from warpav.scene.scene import Scene
+
+    MultiBlock = Any
 
 MAX_IMAGE_PX = 16384
 """Wider or higher images are refused: no detector reads them, and a size of this kind is a slip of the pen."""
@@ -110,6 +117,68 @@ class Rig:
                     f"(first as cameras[{first}])"
                 )
         return cls(checked)
+
+    def plot(
+        self,
+        out: str | Path | None = None,
+        *,
+        ego: Mesh | None = None,
+        scene: Scene | None = None,
+        mount_surface: MountSurface | None = None,
+        trajectory_m: np.ndarray | None = None,
+        title: str | None = None,
+        window_size: tuple[int, int] = (1280, 800),
+        zoom: float = 1.0,
+        off_screen: bool | None = None,
+        **show: Any,  # noqa: ANN401 (those of pyvista)
+    ) -> Any:  # noqa: ANN401
+        """Show the rig in a window or in a notebook, or write its picture to a file.
+
+        Args:
+            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
+            ego: The vehicle that carries the cameras; by default that of the scene, else the axes of the ego frame.
+            scene: Traffic and street around it; an empty ground when None.
+            mount_surface: Drawn on the vehicle in colours of height.
+            trajectory_m: Camera positions over the iterations of an optimisation [m], [iteration, camera, 3].
+            title: A line in the upper left corner.
+            window_size: Width and height [px].
+            zoom: 1 fills the picture with the vehicle, less shows more around it.
+            off_screen: Draw without a window; by default when there is no display.
+            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
+
+        Returns:
+            The file that was written, else what ``pyvista.Plotter.show`` returns.
+
+        Raises:
+            InputError: The file cannot be written, or nothing can be drawn or shown here.
+        """
+        from warpav.view.picture import plot_rig
+
+        return plot_rig(
+            self,
+            out,
+            ego=ego,
+            scene=scene,
+            mount_surface=mount_surface,
+            trajectory_m=trajectory_m,
+            title=title,
+            window_size=window_size,
+            zoom=zoom,
+            off_screen=off_screen,
+            show=show,
+        )
+
+    def to_pyvista(self, *, depth_m: float = 1.25) -> MultiBlock:
+        """The rig as ``pyvista.MultiBlock``: for every camera ``body``, ``frustum`` and ``axis``.
+
+        See `warpav.view.blocks.rig_to_pyvista`.
+
+        Args:
+            depth_m: How far frustums and axes reach [m].
+        """
+        from warpav.view.blocks import rig_to_pyvista
+
+        return rig_to_pyvista(self, depth_m=depth_m)
 
 
 def _checked(camera: RigCamera, rig_name: str) -> RigCamera:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.geometry.mesh import Mesh, merge
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from warpav.rig.rig import Rig
+
+    MultiBlock = Any
 
 ROAD_USERS = ("vehicle", "pedestrian", "cyclist")
 """The kinds of road users that a rig can be asked to see. A detection only ever matches an object of its own kind."""
@@ -192,3 +200,57 @@ class Scene:
             vehicles=tuple(vehicle.mirrored() for vehicle in self.vehicles),
             others=tuple(other.mirrored() for other in self.others),
         )
+
+    def plot(
+        self,
+        out: str | Path | None = None,
+        *,
+        rig: Rig | None = None,
+        outcomes: Sequence[str] | None = None,
+        title: str | None = None,
+        window_size: tuple[int, int] = (1280, 800),
+        zoom: float = 1.0,
+        off_screen: bool | None = None,
+        **show: Any,  # noqa: ANN401 (those of pyvista)
+    ) -> Any:  # noqa: ANN401
+        """Show the scene in a window or in a notebook, or write its picture to a file.
+
+        Args:
+            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
+            rig: Cameras on the ego vehicle.
+            outcomes: What becomes of every vehicle before a rig (`warpav.evaluate.ObjectOutcome`); they are coloured by it.
+            title: A line in the upper left corner.
+            window_size: Width and height [px].
+            zoom: 1 fills the picture with the ego vehicle, less shows more around it.
+            off_screen: Draw without a window; by default when there is no display.
+            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
+
+        Returns:
+            The file that was written, else what ``pyvista.Plotter.show`` returns.
+
+        Raises:
+            InputError: The file cannot be written, or nothing can be drawn or shown here.
+        """
+        from warpav.rig.rig import Rig
+        from warpav.view.picture import plot_rig
+
+        return plot_rig(
+            Rig(()) if rig is None else rig,
+            out,
+            scene=self,
+            outcomes=outcomes,
+            title=title,
+            window_size=window_size,
+            zoom=zoom,
+            off_screen=off_screen,
+            show=show,
+        )
+
+    def to_pyvista(self) -> MultiBlock:
+        """The scene as ``pyvista.MultiBlock``: ``environment``, ``ego``, ``vehicle_<instance id>`` of all road users.
+
+        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the way back.
+        """
+        from warpav.view.blocks import scene_to_pyvista
+
+        return scene_to_pyvista(self)

@@ -21,9 +21,11 @@ from warpav.rig.rig import Rig, RigCamera, write_rig
 
 if TYPE_CHECKING:
     from warpav.evaluate import RigLook, RigObserver
+    from warpav.geometry.mount_surface import MountSurface
     from warpav.objective.constraints import Constraints
     from warpav.render.coverage import Coverage
     from warpav.scene.scene import Scene
+    from warpav.view.descent_view import Descent
 
 KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
@@ -49,6 +51,7 @@ class InspectedRig:
         constraints: Constraints,
         height_offset_m: float,
         observer_of: Callable[[Rig], RigObserver],
+        descents: Sequence[Descent | None] = (),
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene.
@@ -60,19 +63,24 @@ class InspectedRig:
             constraints: Where cameras may stand; on their surface they are moved.
             height_offset_m: How far above the surface cameras stand that have been moved there [m].
             observer_of: Looks at scenes through a rig.
+            descents: Which way the loss falls at the frames, None where nobody knows; one for each, or none at all.
             device: Warp device.
 
         Raises:
-            ValueError: There is no frame or no scene.
+            ValueError: There is no frame or no scene, or not one descent for each frame.
         """
         if not frames or scene_count < 1:
             raise ValueError(f"expected at least one rig and one scene, got {len(frames)} and {scene_count}")
+        if descents and len(descents) != len(frames):
+            raise ValueError(f"expected a descent for each of {len(frames)} rigs, got {len(descents)}")
         self.frames = list(frames)
+        self._descents = list(descents) or [None] * len(frames)
         self.frame = len(self.frames) - 1
         self.rig = self.frames[-1]
         self.scene_index, self.scene_count = 0, scene_count
         self._constraints, self._height_offset_m = constraints, height_offset_m
         self._observer_of, self._device = observer_of, device
+        self._last_coverage: tuple[tuple[RigCamera, ...], Coverage] | None = None
         kept = lru_cache(KEPT_SCENES)
         self._scene_of = kept(scene_of)
         self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
@@ -127,10 +135,29 @@ class InspectedRig:
         """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""
         return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
 
+    @property
+    def descent(self) -> Descent | None:
+        """Which way the loss falls at the frame; None where nobody knows, and once a camera was moved or turned."""
+        return self._descents[self.frame] if self.rig is self.frames[self.frame] else None
+
+    @property
+    def surface(self) -> MountSurface:
+        """What the cameras stand on."""
+        return self._constraints.surface
+
     @cached_property
     def coverage(self) -> Coverage:
-        """Which cameras see whom where in the scene."""
-        return self._ground_of(self.scene_index).coverage(self.rig.cameras)
+        """Which cameras see whom where in the scene; only cameras that changed since the last time are asked again."""
+        ground, cameras = self._ground_of(self.scene_index), self.rig.cameras
+        if self._last_coverage is None or self._last_coverage[1].ground is not ground:
+            coverage = ground.coverage(cameras)
+        else:
+            before, coverage = self._last_coverage
+            for index, (old, new) in enumerate(zip(before, cameras, strict=True)):
+                if new is not old:
+                    coverage = coverage.with_camera(index, new)
+        self._last_coverage = cameras, coverage
+        return coverage
 
     @cached_property
     def look(self) -> RigLook:
@@ -167,7 +194,8 @@ class InspectedRig:
     def _change(self, camera: int, **changes: object) -> RigCamera:
         cameras = list(self.rig.cameras)
         cameras[camera] = dataclasses.replace(cameras[camera], **changes)  # pyright: ignore[reportArgumentType]
-        self._set(Rig.create(cameras))
+        Rig.create([cameras[camera]])  # checked; the others were before
+        self._set(Rig(tuple(cameras)))
         return self.rig.cameras[camera]
 
     def _set(self, rig: Rig) -> None:

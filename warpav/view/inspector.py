@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view.descent_view import add_descent
+from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
@@ -20,13 +22,15 @@ from warpav.view.palette import (
     hex_colour,
 )
 from warpav.view.picture import WIDE_ZOOM
-from warpav.view.rig_view import add_camera, add_scene, rig_plotter
-from warpav.view.sight_view import add_coverage, add_outcomes
+from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, rig_plotter
+from warpav.view.sight_view import add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from warpav.evaluate import CameraLook
+    from warpav.render.coverage import Ground
+    from warpav.rig.rig import RigCamera
     from warpav.view.inspected import InspectedRig
 
     Plotter = Any
@@ -35,6 +39,7 @@ KEYS = {
     "n": "next scene",
     "c": "coverage: child, adult, off",
     "d": "detections",
+    "g": "arrows of the descent",
     "Left": "turn left",
     "Right": "turn right",
     "Return": "write the rig",
@@ -58,6 +63,9 @@ class Inspector:
         chosen: Number of the camera whose view is shown; None: no view.
         shown_height: Which of the coverage's heights is shown; None: no coverage.
         shows_outcomes: Whether traffic is coloured by what becomes of it.
+        shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
+
+    What moves is changed in place: while a camera is dragged no actor is made, and the picture is drawn once.
     """
 
     def __init__(
@@ -84,6 +92,7 @@ class Inspector:
         self.chosen: int | None = None
         self.shown_height: int | None = 0
         self.shows_outcomes = False
+        self.shows_descent = True
         self.plotter = rig_plotter(
             state.rig,
             ego=state.scene.ego,
@@ -94,9 +103,16 @@ class Inspector:
             labels=False,
             zoom=WIDE_ZOOM,
         )
-        self.plotter.disable_anti_aliasing()  # dragging has to be smooth; pictures are made by other functions
+        # dragging has to be smooth; pictures are made by other functions
+        self.plotter.disable_anti_aliasing()
+        self.plotter.renderer.SetUseOIT(False)
+        self._drawn = list(state.rig.cameras)
         self._balls: list[Any] = []
+        self._labels = [self._add_label(index) for index in range(len(self._drawn))]
+        self._ground: tuple[Ground, Any] | None = None
+        self._numbers: Any = None
         self._add_controls()
+        self._draw_descent()
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do
@@ -110,6 +126,7 @@ class Inspector:
             for index in range(len(self.state.rig.cameras)):
                 self._draw_camera(index)
                 self._put_ball(index)
+            self._draw_descent()
             self._redraw()
 
     def next_scene(self) -> None:
@@ -133,6 +150,12 @@ class Inspector:
             self._draw_scene()
             self._redraw()
 
+    def toggle_descent(self) -> None:
+        """Show the arrows of the descent, or no longer."""
+        self.shows_descent = not self.shows_descent
+        with self._one_render():
+            self._draw_descent()
+
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
         self.chosen = camera
@@ -141,10 +164,8 @@ class Inspector:
 
     def drag(self, camera: int, place_m: np.ndarray) -> None:
         """Move a camera while it is dragged: all but what needs the detector follows."""
-        self.state.move(camera, place_m)
         with self._one_render():
-            self._draw_camera(camera)
-            self._redraw(detector=False)
+            self._follow(camera, place_m)
 
     def drop(self, camera: int, place_m: np.ndarray) -> None:
         """Move a camera and let go of it: everything follows."""
@@ -167,10 +188,28 @@ class Inspector:
 
     # ------------------------------------------------------------------------------------------------ what is drawn
 
+    def _follow(self, camera: int, place_m: np.ndarray) -> None:
+        """What a drag changes, not yet drawn."""
+        was_descent = self.state.descent is not None
+        self.state.move(camera, place_m)
+        self._draw_camera(camera)
+        if was_descent:
+            self._draw_descent()
+        self._redraw(detector=False)
+
+    def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
+        """Answer to a move of the mouse; the ball draws the picture afterwards, so nothing else has to."""
+        self.plotter.suppress_rendering = True
+        try:
+            self._follow(camera, np.array(ball.GetCenter()))
+        finally:
+            self.plotter.suppress_rendering = False
+
     def _after_change(self, camera: int) -> None:
         with self._one_render():
             self._draw_camera(camera)
             self._put_ball(camera)
+            self._draw_descent()
             if self.shows_outcomes:
                 self._draw_scene()
             self._redraw()
@@ -213,6 +252,7 @@ class Inspector:
             "n": self.next_scene,
             "c": self.cycle_coverage,
             "d": self.toggle_outcomes,
+            "g": self.toggle_descent,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
             "Return": self.save,
@@ -232,15 +272,40 @@ class Inspector:
             interaction_event="end",
             test_callback=False,
         )
-        widget.AddObserver("InteractionEvent", lambda ball, _: self.drag(index, np.array(ball.GetCenter())))
+        widget.AddObserver("InteractionEvent", lambda ball, _: self._dragged(ball, index))
         widget.AddObserver("StartInteractionEvent", lambda ball, _: self.choose(index))
         self._balls.append(widget)
 
     def _put_ball(self, index: int) -> None:
         self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
 
+    def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
+        """The name of a camera above its frustum."""
+        camera = self.state.rig.cameras[index]
+        label = load_pyvista().Label(f" {camera.name} ", position=_label_m(camera), size=14)
+        label.prop.color = "white"
+        label.prop.background_color = hex_colour(camera_rgb(index))
+        label.prop.background_opacity = 0.9
+        label.prop.justification_horizontal = "center"
+        self.plotter.add_actor(label, name=f"label/{camera.name}", reset_camera=False, pickable=False)
+        return label
+
     def _draw_camera(self, index: int) -> None:
-        add_camera(self.plotter, self.state.rig.cameras[index], index)
+        """Move what is drawn of a camera to where it is now; only another lens is drawn anew."""
+        camera, drawn = self.state.rig.cameras[index], self._drawn[index]
+        if camera.model == drawn.model:
+            moved = camera.ego_from_camera @ np.linalg.inv(drawn.ego_from_camera)
+            for name, actor in self.plotter.actors.items():
+                if name.startswith(f"rig/{camera.name}/"):
+                    actor.user_matrix = moved
+        else:
+            add_camera(self.plotter, camera, index)
+            self._drawn[index] = camera
+        self._labels[index].position = _label_m(camera)
+
+    def _draw_descent(self) -> None:
+        descent = self.state.descent if self.shows_descent else None
+        add_descent(self.plotter, self.state.rig, descent, self.state.surface)
 
     def _draw_scene(self) -> None:
         scene, plotter = self.state.scene, self.plotter
@@ -253,11 +318,7 @@ class Inspector:
 
     def _redraw(self, *, detector: bool = True) -> None:
         """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
-        if self.shown_height is None:
-            self.plotter.remove_actor("coverage")
-        else:
-            height_m = self.state.coverage.heights_m[self.shown_height]
-            add_coverage(self.plotter, self.state.coverage, height_m=height_m, legend=False)
+        self._draw_coverage()
         lines = self.state.lines
         if detector and (self.shows_outcomes or self.chosen is not None):
             look = self.state.look
@@ -266,10 +327,24 @@ class Inspector:
         if detector:
             self._draw_view()
 
+    def _draw_coverage(self) -> None:
+        if self.shown_height is None:
+            self.plotter.remove_actor("coverage")
+            self._ground = None
+            return
+        coverage = self.state.coverage
+        height_m = coverage.heights_m[self.shown_height]
+        if self._ground is not None and self._ground[0] is coverage.ground:
+            colour_coverage(self._ground[1], coverage, height_m)
+        else:
+            self._ground = coverage.ground, add_coverage(self.plotter, coverage, height_m=height_m, legend=False)
+
     def _say(self, text: str) -> None:
-        self.plotter.add_text(
-            text, position=(0.02, 0.80), viewport=True, font_size=10, color=hex_colour(INK_RGB), name="numbers"
-        )
+        if self._numbers is None:
+            self._numbers = self.plotter.add_text(
+                text, position=(0.02, 0.80), viewport=True, font_size=10, color=hex_colour(INK_RGB), name="numbers"
+            )
+        self._numbers.input = text
 
     def _draw_view(self) -> None:
         """The image of the chosen camera with its boxes, in the lower right corner."""
@@ -285,6 +360,13 @@ class Inspector:
         assert self.chosen is not None
         look = self.state.look.cameras[self.chosen]
         return framed_view(look, scale=VIEW_PX / max(look.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen))
+
+
+def _label_m(camera: RigCamera) -> tuple[float, float, float]:
+    """Where the name of a camera stands: above the far end of its frustum [m]."""
+    corner = frustum_points(camera, depth_m=FRUSTUM_DEPTH_M)[1:]
+    x, y = corner[:, :2].mean(axis=0)
+    return float(x), float(y), float(corner[:, 2].max()) + 0.12
 
 
 def framed_view(look: CameraLook, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:

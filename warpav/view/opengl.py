@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from warpav.errors import InputError
@@ -12,27 +13,37 @@ from warpav.errors import InputError
 if TYPE_CHECKING:
     from types import ModuleType
 
-OFF_SCREEN_LIBRARIES = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so")
+EGL_LIBRARY = "libEGL.so.1"
+OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so")
+
+_EGL_DEVICE_PLATFORM = 0x313F
 
 
 def has_display() -> bool:
-    """Whether a window can be opened: always on Windows and macOS, elsewhere when X or Wayland answers to a name."""
+    """Whether a window can be opened: always on Windows and macOS, elsewhere when an X server with GLX answers to DISPLAY."""
     if sys.platform in ("win32", "darwin"):
         return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    name = os.environ.get("DISPLAY")
+    return bool(name) and _x_server_answers(name)
+
+
+def display_text() -> str:
+    """Why there is no window, in words."""
+    name = os.environ.get("DISPLAY")
+    return f"no X server with GLX answers to DISPLAY={name}" if name else "DISPLAY is not set"
 
 
 def opengl_problem() -> str | None:
     """What keeps pictures from being drawn here, in one line with its cure; None when nothing does.
 
-    VTK ends the whole process with a segmentation fault when it finds no OpenGL library, which no ``except`` can
-    catch. So the libraries are looked for first.
+    VTK ends the whole process with a segmentation fault when it finds no OpenGL, which no ``except`` can catch. So it
+    is looked for first: a library alone is not enough, it has to find something that draws.
     """
-    if has_display() or any(_loads(library) for library in OFF_SCREEN_LIBRARIES):
+    if has_display() or _egl_draws() or _draws_in_memory():
         return None
     return (
-        "pictures need OpenGL: there is no display and neither libEGL.so.1 nor libOSMesa.so.8 was found; "
-        "install it with `apt install libegl1 libgl1-mesa-dri` (Debian, Ubuntu) or set DISPLAY"
+        f"pictures need OpenGL: there is no display ({display_text()}), and neither {EGL_LIBRARY} with a driver nor "
+        f"{OSMESA_LIBRARIES[0]} was found; install them with `apt install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
     )
 
 
@@ -48,7 +59,7 @@ def tell_vtk_where_to_draw() -> None:
     if problem:
         raise InputError(problem)
     if not has_display():
-        window = "vtkEGLRenderWindow" if _loads("libEGL.so.1") else "vtkOSOpenGLRenderWindow"
+        window = "vtkEGLRenderWindow" if _egl_draws() else "vtkOSOpenGLRenderWindow"
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
 
 
@@ -64,12 +75,54 @@ def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run
     return pyvista
 
 
-def _loads(library: str) -> bool:
+def _loaded(library: str) -> ctypes.CDLL | None:
     try:
-        ctypes.CDLL(library)
+        return ctypes.CDLL(library)
     except OSError:
+        return None
+
+
+@cache
+def _x_server_answers(name: str) -> bool:
+    x11 = _loaded("libX11.so.6")
+    if x11 is None:
         return False
-    return True
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    server = ctypes.c_void_p(x11.XOpenDisplay(name.encode()))
+    if not server:
+        return False
+    unused = [ctypes.byref(ctypes.c_int()) for _ in range(3)]
+    has_glx = bool(x11.XQueryExtension(server, b"GLX", *unused))  # windows of VTK need it
+    x11.XCloseDisplay(server)
+    return has_glx
+
+
+@cache
+def _egl_draws() -> bool:
+    """Whether EGL has a device that can be used; the library is often there without any driver."""
+    egl = _loaded(EGL_LIBRARY)
+    if egl is None:
+        return False
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    query, display_of = (egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"))
+    if not (query and display_of):
+        return False
+    pointer, whole, flag = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint
+    query = ctypes.CFUNCTYPE(flag, whole, pointer, pointer)(query)
+    display_of = ctypes.CFUNCTYPE(pointer, flag, pointer, pointer)(display_of)
+    devices, count = (pointer * 16)(), whole(0)
+    if not query(len(devices), ctypes.addressof(devices), ctypes.addressof(count)):
+        return False
+    for device in devices[: count.value]:
+        display = display_of(_EGL_DEVICE_PLATFORM, device, None)
+        if display and egl.eglInitialize(pointer(display), None, None):
+            return True
+    return False
+
+
+@cache
+def _draws_in_memory() -> bool:
+    return any(_loaded(library) for library in OSMESA_LIBRARIES)
 
 
 def optional_module(name: str, *, purpose: str, install: str) -> ModuleType:

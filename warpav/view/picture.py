@@ -1,4 +1,4 @@
-"""Where a picture goes: a window, a PNG, an interactive HTML page or an animated GIF."""
+"""Where a picture goes: a window, a notebook, a PNG, an interactive HTML page, or a film as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.errors import InputError
-from warpav.view.opengl import has_display, optional_module
-from warpav.view.rig_view import rig_plotter
+from warpav.view.opengl import display_text, has_display, load_pyvista, optional_module
+from warpav.view.rig_view import WINDOW_PX, rig_plotter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from warpav.evaluate import ObjectOutcome
     from warpav.geometry.mesh import Mesh
@@ -28,7 +28,16 @@ if TYPE_CHECKING:
 WIDE_ZOOM = 0.62
 """Of pictures of what a rig sees."""
 
-PICTURE_SUFFIXES = (".png", ".html", ".gif")
+PICTURE_SUFFIXES = (".png", ".html", ".gif", ".mp4")
+MOVIE_SUFFIXES = (".gif", ".mp4")
+MOVIE_PX = (800, 500)
+"""Window of films, so that a GIF stays below 5 MB."""
+
+MOVIE_FRAME_S, MOVIE_LAST_S = 0.12, 2.0
+"""How long a picture of a film of a run is shown, and how much longer the last one."""
+
+_ORBIT_FRAMES, _ORBIT_FRAME_S = 40, 0.1
+_GIF_COLOURS = 255  # and one for what stays as it was
 
 
 def inspect_rig(
@@ -40,6 +49,7 @@ def inspect_rig(
     mount_surface: MountSurface | None = None,
     outcomes: Sequence[ObjectOutcome] | None = None,
     add: Callable[[Plotter], object] | None = None,
+    is_wide: bool = False,
     title: str | None = None,
     out: Path | str | None = None,
     out_without_display: Path | str = "rig.png",
@@ -53,9 +63,10 @@ def inspect_rig(
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3].
         mount_surface: When given, drawn on the vehicle in colours of height.
         outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
-        add: Called with the plotter; draws more into the picture, which then shows more around the vehicle.
+        add: Called with the plotter; draws more into the picture.
+        is_wide: Whether the picture shows more around the vehicle.
         title: A line in the upper left corner.
-        out: File to write, ``.png``, ``.html`` or ``.gif``; a window when None.
+        out: File to write, ``.png``, ``.html``, ``.gif`` or ``.mp4``; a window when None.
         out_without_display: File to write when ``out`` is None and there is no display.
 
     Returns:
@@ -67,7 +78,8 @@ def inspect_rig(
     target = Path(out) if out is not None else None if has_display() else Path(out_without_display)
     if target is not None:
         _check_suffix(target)
-    is_wide = add is not None or outcomes is not None
+    is_wide = is_wide or outcomes is not None
+    window_size = MOVIE_PX if target is not None and target.suffix.lower() in MOVIE_SUFFIXES else WINDOW_PX
     plotter = rig_plotter(
         rig,
         ego=ego,
@@ -76,6 +88,7 @@ def inspect_rig(
         mount_surface=mount_surface,
         outcomes=outcomes,
         title=title,
+        window_size=window_size,
         off_screen=target is not None,
         sectors=not is_wide,
         zoom=WIDE_ZOOM if is_wide else 1.0,
@@ -91,33 +104,115 @@ def inspect_rig(
         plotter.close()
 
 
-def save_picture(plotter: Plotter, path: Path | str, *, supersampling: int = 2, frame_count: int = 60) -> Path:
-    """Write what an off-screen plotter shows: ``.png``, ``.html`` (needs trame) or ``.gif`` (one turn around the ego).
+def plot_rig(
+    rig: Rig,
+    out: Path | str | None = None,
+    *,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_PX,
+    show: Mapping[str, Any] | None = None,
+    add: Callable[[Plotter], object] | None = None,
+    **options: Any,  # noqa: ANN401 (those of rig_plotter)
+) -> Any:  # noqa: ANN401 (what Plotter.show returns)
+    """What ``.plot()`` of a rig, a scene or a run does: show it in a window or in a notebook, or write it to a file.
 
-    The file appears complete or not at all; missing folders are made.
+    Args:
+        rig: The cameras.
+        out: File to write; None: show it.
+        off_screen: Draw without a window; by default when there is no display.
+        window_size: Width and height [px].
+        show: Keyword arguments for ``pyvista.Plotter.show``; with ``out`` only ``cpos`` has a meaning.
+        add: Called with the plotter; draws more into the picture.
+        **options: Those of `warpav.view.rig_view.rig_plotter`.
+
+    Returns:
+        The file that was written, else what ``show`` returns.
+
+    Raises:
+        InputError: The file cannot be written, there is nothing to show it on, or no OpenGL on this machine.
+    """
+    options_of_show = dict(show or {})
+    if out is not None:
+        _check_suffix(Path(out))
+        off_screen = True
+    plotter = rig_plotter(rig, off_screen=off_screen, window_size=window_size, **options)
+    if add is not None:
+        add(plotter)
+    if out is None:
+        is_asked = off_screen or any(options_of_show.get(name) for name in ("screenshot", "return_img"))
+        if not (is_asked or plotter.notebook or has_display() or load_pyvista().OFF_SCREEN):
+            plotter.close()
+            raise InputError(
+                f"plot: expected a display to show it on, got none ({display_text()}); "
+                'write a file instead, such as plot("picture.png")'
+            )
+        return plotter.show(**options_of_show)
+    try:
+        if "cpos" in options_of_show:
+            plotter.camera_position = options_of_show["cpos"]
+        return save_picture(plotter, out)
+    finally:
+        plotter.close()
+
+
+def save_picture(
+    plotter: Plotter, path: Path | str, *, supersampling: int = 2, frame_count: int = _ORBIT_FRAMES
+) -> Path:
+    """Write what an off-screen plotter shows.
+
+    ``.png``; ``.html``, which needs trame; ``.gif``, one turn around the ego; ``.mp4``, likewise, which needs imageio
+    with ffmpeg. The file appears complete or not at all; missing folders are made.
 
     Args:
         plotter: What to write, not yet shown.
         path: Where to; the suffix decides what.
-        supersampling: Rays per pixel and axis in PNG and GIF, 1 to 4.
-        frame_count: Pictures in a GIF, at least 2.
+        supersampling: Rays per pixel and axis in PNG and films, 1 to 4.
+        frame_count: Pictures in a film, at least 2.
 
     Returns:
         The path.
 
     Raises:
-        InputError: Another suffix, a file that cannot be written, or trame is missing.
+        InputError: Another suffix, a file that cannot be written, or trame or imageio is missing.
     """
     path = Path(path)
     _check_suffix(path)
+    if path.suffix.lower() in MOVIE_SUFFIXES:
+        orbit = _orbit(plotter, frame_count=max(2, frame_count), supersampling=supersampling)
+        return save_movie(orbit, path, frame_s=_ORBIT_FRAME_S)
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
         return _write(path, encoded.getvalue())
-    if path.suffix.lower() == ".gif":
-        return _write(path, _orbit(plotter, frame_count=frame_count, supersampling=supersampling))
     optional_module("trame_pyvista", purpose=f"{path}: an interactive page", install='pip install "pyvista[jupyter]"')
     return _write(path, plotter.trame.export_html(None).getvalue().encode())
+
+
+def save_movie(image_rgb: Iterable[np.ndarray], path: Path | str, *, frame_s: float, last_s: float = 0.0) -> Path:
+    """Write a film as ``.gif`` or ``.mp4``.
+
+    The file appears complete or not at all; missing folders are made.
+
+    Args:
+        image_rgb: The pictures, at least one, all of one size, uint8 [row, column, 3].
+        path: Where to; the suffix decides what.
+        frame_s: How long each is shown [s].
+        last_s: How much longer the last one is [s].
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: Another suffix, a file that cannot be written, or imageio with ffmpeg is missing.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in MOVIE_SUFFIXES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(MOVIE_SUFFIXES)}, got {path.suffix!r}")
+    if path.suffix.lower() == ".gif":
+        return _write(path, _gif(list(image_rgb), frame_s=frame_s, last_s=last_s))
+    for name in ("imageio", "imageio_ffmpeg"):
+        optional_module(name, purpose=f"{path}: a film as MP4", install='pip install "warpav[movie]"')
+    return _write(path, _mp4(image_rgb, frame_s=frame_s, last_s=last_s))
 
 
 def picture_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
@@ -142,21 +237,47 @@ def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pill
     return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _orbit(plotter: Plotter, *, frame_count: int, supersampling: int) -> bytes:
-    from PIL import Image
-
+def _orbit(plotter: Plotter, *, frame_count: int, supersampling: int) -> Iterator[np.ndarray]:
     target = np.asarray(plotter.camera.focal_point)
     offset = np.asarray(plotter.camera.position) - target
-    frames = []
-    for angle in np.linspace(0.0, 2.0 * math.pi, max(2, frame_count), endpoint=False):
+    for angle in np.linspace(0.0, 2.0 * math.pi, frame_count, endpoint=False):
         cosine, sine = math.cos(angle), math.sin(angle)
         turned = np.array([cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1], offset[2]])
         plotter.camera.position = tuple(target + turned)
-        frames.append(_image(plotter, supersampling).convert("P", palette=Image.Palette.ADAPTIVE, colors=255))
+        yield picture_rgb(plotter, supersampling=supersampling)
     plotter.camera.position = tuple(target + offset)
+
+
+def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+    """All pictures in the colours of a few of them, so that what does not move costs nothing."""
+    from PIL import Image
+
+    some = image_rgb[:: max(1, len(image_rgb) // 4)]
+    palette = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    frames = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in image_rgb]
+    shown_ms = [round(1000 * frame_s)] * len(frames)
+    shown_ms[-1] += round(1000 * last_s)
     encoded = io.BytesIO()
-    frames[0].save(encoded, format="GIF", save_all=True, append_images=frames[1:], duration=80, loop=0, optimize=True)
+    frames[0].save(
+        encoded, format="GIF", save_all=True, append_images=frames[1:], duration=shown_ms, loop=0, optimize=False
+    )
     return encoded.getvalue()
+
+
+def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+    import tempfile
+
+    import imageio.v2 as imageio
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "film.mp4"
+        with imageio.get_writer(file, format="FFMPEG", fps=1.0 / frame_s, quality=7, macro_block_size=2) as film:
+            image = None
+            for image in image_rgb:
+                film.append_data(image)
+            for _ in range(round(last_s / frame_s)):
+                film.append_data(image)
+        return file.read_bytes()
 
 
 def _check_suffix(path: Path) -> None:

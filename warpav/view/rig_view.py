@@ -37,6 +37,9 @@ VIEW_AZIMUTH_RAD = math.radians(38.0)
 GROUND_CUT_M = 0.6
 """What of the environment lies lower is ground; what rises above it counts as building."""
 
+AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
+"""Of the ego frame."""
+
 GRADE_MAX = 0.08
 """Streets may rise by so much for each metre away from the vehicle and still be ground."""
 
@@ -52,7 +55,7 @@ def mesh_to_pyvista(mesh: Mesh) -> PolyData:
 def rig_plotter(
     rig: Rig,
     *,
-    ego: Mesh,
+    ego: Mesh | None = None,
     scene: Scene | None = None,
     outcomes: Sequence[ObjectOutcome] | None = None,
     trajectory_m: np.ndarray | None = None,
@@ -69,7 +72,8 @@ def rig_plotter(
 
     Args:
         rig: The cameras.
-        ego: The vehicle that carries them, in the ego frame.
+        ego: The vehicle that carries them, in the ego frame; that of the scene when None, and without a scene none: the
+            axes of the ego frame stand in its place.
         scene: Traffic and street around it; an empty ground when None.
         outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
         trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
@@ -93,12 +97,18 @@ def rig_plotter(
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="light kit")
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    look_at_ego(plotter, ego, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD, zoom=zoom)
-    add_ego(plotter, ego)
-    if scene is None:
-        add_ground(plotter, ego)
+    if ego is None and scene is not None:
+        ego = scene.ego
+    bounds_m = _bounds_without_ego_m(rig) if ego is None else ego.bounds_m()
+    look_at_ego(plotter, bounds_m, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD, zoom=zoom)
+    if ego is None:
+        add_axes(plotter, length_m=(1.5, 1.5, 1.0))
     else:
-        add_ground(plotter, ego, height_m=_lowest_m(scene), shadow=False, rings=False)
+        add_ego(plotter, ego)
+    if scene is None:
+        add_ground(plotter, bounds_m, shadow=ego is not None)
+    else:
+        add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
         if outcomes is not None:
             from warpav.view.sight_view import add_outcomes
 
@@ -119,7 +129,7 @@ def rig_plotter(
 
 def look_at_ego(
     plotter: Plotter,
-    ego: Mesh,
+    bounds_m: np.ndarray,
     *,
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
     elevation_rad: float = math.radians(33.0),
@@ -129,12 +139,12 @@ def look_at_ego(
 
     Args:
         plotter: Where to draw.
-        ego: The vehicle in the middle of the picture.
+        bounds_m: Lowest and highest corner of the vehicle in the middle of the picture [m], shape [2, 3].
         azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
         elevation_rad: Height of the viewer above the horizon [rad].
         zoom: 1 fills the picture with the vehicle, less shows more around it.
     """
-    low, high = ego.bounds_m().astype(np.float64)
+    low, high = np.asarray(bounds_m, np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
     distance = 4.1 * float(high[0] - low[0]) / zoom
     direction = np.array(
@@ -196,7 +206,7 @@ def add_ego(plotter: Plotter, ego: Mesh, *, name: str = "ego") -> None:
 
 def add_ground(
     plotter: Plotter,
-    ego: Mesh,
+    bounds_m: np.ndarray,
     *,
     height_m: float = 0.0,
     shadow: bool = True,
@@ -207,16 +217,17 @@ def add_ground(
 
     Args:
         plotter: Where to draw.
-        ego: The vehicle in its middle.
+        bounds_m: Lowest and highest corner of the vehicle in its middle [m], shape [2, 3].
         height_m: Its height [m]; drawn a little lower.
         shadow: Whether the vehicle throws a soft shadow.
         rings: Whether to mark distances of 5, 10 and 15 m from the vehicle.
         name: First part of the actors' names.
     """
-    low, high = ego.bounds_m().astype(np.float64)
+    low, high = np.asarray(bounds_m, np.float64)
     middle = (low[:2] + high[:2]) / 2
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
-    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, 100), turn, height_m=height_m - 0.03)
+    fine = 100 if shadow else 24  # rings that carry the fade and the shadow
+    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, fine), turn, height_m=height_m - 0.03)
     colour = np.tile(np.asarray(GROUND_RGB, dtype=np.float64), (disc.n_points, 1))
     if shadow:
         outside = np.maximum(np.abs(disc.points[:, :2] - middle) - (high[:2] - low[:2]) / 2 + 0.35, 0.0)
@@ -226,6 +237,46 @@ def add_ground(
     for radius in (5.0, 10.0, 15.0) if rings else ():
         ring = _polar_grid(middle, np.array([radius - 0.012, radius + 0.012]), turn, height_m=height_m - 0.01)
         plotter.add_mesh(ring, color=(205, 210, 218), lighting=False, name=f"{name}/ring_{radius:.0f}m")
+
+
+def add_axes(
+    plotter: Plotter, *, length_m: Sequence[float] | np.ndarray, thick: float = 1.0, name: str = "axis"
+) -> None:
+    """Add the axes of the ego frame at its origin, with their names.
+
+    Args:
+        plotter: Where to draw.
+        length_m: Of x, y and z [m].
+        thick: How thick they are drawn; 1 suits a car.
+        name: First part of the actors' names.
+    """
+    pyvista = load_pyvista()
+    tips = []
+    for axis, (label, colour) in enumerate(AXIS_RGB.items()):
+        direction = np.eye(3)[axis]
+        length = max(float(length_m[axis]), 0.5)
+        lift = np.array([0.0, 0.0, 0.02 if axis < 2 else 0.0])
+        arrow = pyvista.Arrow(
+            start=lift,
+            direction=direction,
+            scale=length,
+            shaft_radius=0.016 * thick / length,
+            tip_radius=0.055 * thick / length,
+            tip_length=0.2 * thick / length,
+        )
+        plotter.add_mesh(arrow, color=colour, ambient=0.6, name=f"{name}/{label[0]}")
+        tips.append(lift + (length + 0.12 * thick) * direction)
+    plotter.add_mesh(pyvista.Sphere(radius=0.07), color=INK_RGB, ambient=0.5, name="origin")
+    plotter.add_point_labels(
+        np.array([*tips]),
+        list(AXIS_RGB),
+        text_color=hex_colour(INK_RGB),
+        font_size=15,
+        shape=None,
+        show_points=False,
+        always_visible=True,
+        name=f"{name}_labels",
+    )
 
 
 def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: float = 0.42) -> None:
@@ -370,12 +421,18 @@ _BAKED: dict[str, Any] = {"lighting": False, "show_edges": False}
 """Meshes of the town carry their light in their colours."""
 
 
+def frustum_to_pyvista(camera: RigCamera, *, depth_m: float = FRUSTUM_DEPTH_M) -> PolyData:
+    """The four sides of a camera's frustum in the ego frame, from its centre (point 0) to the image's corners."""
+    point = frustum_points(camera, depth_m=depth_m)
+    side = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
+    return load_pyvista().PolyData.from_regular_faces(point, side)
+
+
 def _add_frustum(plotter: Plotter, camera: RigCamera, colour: Rgb, *, depth_m: float, name: str) -> None:
     pyvista = load_pyvista()
     point = frustum_points(camera, depth_m=depth_m)
-    side = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
     plotter.add_mesh(
-        pyvista.PolyData.from_regular_faces(point, side),
+        frustum_to_pyvista(camera, depth_m=depth_m),
         color=colour,
         opacity=0.07,
         lighting=False,
@@ -392,15 +449,19 @@ def _add_frustum(plotter: Plotter, camera: RigCamera, colour: Rgb, *, depth_m: f
     )
 
 
-def _add_camera_body(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) -> None:
+def camera_body(camera: RigCamera) -> tuple[PolyData, PolyData]:
+    """Housing and lens of a camera in the ego frame; the lens looks along the optical axis."""
     pyvista = load_pyvista()
-    body = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
+    housing = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
     lens = pyvista.Cylinder(center=(0, 0, 0.03), direction=(0, 0, 1), radius=0.05, height=0.06, resolution=32)
     transform = np.asarray(camera.ego_from_camera, dtype=np.float64)
-    plotter.add_mesh(body.transform(transform, inplace=False), color=colour, ambient=0.35, name=f"{name}/body")
-    plotter.add_mesh(
-        lens.transform(transform, inplace=False), color=INK_RGB, ambient=0.3, smooth_shading=False, name=f"{name}/lens"
-    )
+    return housing.transform(transform, inplace=False), lens.transform(transform, inplace=False)
+
+
+def _add_camera_body(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) -> None:
+    housing, lens = camera_body(camera)
+    plotter.add_mesh(housing, color=colour, ambient=0.35, name=f"{name}/body")
+    plotter.add_mesh(lens, color=INK_RGB, ambient=0.3, smooth_shading=False, name=f"{name}/lens")
 
 
 def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) -> None:
@@ -509,6 +570,14 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
             if surface.n_cells == 0:
                 return None
     return surface.triangulate().subdivide_adaptive(max_edge_len=1.5, max_n_passes=8)
+
+
+def _bounds_without_ego_m(rig: Rig) -> np.ndarray:
+    """Where a vehicle could be that carries the cameras: from the ground up around them, as long as a small car."""
+    place_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
+    low, high = np.minimum(place_m.min(axis=0), 0.0), np.maximum(place_m.max(axis=0), [0.0, 0.0, 1.0])
+    missing_m = np.maximum([4.0, 2.0, 0.0] - (high - low), 0.0)
+    return np.stack([low - missing_m / 2, high + missing_m / 2])
 
 
 def _lowest_m(scene: Scene) -> float:

@@ -40,6 +40,7 @@ MAX_REACH_RATIO = 1.35
 """Neighbouring rays that reach so much farther than others do not see the same surface."""
 
 _LIFT_M = 0.04  # of the coverage above the ground, so that both can be told apart
+_COVERAGE_ALPHA = 153
 
 
 def sight_to_pyvista(
@@ -184,7 +185,7 @@ def coverage_to_pyvista(coverage: Coverage) -> PolyData:
 
 def add_coverage(
     plotter: Plotter, coverage: Coverage, *, height_m: float | None = None, name: str = "coverage", legend: bool = True
-) -> None:
+) -> PolyData:
     """Add the ground in the colours of how many cameras see somebody there; red is a blind spot.
 
     Args:
@@ -194,6 +195,9 @@ def add_coverage(
         name: Name of the actor.
         legend: Whether to say which colour means what.
 
+    Returns:
+        What is drawn; `colour_coverage` changes its colours.
+
     Raises:
         ValueError: The coverage has no such height.
     """
@@ -201,15 +205,30 @@ def add_coverage(
     if height_m not in coverage.heights_m:
         raise ValueError(f"height_m must be one of {coverage.heights_m}, got {height_m}")
     surface = coverage_to_pyvista(coverage)
-    count = surface.cell_data[f"cameras_{height_m:g}m"]
-    surface = surface.extract_cells(count >= 0).extract_surface(algorithm=None)
-    count = np.minimum(count[count >= 0], len(COVERAGE_RGB) - 1)
-    surface.cell_data["RGB"] = np.array(COVERAGE_RGB, np.uint8)[count]
-    plotter.add_mesh(surface, scalars="RGB", rgb=True, opacity=0.6, lighting=False, name=name)
+    surface.cell_data["RGBA"] = np.zeros((surface.n_cells, 4), np.uint8)
+    colour_coverage(surface, coverage, height_m)
+    plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=name)
     if legend:
         words = ("no camera", "one camera", "two cameras", "more cameras")
         labels = {f"{height_m:g} m tall: {word}": rgb for word, rgb in zip(words, COVERAGE_RGB, strict=True)}
         add_legend(plotter, labels)
+    return surface
+
+
+def colour_coverage(surface: PolyData, coverage: Coverage, height_m: float) -> None:
+    """Change the colours of ground that is drawn already, to those of another coverage of the same ground.
+
+    Args:
+        surface: What `add_coverage` returned.
+        coverage: Which cameras see whom where.
+        height_m: How tall somebody is [m], one of the coverage's heights.
+    """
+    row, column = np.nonzero(coverage.is_open.any(axis=0))
+    count = coverage.count[coverage.heights_m.index(height_m), row, column]
+    palette = np.array([(*rgb, _COVERAGE_ALPHA) for rgb in COVERAGE_RGB] + [(0, 0, 0, 0)], np.uint8)  # last: nobody
+    surface.cell_data["RGBA"][:] = palette[
+        np.where(count < 0, len(COVERAGE_RGB), np.minimum(count, len(COVERAGE_RGB) - 1))
+    ]
 
 
 def add_legend(plotter: Plotter, labels: dict[str, Rgb], *, name: str = "legend") -> None:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.view.opengl import load_pyvista
-from warpav.view.palette import INK_RGB, PAPER_RGB, Rgb, hex_colour
-from warpav.view.rig_view import add_ego, add_ground, look_at_ego
+from warpav.view.palette import INK_RGB, PAPER_RGB, hex_colour
+from warpav.view.rig_view import add_axes, add_ego, add_ground, look_at_ego
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from warpav.geometry.mount_surface import MountSurface
 
     Plotter = Any
+    PolyData = Any
 
 PICTURE_PX = (1280, 720)
-AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
 LIFT_M = 0.03
 """By how much the mountable zone is drawn above the surface."""
 
@@ -50,14 +50,15 @@ def vehicle_plotter(
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(PICTURE_PX), lighting="light kit")
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    look_at_ego(plotter, vehicle, elevation_rad=math.radians(36.0))
+    look_at_ego(plotter, vehicle.bounds_m(), elevation_rad=math.radians(36.0))
     plotter.camera.view_angle = 19.0
     add_ego(plotter, vehicle)
-    add_ground(plotter, vehicle, rings=False)
+    add_ground(plotter, vehicle.bounds_m(), rings=False)
     if surface is not None:
         add_mountable_zone(plotter, surface)
-    _add_axes(plotter, vehicle)
     low, high = vehicle.bounds_m().astype(np.float64)
+    thick = float(high[0] - low[0]) / 4.5  # what is drawn of a bus is seen from farther away
+    add_axes(plotter, length_m=high + thick * np.array([0.9, 0.9, 0.7]), thick=thick)  # long enough to leave it
     for number, x in enumerate(axle_m):
         ends = [(x, low[1] - 0.25, 0.01), (x, high[1] + 0.25, 0.01)]
         line = pyvista.Line(*ends).tube(radius=0.015)
@@ -69,26 +70,38 @@ def vehicle_plotter(
     return plotter
 
 
-def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
-    """Add the cells that can carry a camera, coloured by height from dark (low) to light (high), with a scale."""
-    pyvista = load_pyvista()
+def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
+    """The cells that can carry a camera as ``pyvista.PolyData``, one square each.
+
+    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest place that carries none.
+
+    Args:
+        surface: The mount surface.
+        lift_m: By how much the squares are drawn above it [m].
+    """
     is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
     cell = np.argwhere(is_mountable)
     half_m = 0.5 * surface.cell_m
     middle_m = surface.origin_m + cell * surface.cell_m
-    height_m = surface.height_m[is_mountable].astype(np.float64)
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
     place_m = (middle_m[:, None] + corner).reshape(-1, 2)
-    point_m = np.column_stack([place_m, surface.height_at_m(place_m) + LIFT_M])
-    zone = pyvista.PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
-    zone.cell_data["height above the ground [m]"] = height_m
+    point_m = np.column_stack([place_m, surface.height_at_m(place_m) + lift_m])
+    zone = load_pyvista().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
+    zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
+    zone.cell_data["height_m"] = surface.height_m[is_mountable].astype(np.float64)
+    return zone
+
+
+def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
+    """Add the cells that can carry a camera, coloured by height from dark (low) to light (high), with a scale."""
     plotter.add_mesh(
-        zone,
-        scalars="height above the ground [m]",
+        mountable_zone_to_pyvista(surface, lift_m=LIFT_M),
+        scalars="height_m",
         cmap="viridis",
         lighting=False,
         name=name,
         scalar_bar_args={
+            "title": "height above the ground [m]",
             "color": hex_colour(INK_RGB),
             "fmt": "%.2f",
             "n_labels": 3,
@@ -122,37 +135,3 @@ def save_vehicle_picture(
         return save_picture(plotter, path)
     finally:
         plotter.close()
-
-
-def _add_axes(plotter: Plotter, vehicle: Mesh) -> None:
-    """Add the axes of the ego frame at its origin, long enough to leave the vehicle."""
-    pyvista = load_pyvista()
-    low, high = vehicle.bounds_m().astype(np.float64)
-    thick = float(high[0] - low[0]) / 4.5  # what is drawn of a bus is seen from farther away
-    length_m = (high[0] + 0.9 * thick, high[1] + 0.9 * thick, high[2] + 0.7 * thick)
-    tips = []
-    for axis, (label, colour) in enumerate(AXIS_RGB.items()):
-        direction = np.eye(3)[axis]
-        length = max(length_m[axis], 0.5)
-        lift = np.array([0.0, 0.0, 0.02 if axis < 2 else 0.0])
-        arrow = pyvista.Arrow(
-            start=lift,
-            direction=direction,
-            scale=length,
-            shaft_radius=0.016 * thick / length,
-            tip_radius=0.055 * thick / length,
-            tip_length=0.2 * thick / length,
-        )
-        plotter.add_mesh(arrow, color=colour, ambient=0.6, name=f"axis/{label[0]}")
-        tips.append(lift + (length + 0.12 * thick) * direction)
-    plotter.add_mesh(pyvista.Sphere(radius=0.07), color=INK_RGB, ambient=0.5, name="origin")
-    plotter.add_point_labels(
-        np.array([*tips]),
-        list(AXIS_RGB),
-        text_color=hex_colour(INK_RGB),
-        font_size=15,
-        shape=None,
-        show_points=False,
-        always_visible=True,
-        name="axis_labels",
-    )

@@ -1,0 +1,79 @@
+"""What warpav adds to pyvista's datasets, under the name ``warpav``.
+
+pyvista finds this module by the entry point ``pyvista.accessors`` the first time that somebody asks a dataset for
+``.warpav``; importing the module does the same.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpav.view.opengl import load_pyvista
+
+if TYPE_CHECKING:
+    from warpav.geometry.mesh import Mesh
+    from warpav.scene.scene import Scene
+
+    MultiBlock = Any
+    PolyData = Any
+
+pyvista = load_pyvista()
+
+
+@pyvista.register_dataset_accessor("warpav", pyvista.PolyData)
+class SurfaceAccessor:
+    """``surface.warpav`` of a surface in the ego frame, in metres."""
+
+    def __init__(self, surface: PolyData) -> None:
+        self._surface = surface
+
+    def as_mesh(self) -> Mesh:
+        """The triangles, with the colours of the point data ``RGB``, grey without; what warpav's functions take.
+
+        Raises:
+            InputError: There are no faces, or numbers that are not finite.
+        """
+        from warpav.view.blocks import mesh_from_pyvista
+
+        return mesh_from_pyvista(self._surface)
+
+    def mount_surface(self, *, cell_m: float = 0.02, min_upward_normal: float = 0.9) -> PolyData:
+        """Where cameras may stand on this vehicle: one square for each cell that can carry one.
+
+        Args:
+            cell_m: Edge of a cell [m], positive.
+            min_upward_normal: Least z of a face's unit normal, in (0, 1].
+
+        Returns:
+            ``pyvista.PolyData`` with the cell data ``height_m`` above the ground and ``border_distance_m`` to the
+            nearest place that carries none.
+
+        Raises:
+            InputError: No face looks upwards, or the vehicle is not given in metres.
+        """
+        from warpav.geometry.mount_surface import mount_surface_from_mesh
+        from warpav.view.vehicle_view import mountable_zone_to_pyvista
+
+        return mountable_zone_to_pyvista(
+            mount_surface_from_mesh(
+                self.as_mesh(), cell_m=cell_m, min_upward_normal=min_upward_normal, min_zone_normal=min_upward_normal
+            )
+        )
+
+
+@pyvista.register_dataset_accessor("warpav", pyvista.MultiBlock)
+class BlocksAccessor:
+    """``blocks.warpav`` of a tree of surfaces in the ego frame, in metres."""
+
+    def __init__(self, blocks: MultiBlock) -> None:
+        self._blocks = blocks
+
+    def as_scene(self, name: str | None = None) -> Scene:
+        """The scene of ``environment``, ``ego`` and ``vehicle_<instance id>``; the inverse of ``Scene.to_pyvista``.
+
+        Raises:
+            InputError: ``environment`` or ``ego`` is missing, or a block is no surface.
+        """
+        from warpav.view.blocks import scene_from_pyvista
+
+        return scene_from_pyvista(self._blocks, name=name)

@@ -1,0 +1,132 @@
+"""Where a step of the descent moves and turns the cameras, drawn as arrows at the cameras."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.opengl import load_pyvista
+from warpav.view.palette import INK_RGB
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.rig import Rig
+
+    Plotter = Any
+    PolyData = Any
+
+LONGEST_M = 0.8
+"""Length of the arrow of the camera on which the loss depends most [m]; the others are shorter in proportion."""
+
+WIDEST_RAD = math.radians(60.0)
+"""Angle of the bent arrow of the camera on whose yaw the loss depends most, likewise."""
+
+_RADIUS_M = 0.42  # of the bent arrows
+_RISE_M = 0.1  # of all arrows above the middle of a camera, so that its housing does not hide them
+_SHAFT_M, _TIP_M = 0.022, 0.06
+_LEAST = 1e-2  # of the longest; shorter arrows would be all tip
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Which way the loss falls at a rig: minus its gradient.
+
+    Attributes:
+        along: To x and y of every camera on the mount surface [1/m], float64 [camera, 2].
+        turn: To its yaw, left positive [1/rad], float64 [camera].
+    """
+
+    along: np.ndarray
+    turn: np.ndarray
+
+    @classmethod
+    def of_event(cls, event: Mapping[str, Any]) -> Descent | None:
+        """That of a line of ``events.jsonl``; None for runs that did not record it."""
+        gradient = event.get("gradient")
+        if not gradient:
+            return None
+        return cls(
+            -np.asarray(gradient["position_per_m"], np.float64).reshape(-1, 2),
+            -np.asarray(gradient["yaw_per_rad"], np.float64),
+        )
+
+
+def arrows_m(rig: Rig, descent: Descent, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
+    """Arrows along the mount surface that show where the descent moves the cameras.
+
+    Args:
+        rig: The cameras.
+        descent: Which way the loss falls there.
+        surface: What the cameras stand on.
+        longest_m: Length of the longest arrow [m].
+
+    Returns:
+        float64 [camera, 3] in the ego frame [m]: tangential to the surface, lengths in proportion to the gradient's
+        norm; all 0 where nothing depends on any place.
+    """
+    norm = np.linalg.norm(descent.along, axis=1, keepdims=True)
+    if not norm.any():
+        return np.zeros((len(rig.cameras), 3))
+    ahead = np.divide(descent.along, norm, out=np.zeros_like(descent.along), where=norm > 0.0)
+    place_m = np.array([camera.position_m[:2] for camera in rig.cameras])
+    reach_m = max(surface.cell_m, 0.05)
+    rise_m = surface.height_at_m(place_m + reach_m * ahead) - surface.height_at_m(place_m - reach_m * ahead)
+    tangent = np.column_stack([ahead, rise_m / (2.0 * reach_m)])
+    length = np.linalg.norm(tangent, axis=1, keepdims=True)
+    return tangent / np.maximum(length, 1e-12) * longest_m * norm / norm.max()
+
+
+def add_descent(
+    plotter: Plotter, rig: Rig, descent: Descent | None, surface: MountSurface, *, name: str = "descent"
+) -> None:
+    """Add straight arrows for where a step moves the cameras and bent ones for which way it turns them.
+
+    Lengths and angles are in proportion to the gradient; the longest of each kind have a fixed size.
+
+    Args:
+        plotter: Where to draw; arrows drawn before under the same name go.
+        rig: The cameras.
+        descent: Which way the loss falls there; None: no arrows.
+        surface: What the cameras stand on.
+        name: First part of the actors' names.
+    """
+    for actor in [actor for actor in plotter.actors if actor.startswith(f"{name}/")]:
+        plotter.remove_actor(actor)
+    if descent is None:
+        return
+    if len(descent.turn) != len(rig.cameras):
+        raise ValueError(f"expected a gradient for each of {len(rig.cameras)} cameras, got {len(descent.turn)}")
+    widest = np.abs(descent.turn).max(initial=0.0)
+    turn_rad = WIDEST_RAD * descent.turn / widest if widest > 0.0 else np.zeros(len(rig.cameras))
+    for camera, arrow, angle in zip(rig.cameras, arrows_m(rig, descent, surface), turn_rad, strict=True):
+        start = np.asarray(camera.position_m) + [0.0, 0.0, _RISE_M]
+        ways = {}
+        if np.linalg.norm(arrow) > _LEAST * LONGEST_M:
+            ways["move"] = start + np.linspace(0.0, 1.0, 2)[:, None] * arrow
+        if abs(angle) > _LEAST * WIDEST_RAD:
+            bearing = camera.yaw_rad + np.linspace(0.0, angle, 24)
+            ways["turn"] = start + _RADIUS_M * np.stack(
+                [np.cos(bearing), np.sin(bearing), np.zeros(len(bearing))], axis=1
+            )
+        for kind, way_m in ways.items():
+            plotter.add_mesh(
+                _arrow(way_m), color=INK_RGB, ambient=0.5, name=f"{name}/{camera.name}/{kind}", smooth_shading=False
+            )
+
+
+def _arrow(way_m: np.ndarray) -> PolyData:
+    """An arrow along a way [point, 3], with a tip at its end."""
+    pyvista = load_pyvista()
+    length_m = np.linalg.norm(np.diff(way_m, axis=0), axis=1).sum()
+    tip_m = min(3.0 * _TIP_M, 0.6 * float(length_m))
+    ahead = (way_m[-1] - way_m[-2]) / np.linalg.norm(way_m[-1] - way_m[-2])
+    shaft = pyvista.lines_from_points(way_m).tube(radius=_SHAFT_M, n_sides=12)
+    tip = pyvista.Cone(
+        center=way_m[-1] + 0.5 * tip_m * ahead, direction=ahead, height=tip_m, radius=_TIP_M, resolution=20
+    )
+    return pyvista.merge([shaft, tip])

@@ -1,0 +1,99 @@
+"""A run as a film: the cameras move over the vehicle, and their ways grow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.descent_view import Descent, add_descent
+from warpav.view.palette import INK_RGB, hex_colour
+from warpav.view.picture import MOVIE_PX, picture_rgb
+from warpav.view.rig_view import add_rig, add_trajectory, rig_plotter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.rig import Rig
+    from warpav.scene.scene import Scene
+
+MAX_FRAMES = 60
+"""Of a longer run every n-th iteration is shown, and always the last one."""
+
+
+def run_film(
+    frames: Sequence[Rig],
+    events: Sequence[Mapping[str, Any]],
+    *,
+    end: Rig,
+    scene: Scene,
+    surface: MountSurface | None = None,
+    window_size: tuple[int, int] = MOVIE_PX,
+    supersampling: int = 2,
+) -> Iterator[np.ndarray]:
+    """The pictures of a film over the iterations of a run, and at its end the result.
+
+    Args:
+        frames: The rig before the step of every iteration, at least one.
+        events: The iterations, lines of ``events.jsonl``.
+        end: The result.
+        scene: Where the run is shown.
+        surface: What the cameras stand on; with it arrows show where every step moves and turns them.
+        window_size: Width and height [px].
+        supersampling: Rays per pixel and axis, 1 to 4.
+
+    Yields:
+        uint8 [row, column, 3].
+
+    Raises:
+        InputError: Nothing can be drawn on this machine.
+    """
+    plotter = rig_plotter(frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False)
+    width = max(len(str(event["iteration"])) for event in events)
+    try:
+        for k in shown_iterations(len(frames)):
+            event = events[k]
+            own = [
+                j for j in range(k + 1) if events[j].get("descent") == event.get("descent")
+            ]  # a new descent begins anew
+            way_m = np.array([[camera.position_m for camera in frames[j].cameras] for j in own])
+            add_rig(plotter, frames[k], sectors=False, labels=False)
+            add_trajectory(plotter, way_m)
+            if surface is not None:
+                add_descent(plotter, frames[k], Descent.of_event(event), surface)
+            _write(plotter, [f"iteration {event['iteration']:{width}d}", _objective_text(events[: k + 1])])
+            yield picture_rgb(plotter, supersampling=supersampling)
+        add_rig(plotter, end, sectors=False, labels=False)
+        if surface is not None:
+            add_descent(plotter, end, None, surface)
+        _write(plotter, ["result", _objective_text(events)])
+        yield picture_rgb(plotter, supersampling=supersampling)
+    finally:
+        plotter.close()
+
+
+def shown_iterations(count: int, *, most: int = MAX_FRAMES) -> list[int]:
+    """Which of so many iterations a film shows: the first, the last, and evenly spread ones between them."""
+    return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, most))})
+
+
+def _objective_text(events: Sequence[Mapping[str, Any]]) -> str:
+    """The best objective so far on the scenes that rigs are compared on, else the loss of the last batch."""
+    best = events[-1].get("best_training_objective")
+    if best is not None:
+        return f"best objective so far {best:.4f}"
+    loss = events[-1]["loss"]
+    return "" if loss is None else f"loss {loss:.4f}"
+
+
+def _write(plotter: Any, lines: Sequence[str]) -> None:  # noqa: ANN401 (a pyvista.Plotter)
+    plotter.add_text(
+        "\n".join(line for line in lines if line),
+        position=(0.02, 0.88),
+        viewport=True,
+        font_size=9,
+        font="courier",
+        color=hex_colour(INK_RGB),
+        name="iteration",
+    )
