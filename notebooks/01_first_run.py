@@ -55,19 +55,18 @@ os.chdir(folder.name)
 #
 # ## Look at it
 #
-# White dots are where the cameras began, tubes the way that they took.
+# White dots are where the cameras began, tubes the way that they took, arrows where the last step still pulls.
 
 # %%
-Image("first/figures/rig.png", width=800)
+run = RunFolder.open("first")
+Image(run.plot("run.png"), width=800)
 
 # %% [markdown]
 # Cameras stand 25 cm above roof or bonnet, wherever the vehicle's height map says that a mount could be: not on
 # glass, not on rounded edges. That height map is the ground on which they are moved:
 
 # %%
-run = RunFolder.open("first")
-config = run.config()
-surface = camera_mount(config, load_scene("1000").ego).surface
+surface = camera_mount(run.config(), load_scene("1000").ego).surface
 rig, events = run.rig(), run.events()
 
 figure, axis = plt.subplots(figsize=(8, 3.4), layout="constrained")

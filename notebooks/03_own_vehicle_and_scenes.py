@@ -36,6 +36,7 @@ from IPython.display import Image
 
 from warpav.console import RunDisplay, arm_table
 from warpav.results import RunFolder
+from warpav.scene.glb import read_scene
 from warpav.scene.vehicle_shapes import vehicle_mesh
 
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
@@ -102,6 +103,9 @@ for _, node, edge in sorted(scene.graph.to_edgelist(), key=lambda edge: edge[1])
         box = ", ".join(f"{value:.1f}" for value in [*extras["box_center_m"], *extras["box_size_m"]])
         print(f"{node:12} {extras['class']:10} box centre and size [m]: {box}")
 
+# %%
+Image(read_scene("scenes/scene_0.glb").plot("scene.png", zoom=0.7), width=800)
+
 # %% [markdown]
 # ## The van in these scenes
 #
@@ -123,10 +127,11 @@ for _, node, edge in sorted(scene.graph.to_edgelist(), key=lambda edge: edge[1])
 # tail -n 5 progress.txt
 
 # %%
-Image("van/figures/rig.png", width=800)
+run = RunFolder.open("van")
+Image(run.plot("run.png"), width=800)
 
 # %%
-RunDisplay().show(arm_table(RunFolder.open("van").evaluation()["arms"]))
+RunDisplay().show(arm_table(run.evaluation()["arms"]))
 
 # %% [markdown]
 # *Objective* is what was lowered, the share of vehicles expected to be missed; `start` is the best of 16 rigs that

@@ -11,7 +11,7 @@
 # %% [markdown]
 # # Inspect and export a rig
 #
-# A vehicle has cameras already, and two of them have to stay: one behind the windscreen, one above the rear number
+# A vehicle has cameras already, and two of them have to stay: one in the grille, one above the rear number
 # plate. Where on the roof should two more sit? This notebook starts from that rig, lets warpav place the other two,
 # looks at what the result sees and does not see, and hands it to Autoware, CARLA and ROS, with a check that every
 # format says the same poses.
@@ -29,6 +29,7 @@ from IPython.display import Image
 from scipy.spatial.transform import Rotation
 
 from warpav.rig.rig import read_rig
+from warpav.sources import load_scene
 
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
 os.chdir(folder.name)
@@ -46,16 +47,20 @@ os.chdir(folder.name)
 # cat > mine.yaml << END
 # frame: ego
 # cameras:
-#   - {name: front, position_m: [1.9, 0.0, 1.25], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, $lens}
-#   - {name: rear, position_m: [-1.0, 0.0, 0.85], yaw_deg: 180, pitch_deg: 0, roll_deg: 0, $lens}
+#   - {name: front, position_m: [3.75, 0.0, 0.7], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, $lens}
+#   - {name: rear, position_m: [-1.05, 0.0, 0.85], yaw_deg: 180, pitch_deg: 0, roll_deg: 0, $lens}
 #   - {name: left, position_m: [0.6, 0.3, 1.78], yaw_deg: 90, pitch_deg: 0, roll_deg: 0, $lens}
 #   - {name: right, position_m: [0.6, -0.3, 1.78], yaw_deg: -90, pitch_deg: 0, roll_deg: 0, $lens}
 # END
 # warpav rig check mine.yaml
 
 # %% [markdown]
-# `rig check` lists the cameras, names what is odd about them, and says which formats can hold the rig.
-#
+# `rig check` lists the cameras, names what is odd about them, and says which formats can hold the rig. In a picture:
+
+# %%
+Image(read_rig("mine.yaml").plot("mine.png", scene=load_scene("1000")), width=800)
+
+# %% [markdown]
 # ## Two stay, two move
 #
 # `rig.freeze` names the cameras that stay as they are, wherever they stand; the others are optimised around them, on
