@@ -25,12 +25,10 @@ import json
 import tempfile
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Image
 
 from warpav.results import RunFolder
-from warpav.sources import camera_mount, load_scene
 
 open_experiment = json.loads(Path("../docs/results/open.json").read_text())
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
@@ -66,26 +64,7 @@ Image(run.plot("run.png"), width=800)
 # glass, not on rounded edges. That height map is the ground on which they are moved:
 
 # %%
-surface = camera_mount(run.config(), load_scene("1000").ego).surface
-rig, events = run.rig(), run.events()
-
-figure, axis = plt.subplots(figsize=(8, 3.4), layout="constrained")
-low_m, high_m = surface.bounds_m
-extent = (low_m[0], high_m[0], low_m[1], high_m[1])
-height_m = np.where(surface.is_mountable, surface.height_m, np.nan)
-image = axis.imshow(height_m.T, origin="lower", extent=extent, cmap="Blues", vmin=0.8)
-for k, camera in enumerate(rig.cameras):
-    way_m = np.array([event["positions_m"][k] for event in events])
-    axis.plot(way_m[:, 0], way_m[:, 1], color="black", linewidth=1)
-    axis.quiver(
-        *camera.position_m[:2], np.cos(camera.yaw_rad), np.sin(camera.yaw_rad), color=f"C{k + 1}", label=camera.name
-    )
-axis.set(
-    xlabel="x, forward [m]", ylabel="y, left [m]", title="where cameras may stand, the ways they took, where they look"
-)
-axis.legend(loc="upper left", fontsize="small")
-figure.colorbar(image, label="height [m]")
-plt.show()
+Image("first/figures/rig_top_view.png", width=800)
 
 # %% [markdown]
 # What the four cameras see of a test scene, with the detector's boxes: above the start, below the result.

@@ -88,7 +88,7 @@ Image("van.png", width=800)
 # command that builds the embedded town:
 
 # %% language="bash"
-# warpav scenes make --seeds $SCENES --out scenes
+# warpav scenes make --seeds $SCENES --out scenes | tail -n 2
 
 # %% [markdown]
 # What such a file holds, read with nothing of warpav:

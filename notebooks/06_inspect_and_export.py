@@ -11,10 +11,10 @@
 # %% [markdown]
 # # Inspect and export a rig
 #
-# A vehicle has cameras already, and two of them have to stay: one in the grille, one above the rear number
-# plate. Where on the roof should two more sit? This notebook starts from that rig, lets warpav place the other two,
-# looks at what the result sees and does not see, and hands it to Autoware, CARLA and ROS, with a check that every
-# format says the same poses.
+# A vehicle has cameras already, and two of them have to stay: one in the grille, one above the rear number plate.
+# Where on the roof should two more sit? This notebook starts from that rig, lets warpav place the other two, looks at
+# what the result sees and does not see, and hands it to Autoware, CARLA and ROS, with a check that every format says
+# the same poses.
 
 # %% tags=["parameters"]
 import os
@@ -40,7 +40,7 @@ os.chdir(folder.name)
 # A rig file lists cameras with their places in the ego frame (metres; x forward, y left, z up, from the ground below
 # the rear axle) and angles in degrees: yaw left-positive, pitch nose-down positive. `warpav rig import` makes such a
 # file of another tool's, and `warpav rig presets` lists known vehicles such as nuScenes's. Ours is short enough to be
-# written by hand:
+# written by hand. The two on the roof are named after no side, for they may end up on the other:
 
 # %% language="bash"
 # lens="fov_deg: 90, width_px: 256, height_px: 256"
@@ -49,8 +49,8 @@ os.chdir(folder.name)
 # cameras:
 #   - {name: front, position_m: [3.75, 0.0, 0.7], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, $lens}
 #   - {name: rear, position_m: [-1.05, 0.0, 0.85], yaw_deg: 180, pitch_deg: 0, roll_deg: 0, $lens}
-#   - {name: left, position_m: [0.6, 0.3, 1.78], yaw_deg: 90, pitch_deg: 0, roll_deg: 0, $lens}
-#   - {name: right, position_m: [0.6, -0.3, 1.78], yaw_deg: -90, pitch_deg: 0, roll_deg: 0, $lens}
+#   - {name: roof_1, position_m: [0.6, 0.3, 1.78], yaw_deg: 90, pitch_deg: 0, roll_deg: 0, $lens}
+#   - {name: roof_2, position_m: [0.6, -0.3, 1.78], yaw_deg: -90, pitch_deg: 0, roll_deg: 0, $lens}
 # END
 # warpav rig check mine.yaml
 

@@ -78,7 +78,8 @@ class RunDisplay:
         console = self.console
         if not console.is_terminal:
             wide = console.options.update(width=1000)
-            console = Console(file=console.file, width=Measurement.get(console, wide, content).maximum)
+            width = Measurement.get(console, wide, content).maximum
+            console = Console(file=console.file, width=width, force_terminal=False, force_jupyter=False)
         console.print(content, soft_wrap=False)
 
     def stage(self, description: str) -> None:
