@@ -101,3 +101,10 @@ def test_the_verdict_says_what_matters(violation, words):
     assert "optimised - random" not in text
     for heading in ARM_ROWS.values():
         assert heading in text
+
+
+def test_nothing_is_redrawn_where_there_is_no_terminal_whatever_colours_are_asked_for(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as Jupyter does for commands in its cells
+    console = RunDisplay().console
+    assert not console.is_terminal
+    assert not console.is_jupyter

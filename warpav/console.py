@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -36,7 +37,11 @@ class RunDisplay:
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(highlight=False, soft_wrap=True)
+        # in a notebook, and below one, which sets FORCE_COLOR, nothing can be redrawn either
+        is_terminal = sys.stdout.isatty()
+        self.console = console or Console(
+            highlight=False, soft_wrap=True, force_terminal=is_terminal, force_jupyter=False
+        )
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -73,7 +78,8 @@ class RunDisplay:
         console = self.console
         if not console.is_terminal:
             wide = console.options.update(width=1000)
-            console = Console(file=console.file, width=Measurement.get(console, wide, content).maximum)
+            width = Measurement.get(console, wide, content).maximum
+            console = Console(file=console.file, width=width, force_terminal=False, force_jupyter=False)
         console.print(content, soft_wrap=False)
 
     def stage(self, description: str) -> None:
