@@ -315,7 +315,7 @@ def test_a_run_without_iterations_is_refused(tmp_path):
 
 def test_an_old_folder_says_what_it_lacks_and_how_to_get_it(tmp_path):
     folder = folder_at(tmp_path / "run", events=0)
-    folder.append_event({"iteration": 0, "loss": 2.0})
+    folder.append_event({"iteration": 0, "loss": 2.0, "positions_m": [[0.0, 0.0, 1.0]], "yaw_deg": [0.0]})
     numbers_alone = dict.fromkeys(ARM_ROWS, 0.5)
     folder.write_evaluation({"scenes": {"test": 2}, "arms": {"optimised": numbers_alone, "highest": numbers_alone}})
     picture(folder.figure_path("detections"))
@@ -410,9 +410,12 @@ BROKEN = {
         "outcomes, ground and constraints must be of all arms, highest is missing",
     ),
     "unknown outcome": (_evaluation(outcomes=[seen(1.0, "vanished")]), "outcomes.0.outcome.optimised: expected what"),
-    "iteration is a list": (_replace("events.jsonl", "[]\n"), "events.jsonl: 0: expected what"),
+    "iteration is a list": (_replace("events.jsonl", "[]\n"), "events.jsonl:1: expected one JSON object"),
     "iteration cut off": (_replace("events.jsonl", '{"iter\n{}\n'), "events.jsonl:1: expected one JSON object"),
-    "iteration without number": (_replace("events.jsonl", '{"loss": 1}\n'), "events.jsonl: 0.iteration: expected"),
+    "iteration without number": (
+        _replace("events.jsonl", '{"loss": 1}\n'),
+        "events.jsonl:1: expected an iteration of a run",
+    ),
     "configuration is a list": (_replace("config.yaml", "[1]\n"), "config.yaml: expected sections of options"),
     "configuration is no YAML": (_replace("config.yaml", "a: [\n"), "config.yaml:"),
     "environment is a list": (_replace("env.json", "[1]"), "env.json: expected what"),
