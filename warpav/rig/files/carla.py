@@ -136,13 +136,19 @@ def _optics(sensor: Record, width_key: str, height_key: str) -> tuple[Optics, bo
     return optics, any(field.value is None for field in fields)
 
 
+def _written(value: float) -> float:
+    """A number without the last digits of floats, nor a negative zero."""
+    return round(float(value), 9) + 0.0
+
+
 def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
     """``objects.json`` with one vehicle that carries the cameras."""
     sensors = []
     for camera in cameras:
         model = pinhole_of(camera, losses, is_centred=True)
-        (x, y, z), angle = link_of_transform(camera.file_from_camera)
-        roll, pitch, yaw = (math.degrees(angle[key]) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
+        position_m, angle = link_of_transform(camera.file_from_camera)
+        x, y, z = map(_written, position_m)
+        roll, pitch, yaw = (_written(math.degrees(angle[key])) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
         sensors.append(
             {
                 "type": _CAMERA,
@@ -150,7 +156,7 @@ def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
                 "spawn_point": {"x": x, "y": y, "z": z, "roll": roll, "pitch": pitch, "yaw": yaw},
                 "image_size_x": model.width_px,
                 "image_size_y": model.height_px,
-                "fov": math.degrees(model.fov_rad),
+                "fov": _written(math.degrees(model.fov_rad)),
             }
         )
     vehicle = {"type": "vehicle.tesla.model3", "id": "ego_vehicle", "sensors": sensors}
@@ -166,7 +172,7 @@ def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
         model = pinhole_of(camera, losses, is_centred=True)
         position_m, angle = link_of_transform(camera.file_from_camera)
         location_m, *angles_deg = carla_from_ego_pose(np.array(position_m), **angle)
-        x, y, z, pitch, yaw, roll = (float(value) + 0.0 for value in (*location_m, *angles_deg))
+        x, y, z, pitch, yaw, roll = map(_written, (*location_m, *angles_deg))
         sensors.append(
             {
                 "type": _CAMERA,
@@ -179,7 +185,7 @@ def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
                 "yaw": yaw,
                 "width": model.width_px,
                 "height": model.height_px,
-                "fov": math.degrees(model.fov_rad),
+                "fov": _written(math.degrees(model.fov_rad)),
             }
         )
     text = json.dumps(sensors, indent=2) + "\n"
