@@ -63,10 +63,22 @@ def arguments(tmp_path_factory):
     return [str(folder / "four.yaml"), f"scenes.folder={folder}", *SCENES]
 
 
-def test_open(benchmark, arguments):
-    """From the start of the process to the first picture."""
+def test_open_from_the_shell(benchmark, arguments):
+    """From the start of the process to the first picture: most of it is the import of libraries."""
     command = [sys.executable, "-c", OPEN, *arguments]
     benchmark.pedantic(lambda: subprocess.run(command, check=True), rounds=3, warmup_rounds=1)
+
+
+def test_open(benchmark, arguments):
+    """From the files of scene, rig and detector to the first picture, in a Python that has done so before."""
+    config = load_config("quick", arguments[1:])
+
+    def show():
+        plotter = inspector(arguments[0], config, off_screen=True).plotter
+        plotter.show(auto_close=False, interactive=False)
+        plotter.close()
+
+    benchmark.pedantic(show, rounds=5, warmup_rounds=1)
 
 
 def test_drag(benchmark, arguments):
