@@ -57,12 +57,12 @@ autosummary_generate = True
 autosummary_context = {
     "packages": [found.name for found in pkgutil.walk_packages(warpav.__path__, "warpav.") if found.ispkg]
 }
-napoleon_custom_sections = [("Launch", "returns_style"), ("Writes", "returns_style"), ("Equation", "returns_style")]
 napoleon_google_docstring, napoleon_numpy_docstring = True, False
 add_module_names = False
 toc_object_entries = False  # hundreds of names in every sidebar
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True
+suppress_warnings = ["ref.python"]  # `camera` means many things; none of them is linked then
 html_math_renderer = "mathml"  # drawn by the browser: nothing to load
 
 html_theme = "furo"

@@ -4,6 +4,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import re
 import textwrap
 
 from sphinx.application import Sphinx
@@ -28,8 +29,21 @@ def _signature(_app: Sphinx, what: str, name: str, value: object, *_: object) ->
     return f"({ast.unparse(function.args)})", returns.removeprefix(" -> ")
 
 
+def _fields(_app: Sphinx, _what: str, _name: str, _value: object, _options: object, lines: list[str]) -> None:
+    """Make fields of ``Launch:``, ``Writes:`` and ``Equation:``, which go on until the next one or an empty line."""
+    is_open = False
+    for number, line in enumerate(lines):
+        if re.match(r"(Launch|Writes|Equation): ", line):
+            lines[number], is_open = f":{line}", True
+        elif not line.strip():
+            is_open = False
+        elif is_open:
+            lines[number] = f"    {line.strip()}"
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Make kernels look like the functions that they are written as."""
     _unwrap_kernels()
     app.connect("autodoc-process-signature", _signature)
+    app.connect("autodoc-process-docstring", _fields, priority=400)  # before napoleon
     return {"parallel_read_safe": True, "parallel_write_safe": True}
