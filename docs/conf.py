@@ -57,7 +57,7 @@ autosummary_generate = True
 autosummary_context = {
     "packages": [found.name for found in pkgutil.walk_packages(warpav.__path__, "warpav.") if found.ispkg]
 }
-napoleon_google_docstring, napoleon_numpy_docstring = True, False
+napoleon_google_docstring, napoleon_numpy_docstring, napoleon_use_ivar = True, False, True
 add_module_names = False
 toc_object_entries = False  # hundreds of names in every sidebar
 python_maximum_signature_line_length = 88
@@ -76,5 +76,12 @@ pygments_style, pygments_dark_style = "friendly", "github-dark"
 
 
 def setup(app: Sphinx) -> None:
-    """Take pages from the whole repository, whatever folder the command named."""
+    """Take pages from the whole repository, whatever folder the command named, and give the first one its contents."""
     app.srcdir = type(app.srcdir)(ROOT)
+    app.connect("source-read", add_contents)
+
+
+def add_contents(_app: Sphinx, page: str, text: list[str]) -> None:
+    """Append the tables of contents to the first page; they are of no use to who reads it without the site."""
+    if page == root_doc:
+        text[0] += (ROOT / "docs" / "_toctrees.md").read_text()

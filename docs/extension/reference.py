@@ -56,7 +56,8 @@ def _written(value: object) -> str:
 
 
 def _command_text() -> str:
-    text = generate_markdown_docs(warpav_app, generate_toc=False).replace(" *[default: False]*", "")
+    text = generate_markdown_docs(warpav_app, generate_toc=False)
+    text = text.replace(" *[default: False]*", "").replace("```console", "```text")
     _, *commands = re.split(r"^(?=## )", text, flags=re.MULTILINE)
     return "\n".join(sorted(commands, key=lambda each: "### " in each))
 
