@@ -49,9 +49,10 @@ myst_heading_anchors = 4
 nb_execution_mode = "off"  # notebooks are shown with the outputs that they were committed with
 nb_merge_streams = True
 
-default_role = "py:obj"
+default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_mock_imports = ["torch"]
+autodoc_use_type_comments = False
 autodoc_typehints_format = "short"
 autosummary_generate = True
 autosummary_context = {
@@ -59,10 +60,11 @@ autosummary_context = {
 }
 napoleon_google_docstring, napoleon_numpy_docstring, napoleon_use_ivar = True, False, True
 add_module_names = False
+viewcode_follow_imported_members = False
 toc_object_entries = False  # hundreds of names in every sidebar
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True
-suppress_warnings = ["ref.python"]  # `camera` means many things; none of them is linked then
+suppress_warnings = ["ref.python"]  # two classes of one name; neither is linked from an annotation then
 html_math_renderer = "mathml"  # drawn by the browser: nothing to load
 
 html_theme = "furo"

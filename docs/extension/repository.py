@@ -19,12 +19,13 @@ from sphinx.transforms import SphinxTransform
 from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util import logging
 
-LEXERS = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".json": "json"}
+LEXERS = {".py": "python", ".toml": "toml", ".yaml": "yaml"}
+"""What is read; data, such as the numbers of experiments, remains a download."""
 _log = logging.getLogger(__name__)
 
 
 class FindSources(SphinxTransform):
-    """Sphinx would offer linked files for download; they are to be read."""
+    """Sphinx would offer linked files for download; source code is to be read."""
 
     default_priority = 400
 
@@ -32,6 +33,8 @@ class FindSources(SphinxTransform):
         """Replace downloads by references to pages that are made below."""
         for node in list(self.document.findall(addnodes.download_reference)):
             file = (Path(self.env.doc2path(self.env.docname)).parent / node["reftarget"]).resolve()
+            if file.suffix not in LEXERS:
+                continue
             reference = nodes.reference("", "", *node.children, internal=True)
             reference["source"] = file.relative_to(self.env.srcdir).as_posix()
             node.replace_self(reference)
@@ -64,7 +67,7 @@ def source_pages(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
     bridge = PygmentsBridge("html", app.config.pygments_style)
     for source in sorted(getattr(app.env, "linked_sources", ())):
         file = Path(app.srcdir, source)
-        code = bridge.highlight_block(file.read_text(), LEXERS.get(file.suffix, "text"))
+        code = bridge.highlight_block(file.read_text(), LEXERS[file.suffix])
         yield f"_files/{source}", {"title": source, "body": f"<h1>{source}</h1>{code}"}, "page.html"
 
 
