@@ -127,9 +127,9 @@ def test_commands_of_the_documentation_are_understood(words, tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("line", "wrong"),
     [
-        ("rig exprot mine.yaml", "exprot"),
-        ("inspect mine --shwo sight", "shwo"),
-        ("inspect mine --show sigth", "sigth"),
+        ("rig draw mine.yaml", "draw"),
+        ("inspect mine --angle sight", "angle"),
+        ("inspect mine --show views", "views"),
         ("optimise rig.camera=6", "rig.camera"),
         ("optimise rig.start=random rig.freeze=[front, rear]", "[front,"),
     ],

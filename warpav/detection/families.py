@@ -11,7 +11,7 @@ format                  images                       outputs
 ``ultralytics``         RGB 0..1, centred on grey    [b, 4 + classes, n], [b, n, 4 + classes]: centre, size [px], scores
 ``ultralytics-end2end`` RGB 0..1, centred on grey    [b, n, 6]: x0, y0, x1, y1 [px], score, class
 ``ultralytics-rtdetr``  RGB 0..1, stretched          [b, n, 6]: centre, size in 0..1, score, class
-``yolox``               BGR 0..255, top left on grey [b, n, 5 + classes]: offset, log of size [cells], objectness, scores
+``yolox``               BGR 0..255, top left on grey [b, n, 5 + classes]: offset, log size [cells], objectness, scores
 ``yolox-decoded``       BGR 0..255, top left on grey [b, n, 5 + classes]: centre, size [px], objectness, scores
 ``torchvision``         RGB 0..1, top left on grey   boxes, labels, scores in any order; class 0 is the background
 ``rtdetr``              RGB 0..1, stretched          labels, boxes, scores; second input: the size that boxes refer to
