@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "extension.kernels",
     "extension.mathml",
+    "extension.notebooks",
     "extension.reference",
     "extension.repository",
 ]
@@ -60,6 +61,7 @@ autosummary_context = {
 }
 napoleon_google_docstring, napoleon_numpy_docstring, napoleon_use_ivar = True, False, True
 add_module_names = False
+smartquotes = False
 viewcode_follow_imported_members = False
 toc_object_entries = False  # hundreds of names in every sidebar
 python_maximum_signature_line_length = 88
@@ -72,6 +74,7 @@ html_title = f"warpav {version}"
 html_additional_pages = {"index": "redirect.html"}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_use_index = html_domain_indices = False  # the search finds the same
 html_show_sourcelink = html_copy_source = False
 templates_path = [str(ROOT / "docs" / "_templates")]
 pygments_style, pygments_dark_style = "friendly", "github-dark"

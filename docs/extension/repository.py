@@ -3,6 +3,7 @@
 At the end every link within the site is followed; one that leads nowhere is a warning.
 """
 
+import posixpath
 import re
 from collections.abc import Iterator
 from html import unescape
@@ -75,16 +76,19 @@ def check_links(app: Sphinx, error: Exception | None) -> None:
     """Follow every link within the site."""
     if error or app.builder.name != "html":
         return
-    texts = {file: file.read_text() for file in Path(app.outdir).rglob("*.html")}
-    anchors = {file: {unescape(name) for name in re.findall(r'\bid="([^"]+)"', text)} for file, text in texts.items()}
-    for file, text in texts.items():
-        for link in set(re.findall(r'\b(?:href|src)="([^"]+)"', text)):
+    files = {file.relative_to(app.outdir).as_posix() for file in Path(app.outdir).rglob("*") if file.is_file()}
+    texts = {name: Path(app.outdir, name).read_text() for name in files if name.endswith(".html")}
+    anchors = {name: {unescape(each) for each in re.findall(r' id="([^"]+)"', text)} for name, text in texts.items()}
+    for name, text in texts.items():
+        for link in set(re.findall(r' (?:href|src)="([^"]+)"', text)):
             path, _, anchor = unquote(unescape(link)).partition("#")
             if re.match(r"[a-z]+:", path):
                 continue
-            target = (file.parent / path.partition("?")[0]).resolve() if path else file
-            if not target.exists() or (anchor and target in anchors and anchor not in anchors[target]):
-                _log.warning("%s: the link %s leads nowhere", file.relative_to(app.outdir), link)
+            target = (
+                posixpath.normpath(posixpath.join(posixpath.dirname(name), path.partition("?")[0])) if path else name
+            )
+            if target not in files or (anchor and anchor not in anchors.get(target, (anchor,))):
+                _log.warning("%s: the link %s leads nowhere", name, link)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
