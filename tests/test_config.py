@@ -4,7 +4,15 @@ import math
 
 import pytest
 
-from warpav.config import Config, config_names, dump_config, load_config, option_values, placed_config
+from warpav.config import (
+    Config,
+    config_names,
+    described_options,
+    dump_config,
+    load_config,
+    option_values,
+    placed_config,
+)
 from warpav.errors import InputError, OptionError
 from warpav.objective.mount import FreeRanges
 from warpav.sources import camera_model, free_ranges
@@ -136,7 +144,18 @@ def test_option_values_are_flat_and_complete():
     values = option_values(load_config("quick"))
     assert values["scenes.train_seeds"] == "0..29"
     assert values["rig.cameras"] == 4
+    assert values["executor.options"] == {}
     assert "run" not in values
+
+
+def test_described_options_say_type_range_and_default():
+    described = {option.name: option for option in described_options()}
+    assert {name: option.default for name, option in described.items()} == option_values(Config())
+    assert all(option.description and option.section_description for option in described.values())
+    assert {name for name, option in described.items() if option.expected.startswith("text")} == {"executor.address"}
+    assert described["rig.min_spacing_m"].expected.startswith("a length in metres above 0 m to 5 m")
+    assert described["scenes.mirror"].expected == "true or false"
+    assert described["rig.free.pitch_deg"].section == "rig.free"
 
 
 FILE_MISTAKES = [

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
+import inspect
 import math
+import operator
 import re
 import types
 import typing
@@ -748,8 +751,8 @@ class Config(Section):
     """Everything that a run of warpav can be told."""
 
     run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
-    device: Annotated[str, BeforeValidator(_read_device)] = Field(
-        default="cpu", description="cpu or a GPU such as cuda:0"
+    device: Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")] = Field(
+        default="cpu", description="what renders, and what gradients are computed on"
     )
     method: Literal["thesis", "default"] = Field(
         default="default",
@@ -938,15 +941,54 @@ def dump_config(config: Config) -> str:
 
 def option_values(config: Config) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
+    tree = config.model_dump(mode="json")
+    return {
+        ".".join(location): functools.reduce(operator.getitem, location, tree) for location in _option_locations(Config)
+    }
 
-    def walk(data: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, object]]:
-        for name, value in data.items():
-            if isinstance(value, dict):
-                yield from walk(value, f"{prefix}{name}.")
-            else:
-                yield prefix + name, value
 
-    return dict(walk(config.model_dump(mode="json"), ""))
+@dataclass(frozen=True)
+class DescribedOption:
+    """One option of the configuration, for documentation.
+
+    Attributes:
+        name: Dotted, such as ``rig.cameras``.
+        section: Dotted name of its section; empty for what stands at the top.
+        section_description: What the section is about.
+        expected: What the option takes, in words: type, unit, range.
+        default: As written in files.
+        description: What it does.
+    """
+
+    name: str
+    section: str
+    section_description: str
+    expected: str
+    default: object
+    description: str
+
+
+def described_options() -> Iterator[DescribedOption]:
+    """Every option with what is known of it, in the order of the tree, what stands at the top first."""
+    default_of = option_values(Config())
+
+    def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
+        inner = {name: _section_of(field.annotation) for name, field in section.model_fields.items()}
+        for name, field in section.model_fields.items():
+            if inner[name] is None:
+                yield DescribedOption(
+                    name=prefix + name,
+                    section=prefix.rstrip("."),
+                    section_description=inspect.getdoc(section) or "",
+                    expected=_expected(field),
+                    default=default_of[prefix + name],
+                    description=field.description or "",
+                )
+        for name, below in inner.items():
+            if below is not None:
+                yield from walk(below, f"{prefix}{name}.")
+
+    return walk(Config, "")
 
 
 def overrides_from(base: Config, config: Config) -> list[str]:
@@ -1162,7 +1204,7 @@ def _expected(field: FieldInfo) -> str:
     limits = _limits(metadata, words.unit if words else "")
     if words:
         return words.text.replace("{range}", limits) + optional
-    noun = {int: "a whole number", float: "a number"}.get(typing.cast(type, annotation), "text")
+    noun = {bool: "true or false", int: "a whole number", float: "a number"}.get(typing.cast(type, annotation), "text")
     return noun + limits + optional
 
 

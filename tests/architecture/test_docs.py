@@ -1,15 +1,29 @@
-"""Pages of documentation: their links lead somewhere, their tables are whole, their options exist."""
+"""The documentation keeps its promises: links lead somewhere, tables are whole, options, commands and code are real."""
 
+import io
 import re
+import shlex
+import tomllib
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
+from cyclopts import CycloptsError
 
-from warpav.config import Config, option_values
+from warpav.cli import DEFAULT_CONFIG, app, main
+from warpav.config import Config, load_config, option_values
+from warpav.errors import InputError
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 METHOD = ROOT / "docs" / "method.md"
+TUTORIAL = ROOT / "docs" / "tutorial.md"
+MISTAKE = "warpav optimise rig.camera=6"  # of the tutorial, on purpose
+
+
+def name_of(page):
+    return page.relative_to(ROOT).as_posix()
 
 
 def anchor(heading):
@@ -31,12 +45,33 @@ def lost_links(page):
             yield target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def blocks(page, language):
+    """Texts of the fences of a language, each with the text of the fence that comes next."""
+    fences = re.findall(r"^```(\S*)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    for (kind, text), (_, after) in zip(fences, [*fences[1:], ("", "")], strict=False):
+        if kind == language:
+            yield text, after
+
+
+def commands():
+    """Page and words of every command of warpav that a page tells the reader to type."""
+    for page in PAGES:
+        found = [line.removeprefix("$ ") for text, _ in blocks(page, "console") for line in text.splitlines()]
+        found += [line for text, _ in blocks(page, "") for line in text.splitlines()]
+        if page.parent.name == "guide":  # in tables; the name of a command alone is none to type
+            found += re.findall(r"^\|.*`(warpav [^`]+)`", page.read_text(), re.MULTILINE)
+        for line in found:
+            words = shlex.split(line, comments=True) if line.startswith("warpav ") else []
+            if words and line != MISTAKE:
+                yield pytest.param(words[1:], id=f"{name_of(page)}: {line}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page):
     assert list(lost_links(page)) == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
     width = None
     for line in page.read_text().splitlines():
@@ -57,11 +92,74 @@ def test_all_thirty_two_open_places_are_answered_in_order():
 
 
 def test_options_that_the_documentation_names_exist():
-    options, sections = option_values(Config()), Config.model_fields
-    named = set(re.findall(r"`([a-z]+)\.([a-z_]+)(?:: [^`]*)?`", METHOD.read_text()))
-    named = {(section, option) for section, option in named if section in sections}
-    assert len(named) > 15
-    assert {f"{section}.{option}" for section, option in named} - set(options) <= {
-        "detector.classes",
-        "rig.free",
-    }  # sections
+    options = option_values(Config())
+    known = {".".join(name.split(".")[: length + 1]) for name in options for length in range(name.count(".") + 1)}
+    named = {}
+    for page in DOCS:
+        for name in re.findall(r"`([a-z]+(?:\.[a-z_]+)+)(?:[:=][^`]*)?`", page.read_text()):
+            if name.split(".")[0] in Config.model_fields and not name.endswith(".py"):
+                named.setdefault(name, name_of(page))
+    assert len(named) > 30
+    assert {name: page for name, page in named.items() if name not in known} == {}
+
+
+def understand(words):
+    """Parse a command as the command line does, with the files that it names in place."""
+    for value in (word.rpartition("=")[2] for word in words):
+        if re.fullmatch(r"[\w/.-]+\.(yaml|glb|onnx)", value):
+            Path(value).parent.mkdir(exist_ok=True)
+            Path(value).touch()
+        elif re.fullmatch(r"[a-z_]+", value):
+            Path(value).mkdir(exist_ok=True)
+    _, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+    config, overrides = bound.arguments.get("config"), [*bound.arguments.get("overrides", ())]
+    if config is not None and "=" in config:
+        config, overrides = None, [config, *overrides]
+    load_config(config or DEFAULT_CONFIG, overrides)
+
+
+@pytest.mark.parametrize("words", list(commands()))
+def test_commands_of_the_documentation_are_understood(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    understand(words)
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("rig draw mine.yaml", "draw"),
+        ("inspect mine --angle sight", "angle"),
+        ("inspect mine --show views", "views"),
+        ("optimise rig.camera=6", "rig.camera"),
+        ("optimise rig.start=random rig.freeze=[front, rear]", "[front,"),
+    ],
+)
+def test_a_slip_in_a_command_would_be_found(line, wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((CycloptsError, InputError), match=re.escape(wrong)):
+        understand(line.split())
+
+
+@pytest.mark.parametrize("page", [page for page in DOCS if list(blocks(page, "python"))], ids=name_of)
+def test_code_prints_what_the_page_says(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for code, expected in blocks(page, "python"):
+        with redirect_stdout(io.StringIO()) as output:
+            exec(compile(code, name_of(page), "exec"), {})
+        assert output.getvalue() == expected
+
+
+def test_the_refusal_in_the_tutorial_is_the_real_one(capsys):
+    command = f"$ {MISTAKE}\n"
+    shown = next(text for text, _ in blocks(TUTORIAL, "console") if text.startswith(command))
+    assert main(MISTAKE.split()[1:]) == 2
+    assert command + capsys.readouterr().err == shown
+
+
+def test_the_reference_lists_every_module_from_top_to_bottom():
+    floors = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
+    modules = [f"warpav.{name}" for floor in floors for name in re.findall(r"\w+", floor)]
+    listed = re.findall(r"^   (warpav\S*)$", (ROOT / "docs" / "reference" / "api.md").read_text(), re.MULTILINE)
+    assert [name for name in listed if name.count(".") == 1] == modules
+    packages = {".".join(file.parent.relative_to(ROOT).parts) for file in (ROOT / "warpav").rglob("__init__.py")}
+    assert packages - {"warpav"} <= set(listed)

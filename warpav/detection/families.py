@@ -5,16 +5,18 @@ one *family* share that meaning. `recognise` finds the family of a file (what th
 metadata, then its inputs and outputs) together with the reason in words; from there on a family *packs* images into the
 network's input and *decodes* its outputs into `Candidates`, boxes in pixels of that input.
 
-| format | images | outputs |
-|---|---|---|
-| ``ultralytics`` | RGB 0..1, centred on grey | [b, 4 + classes, n], [b, n, 4 + classes]: centre, size [px], scores |
-| ``ultralytics-end2end`` | RGB 0..1, centred on grey | [b, n, 6]: x0, y0, x1, y1 [px], score, class |
-| ``ultralytics-rtdetr`` | RGB 0..1, stretched | [b, n, 6]: centre, size in 0..1, score, class |
-| ``yolox`` | BGR 0..255, top left on grey | [b, n, 5 + classes]: offset, log of size [cells], objectness, scores |
-| ``yolox-decoded`` | BGR 0..255, top left on grey | [b, n, 5 + classes]: centre, size [px], objectness, scores |
-| ``torchvision`` | RGB 0..1, top left on grey | boxes, labels, scores in any order; class 0 is the background |
-| ``rtdetr`` | RGB 0..1, stretched | labels, boxes, scores; a second input, the size that boxes are scaled to |
-| ``rtdetr-single`` | RGB 0..1, stretched | [b, n, 6]: x0, y0, x1, y1 [px], score, class |
+======================= ============================ ===================================================================
+format                  images                       outputs
+======================= ============================ ===================================================================
+``ultralytics``         RGB 0..1, centred on grey    [b, 4 + classes, n], [b, n, 4 + classes]: centre, size [px], scores
+``ultralytics-end2end`` RGB 0..1, centred on grey    [b, n, 6]: x0, y0, x1, y1 [px], score, class
+``ultralytics-rtdetr``  RGB 0..1, stretched          [b, n, 6]: centre, size in 0..1, score, class
+``yolox``               BGR 0..255, top left on grey [b, n, 5 + classes]: offset, log size [cells], objectness, scores
+``yolox-decoded``       BGR 0..255, top left on grey [b, n, 5 + classes]: centre, size [px], objectness, scores
+``torchvision``         RGB 0..1, top left on grey   boxes, labels, scores in any order; class 0 is the background
+``rtdetr``              RGB 0..1, stretched          labels, boxes, scores; second input: the size that boxes refer to
+``rtdetr-single``       RGB 0..1, stretched          [b, n, 6]: x0, y0, x1, y1 [px], score, class
+======================= ============================ ===================================================================
 
 RT-DETR and D-FINE are trained, evaluated and deployed on images that are stretched to the square input, whatever their
 shape, and so is ultralytics' RT-DETR; none of them is letterboxed here. torchvision pads its own batches at the right

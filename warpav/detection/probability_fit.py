@@ -175,7 +175,7 @@ class Scores:
         brier: Mean squared difference between probability and outcome.
         brier_base_rate: The same for one probability for all, the share that was detected.
         calibration_error: Expected calibration error: objects sorted by probability, cut into 15 bins of equal number;
-            the mean over bins of |mean probability - share detected|, weighted by the number in the bin.
+            the mean over bins of abs(mean probability - share detected), weighted by the number in the bin.
         bins: The bins, in the order of probability.
     """
 
