@@ -19,7 +19,8 @@ from PIL import Image
 from warpav.cli import main
 from warpav.config import Config
 from warpav.errors import InputError
-from warpav.gallery import OBJECT_EGO, inspector, run_plotter
+from warpav.gallery import OBJECT_EGO
+from warpav.inspection import inspector, run_plotter
 from warpav.optimise.gradient import Descent
 from warpav.results import ARM_ROWS, RunFolder
 from warpav.rig.rig import rig_text

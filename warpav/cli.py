@@ -250,7 +250,7 @@ def inspect(
     ] = "rig",
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
-    from warpav.gallery import inspect_rig
+    from warpav.inspection import inspect_rig
     from warpav.sources import config_for
 
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
@@ -324,7 +324,7 @@ def scenes_make(
     workers: Workers = None,
 ) -> int:
     """Build embedded street scenes and write each as a GLB file; what is there already stays."""
-    from warpav.gallery import build_scenes
+    from warpav.scene_commands import build_scenes
 
     return build_scenes(_seeds(seeds, count), out, executor=executor, worker_count=workers)
 
@@ -346,7 +346,7 @@ def scenes_capture(
 ) -> int:
     """Take colour, depth and instance images of situations; interrupted captures go on."""
     from warpav.config import placed_config
-    from warpav.gallery import record_scenes
+    from warpav.scene_commands import record_scenes
 
     with placed_config(config, overrides) as settings:
         return record_scenes(
@@ -371,7 +371,7 @@ def scenes_reconstruct(
 ) -> int:
     """Make scenes of captures: point clouds, triangle meshes, colours."""
     from warpav.config import placed_config
-    from warpav.gallery import reconstruct_scenes
+    from warpav.scene_commands import reconstruct_scenes
 
     with placed_config(config, overrides) as settings:
         return reconstruct_scenes(settings, captures, out, executor=executor, worker_count=workers)
@@ -396,7 +396,7 @@ def scenes_show(
     out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
 ) -> None:
     """Show a scene and list its vehicles."""
-    from warpav.gallery import show_scene
+    from warpav.scene_commands import show_scene
 
     for line in show_scene(scene, out):
         _say(line)

@@ -31,7 +31,6 @@ from warpav.figures import (
     save_figure,
     start_and_end_handles,
 )
-from warpav.gallery import trajectory
 from warpav.objective.mount import RISE_M, X_M, Y_M
 from warpav.problem import (
     Problem,
@@ -47,7 +46,7 @@ from warpav.problem import (
 )
 from warpav.render.device_scene import DeviceScene
 from warpav.render.renderer import Occlusion
-from warpav.results import RunFolder
+from warpav.results import RunFolder, trajectory
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
 from warpav.scene_figures.by_number import RIG_NUMBERS

@@ -335,7 +335,7 @@ class RunFolder:
         Raises:
             InputError: A file of the folder cannot be used, there is no such iteration, or nothing can be drawn here.
         """
-        from warpav.gallery import ShownRun
+        from warpav.inspection import ShownRun
 
         return ShownRun.of(self, scene=scene).plot(
             out,
@@ -359,7 +359,7 @@ class RunFolder:
         Raises:
             InputError: A file of the folder is missing or cannot be used.
         """
-        from warpav.gallery import ShownRun
+        from warpav.inspection import ShownRun
 
         return ShownRun.of(self, scene=scene).to_pyvista()
 
@@ -406,6 +406,27 @@ def check_new_run(config: Config) -> None:
             f"expected a folder that does not exist yet, got {str(out)!r}; "
             "choose another, or leave run.out away and the run is numbered",
         )
+
+
+def check_folder(folder: Path, option: str) -> None:
+    """Refuse a file where a folder is to be written; what ``option`` is called is told.
+
+    Raises:
+        InputError: It is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file")
+
+
+def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
+    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
+
+    Of several descents it is the way of the one that came upon the best rig.
+    """
+    looks = [event for event in events if event.get("training_objective") is not None]
+    best = min(looks, key=lambda event: event["training_objective"], default=None)
+    way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
+    return np.array(way) if len(way) > 1 else None
 
 
 def environment(config: Config, device: str) -> dict[str, Any]:

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from warpav.config import load_config
-from warpav.gallery import inspector
 from warpav.geometry.mesh import Mesh
+from warpav.inspection import inspector
 from warpav.rig.rig import write_rig
 from warpav.scene.glb import write_scene
 from warpav.scene.town import town_scene
@@ -27,7 +27,7 @@ TRIANGLES = 200_000
 SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=[0]", "device=cpu"]
 OPEN = """
 import sys
-from warpav.gallery import inspector
+from warpav.inspection import inspector
 from warpav.sources import config_for
 with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
     inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)
