@@ -423,6 +423,8 @@ def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
 
     Of several descents it is the way of the one that came upon the best rig.
     """
+    import numpy as np
+
     looks = [event for event in events if event.get("training_objective") is not None]
     best = min(looks, key=lambda event: event["training_objective"], default=None)
     way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
