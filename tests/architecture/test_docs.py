@@ -163,3 +163,11 @@ def test_the_reference_lists_every_module_from_top_to_bottom():
     assert [name for name in listed if name.count(".") == 1] == modules
     packages = {".".join(file.parent.relative_to(ROOT).parts) for file in (ROOT / "warpav").rglob("__init__.py")}
     assert packages - {"warpav"} <= set(listed)
+
+
+def test_every_record_is_a_page_of_the_site():
+    contents = (ROOT / "docs" / "_toctrees.md").read_text()
+    records = [
+        file.relative_to(ROOT).with_suffix("") for root in ("warpav", "kernels") for file in (ROOT / root).rglob("*.md")
+    ]
+    assert [str(name) for name in records if f"../{name}\n" not in contents] == []
