@@ -1,4 +1,4 @@
-"""What the tutorial shows is what its commands print."""
+"""What the tutorial shows is what its commands print, but for the last digits of numbers."""
 
 import re
 import subprocess
@@ -12,8 +12,13 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 """Commands that are not run here: an installation, what differs from machine to machine, a second run, a mistake."""
 
 
-def without_times(line):
-    return re.sub(r"  [0-9.]+ s/it.*|took \d+ s", "", line).rstrip()
+LEFT_OUT = re.compile(r"scenes: \d+/|iteration |[│├┃┡└┏]|recall of the rig")
+"""Lines that the tutorial says it leaves out, or some of."""
+
+
+def without_numbers(line):
+    """Numbers differ from processor to processor after a hundred steps: it is the words that a reader looks for."""
+    return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.]*", "#", line)).strip()
 
 
 def console_of(page):
@@ -35,6 +40,12 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path):
     for command, lines in shown:
         words = [sys.executable, "-m", "warpav.cli", *command.split()[1:]]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
-        printed = iter([without_times(line) for line in done.stdout.splitlines()])
-        for line in lines:  # some are left out, none is changed
-            assert without_times(line) in printed, f"{command}: {line}"
+        printed = [line for line in done.stdout.splitlines() if line.strip()]
+        rest = iter([without_numbers(line) for line in lines if line.strip()])
+        expected = next(rest, None)
+        for line in printed:
+            if without_numbers(line) == expected:
+                expected = next(rest, None)
+            else:
+                assert LEFT_OUT.match(line), f"{command}: the tutorial lacks: {line}"
+        assert expected is None, f"{command}: not printed: {expected}"
