@@ -14,7 +14,7 @@ from warpav.cli import main
 from warpav.config import changed_config, load_config, overrides_from
 from warpav.errors import InputError
 from warpav.report.reading import read_run
-from warpav.report.report import MAX_BYTES, write_report
+from warpav.report.report import MAX_BYTES, _cards, write_report
 from warpav.report.words import headline, summary
 from warpav.results import ARM_ROWS
 
@@ -329,6 +329,30 @@ def test_an_old_folder_says_what_it_lacks_and_how_to_get_it(tmp_path):
     assert "#again" in page.address
     assert len([caption for caption in page.alt if caption.startswith(("A test scene through", "Loss, loss"))]) == 2
     assert [float(cell) for cell in page.table("", "optimised", "highest")[0][1:]] == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("start", "optimised", "shown", "tone"),
+    [
+        (2.0, 2.0, "0.0 %", "open"),
+        (-2.0, -2.5, "\N{MINUS SIGN}25.0 %", "good"),
+        (-2.0, -1.5, "+25.0 %", "bad"),
+        (2.0, 1.9999, "0.0 %", "open"),
+    ],
+)
+def test_the_change_of_the_objective_has_its_sign_and_tone(folder, start, optimised, shown, tone):
+    folder.write_evaluation(evaluation(training_objective={"start": start, "optimised": optimised}))
+    (card,) = [card for card in _cards(read_run(folder)) if card.about.startswith("objective")]
+    assert (card.text.replace("\N{NO-BREAK SPACE}", " "), card.tone) == (shown, tone)
+
+
+def test_no_gain_is_not_missed_on_new_scenes(folder):
+    content = evaluation(training_objective={"start": 2.0, "optimised": 2.0}, paired={})
+    content["arms"]["optimised"]["objective"] = content["arms"]["start"]["objective"]
+    folder.write_evaluation(content)
+    (text,) = [each.text for each in summary(read_run(folder)) if each.about == "Objective"]
+    assert "stayed at 2.0000" in text
+    assert text.endswith(": there was no gain.")
 
 
 def test_options_of_another_version_do_not_matter(folder):
