@@ -147,6 +147,25 @@ def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
     assert last.rig().cameras[0].position_m[0] == 2.0
 
 
+def test_a_folder_in_the_place_of_the_report_is_one_line(folder):
+    (folder.path / "report.html").mkdir()
+    with pytest.raises(InputError, match=r"report\.html: expected a place to write to, got: Is a directory"):
+        folder.write_report("<html>")
+    assert sorted(file.name for file in folder.path.glob(".draft*")) == []
+
+
+def test_a_view_is_replaced_in_one_step(folder, monkeypatch):
+    folder.write_views([], {"a.webp": b"before"})
+
+    def fail(draft, file):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="No space"):
+        folder.write_views([], {"a.webp": b"after"})
+    assert folder.view_path("a.webp").read_bytes() == b"before"
+
+
 def test_checkpoint_and_evaluation_come_back(folder):
     folder.write_checkpoint({"pose_value": np.arange(6.0).reshape(2, 3), "iteration": np.array(7)})
     with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as file:

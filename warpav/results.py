@@ -217,7 +217,8 @@ class RunFolder:
         folder = self.path / "figures" / "views"
         folder.mkdir(exist_ok=True)
         for name, encoded in image_of.items():
-            (folder / name).write_bytes(encoded)
+            with _replacing(folder / name) as draft:
+                draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
     def views(self) -> Any:  # noqa: ANN401 (JSON)
@@ -389,10 +390,7 @@ def write_json(file: Path, data: object) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    try:
-        write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
-    except OSError as error:
-        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
+    write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
 
 
 def check_new_run(config: Config) -> None:
@@ -526,9 +524,16 @@ def _one_line(error: Exception) -> str:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a text in one step."""
-    with _replacing(file) as draft:
-        draft.write_text(text, encoding="utf-8")
+    """Write a text in one step.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        with _replacing(file) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
 
 
 def _json_ready(value: object) -> Any:  # noqa: ANN401
