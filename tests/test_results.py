@@ -106,6 +106,22 @@ def test_a_broken_line_in_the_middle_is_named(folder):
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3], [1, 2, 3]], "yaw_deg": [0]}\n',
             r"events\.jsonl:2: yaw_deg: expected a number for each of 2 cameras, got \[0\]",
         ),
+        *(
+            (json.dumps({**dataclasses.asdict(Record(1, 1.0, {}, [[1, 2, 3]] * 2, [0, 0])), **part}).encode(), message)
+            for part, message in [
+                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a number or null, got 'a'"),
+                ({"training_objective": []}, r"training_objective: expected a number or null"),
+                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a number or null, got 'a'"),
+                ({"multipliers": [1]}, r"multipliers: expected values by name, got \[1\]"),
+                ({"gradient": 5}, "gradient: expected values by name, got 5"),
+                ({"gradient": {"a": 1}}, r"gradient\.position_per_m: expected \[x, y\] of 2 cameras, got None"),
+                (
+                    {"gradient": {"position_per_m": [[0, 1]] * 2, "yaw_per_rad": [0]}},
+                    r"gradient\.yaw_per_rad: expected a number for each of 2 cameras, got \[0\]",
+                ),
+                ({"free": {"pitch_deg": [1]}}, r"free\.pitch_deg: expected a number for each of 2 cameras"),
+            ]
+        ),
     ],
 )
 def test_a_line_that_is_no_iteration_is_named(folder, line, message):
@@ -129,6 +145,25 @@ def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
     last.write_rig("best", _rig(3.0))
     last.write_rig("final", _rig(2.0))
     assert last.rig().cameras[0].position_m[0] == 2.0
+
+
+def test_a_folder_in_the_place_of_the_report_is_one_line(folder):
+    (folder.path / "report.html").mkdir()
+    with pytest.raises(InputError, match=r"report\.html: expected a place to write to, got: Is a directory"):
+        folder.write_report("<html>")
+    assert sorted(file.name for file in folder.path.glob(".draft*")) == []
+
+
+def test_a_view_is_replaced_in_one_step(folder, monkeypatch):
+    folder.write_views([], {"a.webp": b"before"})
+
+    def fail(draft, file):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="No space"):
+        folder.write_views([], {"a.webp": b"after"})
+    assert folder.view_path("a.webp").read_bytes() == b"before"
 
 
 def test_checkpoint_and_evaluation_come_back(folder):

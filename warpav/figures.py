@@ -155,7 +155,7 @@ def convergence_panels(
     def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         begin(axis, "Multipliers")
         for index, name in enumerate(multiplier_names):
-            value = [np.max(record["multipliers"][name], initial=0.0) for record in records]
+            value = [_highest(record["multipliers"].get(name, 0.0)) for record in records]
             axis.plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
         _name_lines(axis, multiplier_names)
         if not multiplier_names:
@@ -194,6 +194,11 @@ def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (mat
 def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
     """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
     return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
+
+
+def _highest(multiplier: float | Sequence[float] | None) -> float:
+    """The highest of what may be one multiplier or several; NaN where it was not finite."""
+    return float(np.max(np.array(multiplier, dtype=np.float64), initial=0.0))
 
 
 def _is_always_kept(term: np.ndarray) -> bool:

@@ -25,6 +25,7 @@ import subprocess
 import sys
 import time
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -78,13 +79,13 @@ def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
     Args:
         arms: Metrics by arm, as in ``evaluation.json``; empty for one that was written before there was ``recall_by``.
     """
-    tables = [arm["recall_by"] for arm in arms.values() if "recall_by" in arm]
+    tables = [arm["recall_by"] for arm in arms.values() if arm.get("recall_by")]
     if not tables or len(tables) < len(arms):
         return []
     blocks = [
         [
             [f"{name}{unit}", str(group["objects"]), *(f"{table[by][name]['recall']:.3f}" for table in tables)]
-            for name, group in tables[0][by].items()
+            for name, group in tables[0].get(by, {}).items()
             if group["objects"]
         ]
         for by, unit in RECALL_GROUPS.items()
@@ -94,6 +95,9 @@ def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
 
 # worth knowing although warpav does not ask for them itself
 _RELATED_PACKAGES = ("onnxruntime-gpu", "vtk")
+
+# what NumPy, the archive and its compression raise; RuntimeError also where a member is encrypted or packed otherwise
+_UNREADABLE_ARRAYS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,7 @@ class RunFolder:
                 return dict(arrays)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        except (*_UNREADABLE_ARRAYS, TypeError) as error:  # the last for a single array, which is no archive
             raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
@@ -213,7 +217,8 @@ class RunFolder:
         folder = self.path / "figures" / "views"
         folder.mkdir(exist_ok=True)
         for name, encoded in image_of.items():
-            (folder / name).write_bytes(encoded)
+            with _replacing(folder / name) as draft:
+                draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
     def views(self) -> Any:  # noqa: ANN401 (JSON)
@@ -254,7 +259,7 @@ class RunFolder:
         for number, line in enumerate(lines, start=1):
             try:
                 event = json.loads(line) if line.strip() else None
-            except ValueError:  # also where the bytes are no text
+            except (ValueError, RecursionError):  # also where the bytes are no text
                 if number == len(lines):
                     break
                 shown = line[:40].decode(errors="backslashreplace")
@@ -373,7 +378,9 @@ class RunFolder:
             return json.loads(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
-        except ValueError as error:
+        except OSError as error:
+            raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{file}: expected JSON, got: {error}") from None
 
 
@@ -383,10 +390,7 @@ def write_json(file: Path, data: object) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    try:
-        write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
-    except OSError as error:
-        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
+    write_text(file, json.dumps(_json_ready(data), indent=2, allow_nan=False) + "\n")
 
 
 def check_new_run(config: Config) -> None:
@@ -520,9 +524,16 @@ def _one_line(error: Exception) -> str:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a text in one step."""
-    with _replacing(file) as draft:
-        draft.write_text(text, encoding="utf-8")
+    """Write a text in one step.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        with _replacing(file) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
 
 
 def _json_ready(value: object) -> Any:  # noqa: ANN401
@@ -559,7 +570,37 @@ def _event_mistake(event: object, *, camera_count: int | None) -> str | None:
         return f"positions_m: expected {camera_count} cameras as in the lines before, got {len(places)}"
     if not _are_finite(yaws, len(places)):
         return f"yaw_deg: expected a number for each of {len(places)} cameras, got {str(yaws)[:40]}"
+    for name in ("loss", "training_objective"):
+        if not _is_number_or_none(event.get(name)):
+            return f"{name}: expected a number or null, got {str(event[name])[:40]!r}"
+    return _part_mistake(event, len(places))
+
+
+def _part_mistake(event: Mapping[str, Any], camera_count: int) -> str | None:
+    """The same for what is under a name: terms, multipliers, gradient and free, where they are there."""
+    for name in ("terms", "multipliers", "gradient", "free"):
+        if not isinstance(event.get(name, {}), dict):
+            return f"{name}: expected values by name, got {str(event[name])[:40]}"
+    for name in ("terms", "multipliers"):
+        for key, value in event.get(name, {}).items():
+            is_list = name == "multipliers" and isinstance(value, list)
+            if not all(_is_number_or_none(each) for each in (value if is_list else [value])):
+                return f"{name}.{key}: expected a number or null, got {str(value)[:40]!r}"
+    gradient = event.get("gradient")
+    if gradient:
+        slopes = gradient.get("position_per_m")
+        has_slopes = isinstance(slopes, list) and len(slopes) == camera_count
+        if not has_slopes or not all(_are_finite(slope, 2) for slope in slopes):
+            return f"gradient.position_per_m: expected [x, y] of {camera_count} cameras, got {str(slopes)[:40]}"
+    turns = {"gradient.yaw_per_rad": gradient.get("yaw_per_rad")} if gradient else {}
+    for name, values in {**turns, **{f"free.{key}": value for key, value in event.get("free", {}).items()}}.items():
+        if not _are_finite(values, camera_count):
+            return f"{name}: expected a number for each of {camera_count} cameras, got {str(values)[:40]}"
     return None
+
+
+def _is_number_or_none(value: object) -> bool:
+    return value is None or (isinstance(value, (int, float)) and math.isfinite(value))
 
 
 def _are_finite(numbers: object, count: int) -> bool:

@@ -9,12 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from tests.report.run_parts import ARMS, arm, difference, evaluation, fill, folder_at, picture, seen, views
+from tests.report.run_parts import ARMS, arm, difference, evaluation, event, fill, folder_at, picture, seen, views
 from warpav.cli import main
 from warpav.config import changed_config, load_config, overrides_from
 from warpav.errors import InputError
 from warpav.report.reading import read_run
-from warpav.report.report import MAX_BYTES, write_report
+from warpav.report.report import MAX_BYTES, _cards, write_report
 from warpav.report.words import headline, summary
 from warpav.results import ARM_ROWS
 
@@ -331,6 +331,30 @@ def test_an_old_folder_says_what_it_lacks_and_how_to_get_it(tmp_path):
     assert [float(cell) for cell in page.table("", "optimised", "highest")[0][1:]] == [0.5, 0.5]
 
 
+@pytest.mark.parametrize(
+    ("start", "optimised", "shown", "tone"),
+    [
+        (2.0, 2.0, "0.0 %", "open"),
+        (-2.0, -2.5, "\N{MINUS SIGN}25.0 %", "good"),
+        (-2.0, -1.5, "+25.0 %", "bad"),
+        (2.0, 1.9999, "0.0 %", "open"),
+    ],
+)
+def test_the_change_of_the_objective_has_its_sign_and_tone(folder, start, optimised, shown, tone):
+    folder.write_evaluation(evaluation(training_objective={"start": start, "optimised": optimised}))
+    (card,) = [card for card in _cards(read_run(folder)) if card.about.startswith("objective")]
+    assert (card.text.replace("\N{NO-BREAK SPACE}", " "), card.tone) == (shown, tone)
+
+
+def test_no_gain_is_not_missed_on_new_scenes(folder):
+    content = evaluation(training_objective={"start": 2.0, "optimised": 2.0}, paired={})
+    content["arms"]["optimised"]["objective"] = content["arms"]["start"]["objective"]
+    folder.write_evaluation(content)
+    (text,) = [each.text for each in summary(read_run(folder)) if each.about == "Objective"]
+    assert "stayed at 2.0000" in text
+    assert text.endswith(": there was no gain.")
+
+
 def test_options_of_another_version_do_not_matter(folder):
     config = folder.path / "config.yaml"
     config.write_text(config.read_text() + "gone:\n  option: '<b>'\n")
@@ -394,6 +418,27 @@ def _ground_of_another_shape(folder):
     folder.write_ground({**arrays, "blind_count_start": np.zeros((1, 2, 3), np.uint16)})
 
 
+def _recall_by(change):
+    def apply(folder):
+        content = json.loads(json.dumps(evaluation()))
+        change(content["arms"]["start"]["recall_by"])
+        folder.write_evaluation(content)
+
+    return apply
+
+
+def _event(**changed):
+    return _replace("events.jsonl", json.dumps({**event(0), **changed}) + "\n")
+
+
+def _garbled_ground(folder):
+    """Bytes that are no compressed data, where a whole archive says that compressed data are."""
+    file = folder.path / "figures/ground.npz"
+    content = bytearray(file.read_bytes())
+    content[60:120] = b"\xff" * 60
+    file.write_bytes(bytes(content))
+
+
 BROKEN = {
     "evaluation cut off": (_replace("evaluation.json", '{"schema": 1, "arms"'), "evaluation.json: expected JSON"),
     "evaluation is a list": (_replace("evaluation.json", "[]"), "evaluation.json: expected what warpav optimise"),
@@ -435,8 +480,39 @@ BROKEN = {
     ),
     "ground is none": (_replace("figures/ground.npz", b"PK nothing"), "ground.npz: expected arrays"),
     "ground of another shape": (_ground_of_another_shape, "ground.npz: expected counts of one shape"),
+    "evaluation is a folder": (
+        lambda folder: [(folder.path / "evaluation.json").unlink(), (folder.path / "evaluation.json").mkdir()],
+        "evaluation.json: expected a readable file, got",
+    ),
+    "evaluation is too deep": (_replace("evaluation.json", "[" * 200_000), "evaluation.json: expected JSON"),
+    "no number of scenes": (_evaluation(scenes={}), "evaluation.json: scenes: expected what"),
+    "group without recall": (
+        _recall_by(lambda table: table["sector"]["rear left"].update(recall=None)),
+        "evaluation.json: arms.start.recall_by.sector.rear left: expected what",
+    ),
+    "group of one arm only": (
+        _recall_by(lambda table: table["sector"].clear()),
+        "recall_by must have the same groups for all arms",
+    ),
+    "grouping of one arm only": (_recall_by(lambda table: table.pop("sector")), "must have the same groups"),
+    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected values by name, got 5"),
+    "loss is a text": (_event(loss="a"), "events.jsonl:1: loss: expected a number or null, got 'a'"),
+    "ground is garbled": (_garbled_ground, "ground.npz: expected arrays"),
+    "ground is one array": (
+        lambda folder: np.save((folder.path / "figures/ground.npz").open("wb"), np.zeros(3)),
+        "ground.npz: expected arrays",
+    ),
     "ground is empty": (lambda folder: folder.write_ground({}), "ground.npz: expected open_count"),
 }
+
+
+def test_an_iteration_without_terms_and_an_arm_without_groups_are_reported_on(folder):
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write(json.dumps({**event(3), "terms": {}, "multipliers": {}}) + "\n")
+    content = json.loads(json.dumps(evaluation()))
+    content["arms"]["start"]["recall_by"] = None
+    folder.write_evaluation(content)
+    assert "4 iterations" in page_of(folder).words
 
 
 @pytest.mark.parametrize(("damage", "told"), BROKEN.values(), ids=BROKEN)

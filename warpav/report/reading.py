@@ -42,6 +42,12 @@ class Group(_Part):
     detected: int = Field(ge=0)
     recall: float | None
 
+    @model_validator(mode="after")
+    def _has_a_recall(self) -> Group:
+        if self.objects and self.recall is None:
+            raise ValueError("a group with objects has a recall")
+        return self
+
 
 class Arm(_Part):
     """Metrics of a rig, see `warpav.evaluate.ArmMetrics`.
@@ -152,7 +158,7 @@ class Evaluation(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
     version: Literal[1] = Field(1, alias="schema")
-    scenes: dict[Literal["test"], int]
+    scenes: Annotated[dict[Literal["test"], int], Field(min_length=1)]
     arms: dict[str, Arm] = Field(min_length=1)
     paired: dict[str, dict[str, Difference]] = {}
     training_objective: StartAndEnd | None = None
@@ -169,6 +175,11 @@ class Evaluation(_Part):
         of_parts |= set(self.arms) - set(self.arms if self.constraints is None else self.constraints)
         if of_parts:
             raise ValueError(f"outcomes, ground and constraints must be of all arms, {min(of_parts)} is missing")
+        groups = [
+            {by: set(table) for by, table in arm.recall_by.items()} for arm in self.arms.values() if arm.recall_by
+        ]
+        if any(each != groups[0] for each in groups):
+            raise ValueError("recall_by must have the same groups for all arms")
         return self
 
     @property

@@ -192,9 +192,9 @@ def _cards(run: RunContent) -> list[words.Statement]:
     ]
     training = evaluation.training_objective
     if training is not None and training.start and training.optimised is not None:
-        change = training.optimised / training.start - 1.0
-        text = f"{words.signed(100.0 * change, 1)}{words.SPACE}%"
-        tone = "good" if change < 0 else "bad"
+        change = round(100.0 * (training.optimised - training.start) / abs(training.start), 1)
+        text = f"{words.signed(change, 1)}{words.SPACE}%" if change else words.percent(0.0)
+        tone = "good" if change < 0.0 else "bad" if change > 0.0 else "open"
         cards.append(words.Statement(f"objective, {words.search_scenes(run)} scenes", text, tone))
     if evaluation.ground is not None:
         text = f"of the ground is blind for {evaluation.ground.heights_m[0]:g} m (a child)"

@@ -225,8 +225,10 @@ def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
         text += ": on new scenes the rig is worse by it."
     elif after < before:
         text += ": that the gain holds on new scenes is likely at best, not proven."
-    else:
+    elif training.optimised < training.start:
         text += ": of the gain nothing is seen on new scenes."
+    else:
+        text += ": there was no gain."
     return Statement("Objective", text, tone)
 
 
