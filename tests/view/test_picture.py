@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.stand_ins import ego, rig, scene, vehicle
+from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.errors import InputError
 from warpav.view import picture
-from warpav.view.opengl import opengl_problem
 from warpav.view.rig_view import project_px, rig_plotter
-
-needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
 
 @pytest.fixture
