@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -511,6 +512,18 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     for k, one in enumerate(pictures):
         assert all((one != other).any() for other in pictures[:k])
     assert "--show" in _complaint(capsys, "inspect", "highest", "--show", "blind")
+
+
+def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
+    window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
+    monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
+    for shown in ("rig", "coverage", "outcomes"):
+        assert main(["inspect", "highest", "--show", shown]) == 0
+    assert [options["shows_outcomes"] for options in opened] == [False, False, True]
+    assert "--show sight: expected --out" in _complaint(capsys, "inspect", "highest", "--show", "sight")
+    assert len(opened) == 3
 
 
 @needs_opengl
