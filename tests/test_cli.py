@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from tests.view.stand_ins import needs_opengl
 from warpav.cli import main
 from warpav.config import Config
 from warpav.errors import InputError
@@ -403,6 +405,7 @@ def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
 # ------------------------------------------------------------------------------------------------ scenes and images
 
 
+@needs_opengl
 def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
     assert main(["scenes", "make", "--seeds", "[5]", "--out", "scenes"]) == 0
     assert sorted(os.listdir("scenes")) == ["collection.json", "scene_5.glb"]
@@ -496,6 +499,7 @@ def test_a_field_of_view_beyond_the_lens_is_refused(working_directory, capsys):
     assert os.listdir(working_directory) == ["rig.yaml"]
 
 
+@needs_opengl
 def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert main(["inspect", str(run_folder.path), "--out", "rig.png"]) == 0
     assert cv2.imread("rig.png").std() > 5.0
@@ -510,6 +514,19 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert "--show" in _complaint(capsys, "inspect", "highest", "--show", "blind")
 
 
+def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
+    window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
+    monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
+    for shown in ("rig", "coverage", "outcomes"):
+        assert main(["inspect", "highest", "--show", shown]) == 0
+    assert [options["shows_outcomes"] for options in opened] == [False, False, True]
+    assert "--show sight: expected --out" in _complaint(capsys, "inspect", "highest", "--show", "sight")
+    assert len(opened) == 3
+
+
+@needs_opengl
 def test_a_run_is_a_film_a_plot_and_blocks(run_folder, working_directory, capsys):
     assert main(["inspect", str(run_folder.path), "--out", "run.gif"]) == 0
     assert os.path.getsize("run.gif") < 5e6
@@ -562,6 +579,7 @@ def test_a_corrupt_run_folder_is_one_line(run_folder, working_directory, capsys,
     assert os.listdir(working_directory) == ["copy"]
 
 
+@needs_opengl
 def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, capsys):
     def cut(run):
         text = (run / "events.jsonl").read_text()
@@ -581,6 +599,7 @@ def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, 
     assert main(["inspect", "copy", "--out", "y.png"]) == 0
 
 
+@needs_opengl
 def test_the_inspector_goes_through_a_run(run_folder):
     with config_for(str(run_folder.path), None, (), default="quick") as settings:
         opened = inspector(str(run_folder.path), settings, off_screen=True)

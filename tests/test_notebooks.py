@@ -10,7 +10,7 @@ import pytest
 
 from notebooks.execute import SMALL, SOURCES, executed, read_source
 from tests.architecture.test_docs import anchors
-from warpav.view.opengl import opengl_problem
+from tests.view.stand_ins import needs_opengl
 
 MAX_BYTES = 600_000
 PLACES = re.compile(r"(?<![\w.~])/(?:home|root|Users|tmp|work|var|mnt|opt|usr|private)/\S*|[A-Z]:\\\w\S*")
@@ -116,7 +116,7 @@ def test_small_settings_are_settings_of_the_notebook(source):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+@needs_opengl
 @each_notebook
 def test_notebook_runs_with_small_settings(source):
     notebook = executed(source, small=True)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.capture.town_capture import town_capture
-from tests.view.stand_ins import scene, vehicle
+from tests.view.stand_ins import needs_opengl, scene, vehicle
 from warpav.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE
 from warpav.capture.plan import PlanSettings
 from warpav.cli import main
@@ -22,10 +22,7 @@ from warpav.scene.glb import write_scene
 from warpav.scene.scene import Box
 from warpav.scene_figures import by_number, clouds, images, mount_surface, occupancy
 from warpav.scene_figures.panels import BACKGROUND_RGB, count_text
-from warpav.view.opengl import opengl_problem
 from warpav.view.palette import camera_rgb
-
-needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
 WIDTH_PX = WIDTH_INCH * DOTS_PER_INCH
 COARSE = ReconstructionSettings(

@@ -9,6 +9,7 @@ from PIL import Image
 
 from tests.scene.test_own_vehicle import of_kind, save
 from tests.test_scene_commands import small_scene
+from tests.view.stand_ins import needs_opengl
 from warpav.cli import main
 from warpav.config import load_config
 from warpav.errors import InputError
@@ -21,7 +22,6 @@ from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town import ego_vehicle, town_scene
 from warpav.sources import detector_use, load_scenes, mount_surface, own_vehicle
 from warpav.vehicle_check import zone_parts
-from warpav.view.opengl import opengl_problem
 
 
 @pytest.fixture(autouse=True)
@@ -136,7 +136,7 @@ def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
     assert "tent.glb: mount surface: expected faces that look upwards" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(opengl_problem() is not None, reason="no OpenGL")
+@needs_opengl
 def test_the_picture_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
     write_vehicle(car, tmp_path / "car.glb")
     assert check("car.glb", "--picture", "car.png") == 0

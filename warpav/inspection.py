@@ -45,20 +45,23 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives the scene: the first test scene; and the detector.
         out: PNG, HTML, GIF or MP4 to write, the last two films of a run; None opens a window.
-        shown: What is drawn besides the rig and the path of its cameras.
+        shown: What is drawn besides the rig and the path of its cameras. The inspector begins with the coverage, or
+            with the outcomes instead.
 
     Returns:
         The file that was written, if one was.
 
     Raises:
-        InputError: The rig or the file cannot be used, or this machine cannot draw.
+        InputError: The rig or the file cannot be used, a window was to show ``sight``, or this machine cannot draw.
     """
     from warpav.view.opengl import has_display
     from warpav.view.picture import MOVIE_SUFFIXES
     from warpav.view.picture import inspect_rig as show
 
     if out is None and has_display():
-        inspector(source, config).plotter.show()
+        if shown == "sight":
+            raise InputError("--show sight: expected --out with a file to write, got none; windows do not show it")
+        inspector(source, config, shows_outcomes=shown == "outcomes").plotter.show()
         return None
     is_run = is_run_folder(source)
     if is_run and shown == "rig" and out is not None and out.suffix.lower() in MOVIE_SUFFIXES:
@@ -255,12 +258,15 @@ class ShownRun:
         return int(np.linalg.norm(places_m - end_m, axis=2).max(axis=1).argmin())
 
 
-def inspector(source: str, config: Config, *, off_screen: bool | None = None) -> Inspector:
+def inspector(
+    source: str, config: Config, *, shows_outcomes: bool = False, off_screen: bool | None = None
+) -> Inspector:
     """The interactive picture of a rig on the test scenes, with the iterations of a run; not yet shown.
 
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives scenes, detector, mount surface and constraints.
+        shows_outcomes: Whether to begin with traffic coloured by what becomes of it, instead of the coverage.
         off_screen: Draw without a window; by default when there is no display.
 
     Raises:
@@ -292,7 +298,7 @@ def inspector(source: str, config: Config, *, off_screen: bool | None = None) ->
         descents=descents,
         device=device,
     )
-    return Inspector(state, save_to=save_to, off_screen=off_screen)
+    return Inspector(state, save_to=save_to, shows_outcomes=shows_outcomes, off_screen=off_screen)
 
 
 def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.view.stand_ins import needs_opengl
 from warpav.config import load_config
 from warpav.geometry.mesh import Mesh
 from warpav.inspection import inspector
@@ -18,10 +19,9 @@ from warpav.rig.rig import write_rig
 from warpav.scene.glb import write_scene
 from warpav.scene.town import town_scene
 from warpav.sources import find_rig
-from warpav.view.opengl import opengl_problem
 from warpav.view.rig_view import project_px
 
-pytestmark = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+pytestmark = needs_opengl
 
 TRIANGLES = 200_000
 SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=[0]", "device=cpu"]

@@ -3,11 +3,15 @@
 import math
 
 import numpy as np
+import pytest
 
 from warpav.geometry.mesh import Mesh, merge
 from warpav.rig.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.view.opengl import opengl_problem
+
+needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
 
 def block(low_m, high_m, rgb):

@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from tests.view.stand_ins import block
+from tests.view.stand_ins import block, needs_opengl
 from warpav.reconstruction.point_cloud import PointCloud
 from warpav.scene.scene import Box
 from warpav.view.cloud_view import Viewpoint, cloud_picture
-from warpav.view.opengl import opengl_problem
 
-pytestmark = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+pytestmark = needs_opengl
 
 SIZE_PX = (300, 200)
 RED, BLUE = (200, 30, 30), (30, 60, 200)

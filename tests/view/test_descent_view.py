@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import flat_surface
-from tests.view.stand_ins import rig, scene, vehicle
+from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.geometry.mount_surface import MountSurface
 from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Descent, add_descent, arrows_m
 from warpav.view.film import run_film, shown_iterations
-from warpav.view.opengl import opengl_problem
 from warpav.view.rig_view import rig_plotter
-
-needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
 FLAT = flat_surface([-1.0, -1.0], [3.0, 1.0], height_m=1.5)
 EVENT = {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
-from tests.view.stand_ins import rig, scene, vehicle
+from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.evaluate import RigObserver
 from warpav.objective.constraints import BoundsAndSpacing
 from warpav.render.coverage import Ground
@@ -192,6 +192,20 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert state.rig.cameras[1].yaw_rad == pytest.approx(yaw + math.radians(2.0))
     press(inspector, "Return")
     assert len(read_rig(tmp_path / "mine.yaml").cameras) == 4
+
+
+@needs_opengl
+def test_it_can_begin_with_the_outcomes(state, tmp_path):
+    opened = Inspector(state, save_to=tmp_path / "mine.yaml", shows_outcomes=True, off_screen=True)
+    try:
+        assert "scene/outcomes/1/body" in opened.plotter.actors
+        assert "coverage" not in opened.plotter.actors
+        opened.cycle_coverage()
+        assert "coverage" in opened.plotter.actors
+        opened.toggle_outcomes()
+        assert "scene/outcomes/1/body" not in opened.plotter.actors
+    finally:
+        opened.plotter.close()
 
 
 def test_a_drag_changes_what_is_drawn_in_place(inspector):

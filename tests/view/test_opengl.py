@@ -47,27 +47,48 @@ def test_missing_libraries_are_named_instead_of_a_crash(no_display, monkeypatch)
         opengl.load_pyvista()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="EGL is Linux's")
-@pytest.mark.parametrize("window", [[], ["DISPLAY=:97"]], ids=["no display", "a display that does not answer"])
-def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
-    """In a process of its own: libEGL is there, but it finds no driver, and there is no OSMesa either."""
-    code = (
+def _without_opengl(code, folder, *window):
+    """Run code in a process of its own: libEGL is there, but it finds no driver, and there is no OSMesa either."""
+    before = (
         "import ctypes, sys; load = ctypes.CDLL\n"
         "def without_osmesa(name, *a, **o):\n"
         "    if 'OSMesa' in str(name): raise OSError(name)\n"
         "    return load(name, *a, **o)\n"
         "ctypes.CDLL = without_osmesa\n"
-        "from warpav.cli import main\n"
-        "sys.exit(main(['inspect', 'nuscenes', '--out', 'x.png']))"
     )
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment |= dict(each.split("=") for each in window)
     environment |= {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    argv = [sys.executable, "-c", before + code]
+    return subprocess.run(argv, capture_output=True, text=True, cwd=folder, env=environment)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="EGL is Linux's")
+@pytest.mark.parametrize("window", [[], ["DISPLAY=:97"]], ids=["no display", "a display that does not answer"])
+def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
+    code = "from warpav.cli import main\nsys.exit(main(['inspect', 'nuscenes', '--out', 'x.png']))"
+    done = _without_opengl(code, tmp_path, *window)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("pictures need OpenGL: there is no display")
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="EGL is Linux's")
+def test_data_needs_no_opengl(tmp_path):
+    code = (
+        "from tests.view.stand_ins import ego, rig, scene\n"
+        "from warpav.view import accessor, blocks\n"
+        "from warpav.view.opengl import opengl_problem\n"
+        "assert opengl_problem() is not None\n"
+        "street = scene().to_pyvista()\n"
+        "car = blocks.mesh_to_pyvista(ego())\n"
+        "print(rig(2).to_pyvista().n_blocks, street.n_blocks, len(street.warpav.as_scene().vehicles))\n"
+        "print(len(car.warpav.as_mesh().triangle), car.warpav.mount_surface(cell_m=0.3).n_cells > 0)\n"
+    )
+    done = _without_opengl(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-2:] == ["2 2 0", "12 True"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="X is Linux's")

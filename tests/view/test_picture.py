@@ -2,19 +2,18 @@
 
 import functools
 import importlib.util
+import os
+import subprocess
 import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.stand_ins import ego, rig, scene, vehicle
+from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.errors import InputError
 from warpav.view import picture
-from warpav.view.opengl import opengl_problem
 from warpav.view.rig_view import project_px, rig_plotter
-
-needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
 
 
 @pytest.fixture
@@ -64,6 +63,25 @@ def test_html_without_trame_says_what_to_install(plotter, tmp_path, monkeypatch)
         with pytest.raises(InputError, match=r"pip install \"pyvista\[jupyter\]\""):
             picture.save_picture(plotter, tmp_path / "rig.html")
         assert list(tmp_path.iterdir()) == []
+
+
+@needs_opengl
+def test_an_html_page_asks_nothing_of_the_network(tmp_path):
+    """In a process of its own, as what is imported is imported once."""
+    pytest.importorskip("trame_pyvista")
+    code = (
+        "import sys, socket\n"
+        "def refuse(*a, **o): sys.stderr.write('network\\n'); raise OSError('no network')\n"
+        "socket.getaddrinfo = refuse\n"
+        "from tests.view.stand_ins import ego, rig\n"
+        "from warpav.view import picture\n"
+        "picture.inspect_rig(rig(), ego=ego(), out='rig.html')\n"
+        "assert sys.modules.get('trame.widgets.vtklocal', ...) is not None\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "rig.html").stat().st_size > 10_000
 
 
 def test_other_suffix_is_refused_before_anything_is_drawn(tmp_path, monkeypatch):

@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.view.stand_ins import ego, rig, scene, vehicle
+from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points
-from warpav.view.opengl import load_pyvista, opengl_problem
+from warpav.view.opengl import load_pyvista
 from warpav.view.palette import camera_rgb
 from warpav.view.picture import picture_rgb
 
-pytestmark = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+pytestmark = needs_opengl
 
 WINDOW_PX = (480, 300)
 

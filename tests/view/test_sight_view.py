@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.view.stand_ins import ego, rig, scene, vehicle
+from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.evaluate import ObjectOutcome
 from warpav.render.coverage import Ground
 from warpav.render.device_scene import DeviceScene
@@ -13,12 +13,11 @@ from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import sight_view
-from warpav.view.opengl import opengl_problem
 from warpav.view.palette import COVERAGE_RGB, OUTCOME_RGB
 from warpav.view.picture import picture_rgb
 from warpav.view.rig_view import project_px, rig_plotter
 
-pytestmark = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")
+pytestmark = needs_opengl
 
 WINDOW_PX = (480, 300)
 STREET = scene(vehicle(1, 9.0, 2.5), vehicle(2, -8.0, -2.5))

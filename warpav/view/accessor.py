@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista_data
 
 if TYPE_CHECKING:
     from warpav.geometry.mesh import Mesh
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     MultiBlock = Any
     PolyData = Any
 
-pyvista = load_pyvista()
+pyvista = load_pyvista_data()
 
 
 @pyvista.register_dataset_accessor("warpav", pyvista.PolyData)

@@ -15,7 +15,7 @@ from warpav.errors import InputError
 from warpav.geometry.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista_data
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista, mesh_to_pyvista
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def rig_to_pyvista(rig: Rig, *, depth_m: float = FRUSTUM_DEPTH_M) -> MultiBlock:
         rig: The cameras.
         depth_m: How far frustums and axes reach [m].
     """
-    pyvista = load_pyvista()
+    pyvista = load_pyvista_data()
     blocks = pyvista.MultiBlock()
     for camera in rig.cameras:
         centre, ahead = np.asarray(camera.position_m), camera.ego_from_camera[:3, 2]
@@ -71,7 +71,7 @@ def scene_to_pyvista(scene: Scene) -> MultiBlock:
     box_yaw_deg, and is_target (whether rigs are to see it); of the scene: name, source, sky_horizon_rgb,
     sky_zenith_rgb.
     """
-    blocks = load_pyvista().MultiBlock()
+    blocks = load_pyvista_data().MultiBlock()
     blocks["environment"] = mesh_to_pyvista(scene.environment)
     blocks["ego"] = mesh_to_pyvista(scene.ego)
     targets = {vehicle.instance_id for vehicle in scene.vehicles}
@@ -153,7 +153,7 @@ def mesh_from_pyvista(surface: PolyData, *, name: str = "mesh") -> Mesh:
     Raises:
         InputError: It is no surface, has no faces, or numbers that are not finite.
     """
-    pyvista = load_pyvista()
+    pyvista = load_pyvista_data()
     if not isinstance(surface, pyvista.PolyData):
         raise InputError(
             f"{name}: expected a surface (pyvista.PolyData), got {type(surface).__name__}; call extract_surface() first"
@@ -177,7 +177,7 @@ def run_to_pyvista(frames: Sequence[Rig], *, start: Rig, end: Rig, scene: Scene)
         end: Its result.
         scene: A scene to look at it in.
     """
-    pyvista = load_pyvista()
+    pyvista = load_pyvista_data()
     paths = pyvista.MultiBlock()
     for index, camera in enumerate(end.cameras):
         way = [frame.cameras[index] for frame in frames]

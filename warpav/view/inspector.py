@@ -74,6 +74,7 @@ class Inspector:
         state: InspectedRig,
         *,
         save_to: Path,
+        shows_outcomes: bool = False,
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -82,6 +83,7 @@ class Inspector:
         Args:
             state: What to show.
             save_to: File that the rig is written to.
+            shows_outcomes: Whether to begin with traffic coloured by what becomes of it, instead of the coverage.
             off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
 
@@ -90,8 +92,8 @@ class Inspector:
         """
         self.state, self.save_to = state, save_to
         self.chosen: int | None = None
-        self.shown_height: int | None = 0
-        self.shows_outcomes = False
+        self.shown_height: int | None = None if shows_outcomes else 0
+        self.shows_outcomes = shows_outcomes
         self.shows_descent = True
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
@@ -118,6 +120,8 @@ class Inspector:
         self._numbers: Any = None
         self._add_controls()
         self._draw_descent()
+        if shows_outcomes:
+            self._draw_scene()
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do

@@ -58,13 +58,11 @@ def tell_vtk_where_to_draw() -> None:
     problem = opengl_problem()
     if problem:
         raise InputError(problem)
-    if not has_display():
-        window = "vtkEGLRenderWindow" if _egl_draws() else "vtkOSOpenGLRenderWindow"
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
+    _choose_window()
 
 
 def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run time; checkers see little of it)
-    """The module ``pyvista``, imported in a way that draws with or without a display.
+    """The module ``pyvista`` for plotters, imported in a way that draws with or without a display.
 
     Raises:
         InputError: There is no display and no library that draws without one.
@@ -73,6 +71,20 @@ def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run
     import pyvista
 
     return pyvista
+
+
+def load_pyvista_data() -> Any:  # noqa: ANN401 (as above)
+    """The module ``pyvista`` for datasets, which need no OpenGL; plotters made later draw where anything can."""
+    _choose_window()
+    import pyvista
+
+    return pyvista
+
+
+def _choose_window() -> None:
+    if not has_display() and opengl_problem() is None:
+        window = "vtkEGLRenderWindow" if _egl_draws() else "vtkOSOpenGLRenderWindow"
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
 
 
 def _loaded(library: str) -> ctypes.CDLL | None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import math
 import os
+import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,7 +189,8 @@ def save_picture(
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
         return _write(path, encoded.getvalue())
     optional_module("trame_pyvista", purpose=f"{path}: an interactive page", install='pip install "pyvista[jupyter]"')
-    return _write(path, plotter.trame.export_html(None).getvalue().encode())
+    with _without_module("trame.widgets.vtklocal"):  # it downloads VTK for browsers, which the page does not use
+        return _write(path, plotter.trame.export_html(None).getvalue().encode())
 
 
 def save_movie(image_rgb: Iterable[np.ndarray], path: Path | str, *, frame_s: float, last_s: float = 0.0) -> Path:
@@ -286,6 +289,19 @@ def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> b
             for _ in range(round(last_s / frame_s)):
                 film.append_data(image)
         return file.read_bytes()
+
+
+@contextmanager
+def _without_module(name: str) -> Iterator[None]:
+    """Whoever imports the module meanwhile is told that it is not installed."""
+    before = sys.modules.get(name)
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[name]
+        if before is not None:
+            sys.modules[name] = before
 
 
 def _check_suffix(path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.view.frustum import bearing_sector_rad, frustum_points
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista, load_pyvista_data
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ GRADE_MAX = 0.08
 
 def mesh_to_pyvista(mesh: Mesh) -> PolyData:
     """The mesh as ``pyvista.PolyData``; colours are the point data ``RGB`` (uint8, shape [vertex, 3])."""
-    pyvista = load_pyvista()
+    pyvista = load_pyvista_data()
     surface = pyvista.PolyData.from_regular_faces(np.asarray(mesh.vertex_m), np.asarray(mesh.triangle))
     surface.point_data["RGB"] = mesh.vertex_rgb
     return surface
@@ -438,7 +438,7 @@ def frustum_to_pyvista(camera: RigCamera, *, depth_m: float = FRUSTUM_DEPTH_M) -
     """The four sides of a camera's frustum in the ego frame, from its centre (point 0) to the image's corners."""
     point = frustum_points(camera, depth_m=depth_m)
     side = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
-    return load_pyvista().PolyData.from_regular_faces(point, side)
+    return load_pyvista_data().PolyData.from_regular_faces(point, side)
 
 
 def _add_frustum(plotter: Plotter, camera: RigCamera, colour: Rgb, *, depth_m: float, name: str) -> None:
@@ -464,7 +464,7 @@ def _add_frustum(plotter: Plotter, camera: RigCamera, colour: Rgb, *, depth_m: f
 
 def camera_body(camera: RigCamera) -> tuple[PolyData, PolyData]:
     """Housing and lens of a camera in the ego frame; the lens looks along the optical axis."""
-    pyvista = load_pyvista()
+    pyvista = load_pyvista_data()
     housing = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
     lens = pyvista.Cylinder(center=(0, 0, 0.03), direction=(0, 0, 1), radius=0.05, height=0.06, resolution=32)
     transform = np.asarray(camera.ego_from_camera, dtype=np.float64)

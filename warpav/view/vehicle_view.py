@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista, load_pyvista_data
 from warpav.view.palette import INK_RGB, PAPER_RGB, hex_colour
 from warpav.view.rig_view import add_axes, add_ego, add_ground, look_at_ego
 
@@ -86,7 +86,7 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
     place_m = (middle_m[:, None] + corner).reshape(-1, 2)
     point_m = np.column_stack([place_m, surface.height_at_m(place_m) + lift_m])
-    zone = load_pyvista().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
+    zone = load_pyvista_data().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
     zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
     zone.cell_data["height_m"] = surface.height_m[is_mountable].astype(np.float64)
     return zone
