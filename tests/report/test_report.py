@@ -182,6 +182,7 @@ def test_overrides_lead_from_one_configuration_to_another(base):
 
 
 def test_the_page_is_whole_by_itself(finished, page):
+    assert "what follows from it is left out" not in page.words
     folder, text = finished
     outside = [address for address in page.address if not address.startswith(("data:", "#"))]
     assert outside == []
@@ -361,6 +362,8 @@ def test_options_of_another_version_do_not_matter(folder):
     page = page_of(folder)
     assert ["gone.option", "<b>"] in [row for table in page.tables for row in table]
     assert "warpav optimise config.yaml run.out=again" in page.text
+    assert "what follows from it is left out: config.yaml:" in page.words
+    assert "gone" in page.words.partition("what follows from it is left out")[2][:60]
 
 
 def test_names_are_text_and_nothing_else(tmp_path):
