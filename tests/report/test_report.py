@@ -13,6 +13,8 @@ from tests.report.run_parts import ARMS, arm, difference, evaluation, event, fil
 from warpav.cli import main
 from warpav.config import changed_config, load_config, overrides_from
 from warpav.errors import InputError
+from warpav.figures import DetectionPanel
+from warpav.gallery import _keep_views
 from warpav.report.reading import read_run
 from warpav.report.report import MAX_BYTES, _cards, write_report
 from warpav.report.words import headline, summary
@@ -179,6 +181,17 @@ def test_overrides_lead_from_one_configuration_to_another(base):
     wanted = load_config("default", changed)
     start = load_config(base)
     assert changed_config(start, overrides_from(start, wanted)) == wanted
+
+
+def test_two_scenes_of_one_name_are_both_shown(tmp_path):
+    folder = folder_at(tmp_path / "run")
+    image_rgb = np.zeros((48, 64, 3), np.uint8)
+    panel = DetectionPanel("left", image_rgb, np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64))
+    _keep_views(folder, [("mine", {"start": [panel], "optimised": [panel]})] * 2)
+    assert len(list(folder.view_path("any").parent.glob("*.webp"))) == 4
+    page = page_of(folder)
+    assert page.words.count("mine: ") == 2
+    assert page.alt.count("left, start: 0 of 0 found") == 2
 
 
 def test_the_page_is_whole_by_itself(finished, page):

@@ -201,9 +201,14 @@ class Event(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.figures.DetectionPanel`."""
+    """What a camera sees of a scene, with boxes [px]; see `warpav.figures.DetectionPanel`.
+
+    Attributes:
+        scene_number: Of those that are shown, from 0, as names need not differ; older versions did not write it.
+    """
 
     scene: str
+    scene_number: int = 0
     rig: str
     camera: str
     image: Annotated[str, Field(pattern=r"^[^/\\]+$")]
