@@ -55,6 +55,21 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
     assert (folder.path / "figures").is_dir()
 
 
+def test_a_run_with_relative_paths_is_used_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("mine.yaml", "mine.onnx", "mine.obj"):
+        (tmp_path / file).touch()
+    (tmp_path / "mine").mkdir()
+    given = ["rig.start=mine.yaml", "scenes.source=folder", "scenes.folder=mine", "scenes.ego=mine.obj"]
+    config = load_config("quick", [*given, "detector.model=mine.onnx"])
+    folder = RunFolder.open(RunFolder.create(config, name="quick").path.absolute())
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    found = folder.config()
+    assert (found.rig.start, found.detector.model) == (str(tmp_path / "mine.yaml"), str(tmp_path / "mine.onnx"))
+    assert (found.scenes.folder, found.scenes.ego) == (tmp_path / "mine", tmp_path / "mine.obj")
+
+
 def test_runs_without_a_name_are_numbered(folder):
     names = [RunFolder.create(load_config("quick"), name="quick").path.name for _ in range(2)]
     assert names == ["quick-2", "quick-3"]

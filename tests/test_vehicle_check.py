@@ -11,7 +11,7 @@ from tests.scene.test_own_vehicle import of_kind, save
 from tests.test_scene_commands import small_scene
 from tests.view.stand_ins import needs_opengl
 from warpav.cli import main
-from warpav.config import load_config
+from warpav.config import load_config, with_absolute_paths
 from warpav.errors import InputError
 from warpav.experiment import experiment as experiments
 from warpav.geometry.mesh import Mesh
@@ -263,7 +263,7 @@ def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
     write_vehicle(moved_van(), tmp_path / "elsewhere" / "car.glb")
     assert detector_use(moved).identity != first[0]
     assert experiments.unseeded(moved) != first[1]
-    assert experiments.with_absolute_paths(moved).scenes.ego == tmp_path / "elsewhere" / "car.glb"
+    assert with_absolute_paths(moved).scenes.ego == tmp_path / "elsewhere" / "car.glb"
 
 
 def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, tmp_path, monkeypatch):

@@ -890,6 +890,26 @@ def changed_config(config: Config, overrides: Sequence[str]) -> Config:
     return _validated(config.model_dump(mode="json"), overrides, None, {})
 
 
+def with_absolute_paths(config: Config) -> Config:
+    """The same configuration, whose files are found from every working directory; ``run.out`` stays as it is."""
+    overrides = []
+    for option, value in (
+        ("scenes.folder", config.scenes.folder),
+        ("scenes.ego", config.scenes.ego),
+        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
+        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
+        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
+    ):
+        if value is not None:
+            overrides.append(f"{option}={_flow_text(str(Path(value).expanduser().absolute()))}")
+    return changed_config(config, overrides) if overrides else config
+
+
+def _is_path(start: str) -> bool:
+    path = Path(start).expanduser()
+    return start not in NAMED_STARTS and (path.is_file() or (path / "config.yaml").is_file())
+
+
 def overridden_option(override: str) -> str:
     """The option's name in an override such as ``rig.cameras=6``.
 

@@ -113,7 +113,7 @@ def draw_run(
     )
     seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
     figures.detections_sheet(seen[0], folder.figure_path("detections"))
-    _keep_views(folder, {each.scene.name: panels for each, panels in zip(assigned, seen, strict=True)})
+    _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
     problem = opengl_problem()
     if problem:
         say(f"no picture of the rig: {problem}")
@@ -121,14 +121,19 @@ def draw_run(
     show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
 
 
-def _keep_views(folder: RunFolder, panels: Mapping[str, Mapping[str, Sequence[DetectionPanel]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes."""
+def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
+    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes.
+
+    Args:
+        folder: The run folder.
+        panels: Name of every scene, which others may have as well, and what the cameras see there by rig.
+    """
     import io
 
     from PIL import Image
 
     views, image_of = [], {}
-    for number, (scene, rigs) in enumerate(panels.items()):
+    for number, (scene, rigs) in enumerate(panels):
         for rig, cameras in rigs.items():
             for panel in cameras:
                 name = f"{number}_{rig}_{panel.title}.webp"
@@ -140,6 +145,7 @@ def _keep_views(folder: RunFolder, panels: Mapping[str, Mapping[str, Sequence[De
                 views.append(
                     {
                         "scene": scene,
+                        "scene_number": number,
                         "rig": rig,
                         "camera": panel.title,
                         "image": name,

@@ -32,7 +32,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.config import Config, dump_config, load_config
+from warpav.config import Config, dump_config, load_config, with_absolute_paths
 from warpav.errors import InputError, OptionError
 
 if TYPE_CHECKING:
@@ -115,7 +115,8 @@ class RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
         Args:
-            config: The configuration of the run; ``run.out`` names the folder.
+            config: The configuration of the run; ``run.out`` names the folder. Paths of other files are written whole,
+                so that the folder can be used from everywhere.
             name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
             device: What computes, in words.
 
@@ -136,7 +137,7 @@ class RunFolder:
             raise OptionError(
                 "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
-        write_text(path / "config.yaml", dump_config(config))
+        write_text(path / "config.yaml", dump_config(with_absolute_paths(config)))
         write_json(path / "env.json", environment(config, device))
         return folder
 

@@ -17,7 +17,7 @@ import platformdirs
 
 from warpav.capture.plan import PlanSettings
 from warpav.collection import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
-from warpav.config import ONE_FIELD_LOSSES, Config, placed_config
+from warpav.config import ONE_FIELD_LOSSES, Config, placed_config, with_absolute_paths
 from warpav.errors import InputError, OptionError
 from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.recipe import digest
@@ -367,6 +367,7 @@ def detector_use(config: Config) -> DetectorUse:
     from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
     from warpav.detection.probability import DetectorUse
 
+    config = with_absolute_paths(config)  # a run folder writes them so, and finds the same fit
     model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
     ego = own_vehicle_digest(config)
     free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}

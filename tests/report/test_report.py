@@ -13,6 +13,8 @@ from tests.report.run_parts import ARMS, arm, difference, evaluation, event, fil
 from warpav.cli import main
 from warpav.config import changed_config, load_config, overrides_from
 from warpav.errors import InputError
+from warpav.figures import DetectionPanel
+from warpav.gallery import _keep_views
 from warpav.report.reading import read_run
 from warpav.report.report import MAX_BYTES, _cards, write_report
 from warpav.report.words import headline, summary
@@ -181,7 +183,19 @@ def test_overrides_lead_from_one_configuration_to_another(base):
     assert changed_config(start, overrides_from(start, wanted)) == wanted
 
 
+def test_two_scenes_of_one_name_are_both_shown(tmp_path):
+    folder = folder_at(tmp_path / "run")
+    image_rgb = np.zeros((48, 64, 3), np.uint8)
+    panel = DetectionPanel("left", image_rgb, np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64))
+    _keep_views(folder, [("mine", {"start": [panel], "optimised": [panel]})] * 2)
+    assert len(list(folder.view_path("any").parent.glob("*.webp"))) == 4
+    page = page_of(folder)
+    assert page.words.count("mine: ") == 2
+    assert page.alt.count("left, start: 0 of 0 found") == 2
+
+
 def test_the_page_is_whole_by_itself(finished, page):
+    assert "what follows from it is left out" not in page.words
     folder, text = finished
     outside = [address for address in page.address if not address.startswith(("data:", "#"))]
     assert outside == []
@@ -361,6 +375,8 @@ def test_options_of_another_version_do_not_matter(folder):
     page = page_of(folder)
     assert ["gone.option", "<b>"] in [row for table in page.tables for row in table]
     assert "warpav optimise config.yaml run.out=again" in page.text
+    assert "what follows from it is left out: config.yaml:" in page.words
+    assert "gone" in page.words.partition("what follows from it is left out")[2][:60]
 
 
 def test_names_are_text_and_nothing_else(tmp_path):

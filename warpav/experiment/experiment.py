@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
-from warpav.config import NAMED_STARTS, Config, changed_config, dump_config, option_values, overridden_option
+from warpav.config import Config, changed_config, dump_config, option_values, overridden_option, with_absolute_paths
 from warpav.errors import InputError, OptionError
 from warpav.evaluate import evaluate_rig
 from warpav.executor import Outcome, run_tasks
@@ -448,25 +448,6 @@ def _options(config: Config) -> dict[str, Any]:
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
     return json.loads(json.dumps(values))
-
-
-def with_absolute_paths(config: Config) -> Config:
-    """The same configuration for processes that work in other folders."""
-    overrides = []
-    for option, value in (
-        ("scenes.folder", config.scenes.folder),
-        ("scenes.ego", config.scenes.ego),
-        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
-        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
-        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
-    ):
-        if value is not None:
-            overrides.append(f"{option}={json.dumps(str(Path(value).expanduser().absolute()))}")
-    return changed_config(config, overrides) if overrides else config
-
-
-def _is_path(start: str) -> bool:
-    return start not in NAMED_STARTS and Path(start).expanduser().exists()
 
 
 def _open_folder(folder: Path, experiment: Experiment, config: Config, render_budget: int | None) -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.config import Config, changed_config, overridden_option
+from warpav.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.errors import InputError, OptionError
 from warpav.evaluate import evaluate_rig
 from warpav.experiment.experiment import (
@@ -32,7 +32,6 @@ from warpav.experiment.experiment import (
     results_in,
     traffic_of_process,
     unseeded,
-    with_absolute_paths,
 )
 from warpav.experiment.goals import RIVALS, Goal
 from warpav.experiment.statistics import RESAMPLES, rank_correlation

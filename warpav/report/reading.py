@@ -201,9 +201,14 @@ class Event(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.figures.DetectionPanel`."""
+    """What a camera sees of a scene, with boxes [px]; see `warpav.figures.DetectionPanel`.
+
+    Attributes:
+        scene_number: Of those that are shown, from 0, as names need not differ; older versions did not write it.
+    """
 
     scene: str
+    scene_number: int = 0
     rig: str
     camera: str
     image: Annotated[str, Field(pattern=r"^[^/\\]+$")]
@@ -245,7 +250,8 @@ class RunContent:
     Attributes:
         name: Of the folder.
         options: ``config.yaml`` as it is.
-        config: The same, where this version knows all of its options.
+        config: The same, where it can be used here.
+        config_mistake: Why not; empty where it can.
         environment: ``env.json``.
         events: The iterations.
         evaluation: ``evaluation.json``, None where the run was stopped before.
@@ -258,6 +264,7 @@ class RunContent:
     name: str
     options: dict[str, Any]
     config: Config | None
+    config_mistake: str
     environment: dict[str, Any]
     events: list[Event]
     evaluation: Evaluation | None
@@ -277,9 +284,9 @@ def read_run(folder: RunFolder) -> RunContent:
     if not isinstance(options, dict):
         raise InputError(f"{folder.path / 'config.yaml'}: expected sections of options, got {options!r:.40}")
     try:
-        config = folder.config()
-    except InputError:  # another version's options
-        config = None
+        config, config_mistake = folder.config(), ""
+    except InputError as error:  # another version's options, or a file that is gone
+        config, config_mistake = None, str(error).splitlines()[0].removeprefix(f"{folder.path}/")
     events = _checked(list[Event], folder.events(), folder, "events.jsonl")
     content = folder.evaluation()
     if not events and content is None:
@@ -289,6 +296,7 @@ def read_run(folder: RunFolder) -> RunContent:
         name=folder.path.resolve().name,
         options=options,
         config=config,
+        config_mistake=config_mistake,
         environment=_checked(dict[str, Any], folder.environment(), folder, "env.json"),
         events=events,
         evaluation=evaluation,

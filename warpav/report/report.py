@@ -359,9 +359,9 @@ def _free(run: RunContent) -> str:
     return text + (f" Frozen: {', '.join(frozen)}." if frozen else "")
 
 
-def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]) -> dict[str, dict[str, Any]]:
-    """What cameras see by scene and by camera, every rig one behind the other."""
-    scenes: dict[str, dict[str, Any]] = {}
+def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]) -> list[tuple[str, dict[str, Any]]]:
+    """What cameras see by camera, every rig one behind the other, of every scene, which is named."""
+    scenes: dict[tuple[int, str], dict[str, Any]] = {}
     for view, (address, _) in zip(views, encoded, strict=True):
         boxes = list(_boxes(view))
         kinds = [box.kind for box in boxes]
@@ -369,10 +369,10 @@ def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]
         caption = f"{view.rig}: {found} of {found + missed} found"
         if false:
             caption += f", {false} false alarm" + ("" if false == 1 else "s")
-        scenes.setdefault(view.scene, {}).setdefault(view.camera, []).append(
+        scenes.setdefault((view.scene_number, view.scene), {}).setdefault(view.camera, []).append(
             {"rig": view.rig, "caption": caption, "address": address, "size_px": view.size_px, "boxes": boxes}
         )
-    return scenes
+    return [(name, cameras) for (_, name), cameras in scenes.items()]
 
 
 def _boxes(view: View) -> Iterable[Box]:

@@ -119,6 +119,9 @@ def summary(run: RunContent) -> list[Statement]:
     found.append(_end(run))
     if run.evaluation is not None:
         found.append(_caution(run.evaluation))
+    if run.config_mistake:
+        text = f"It cannot be used here, and what follows from it is left out: {run.config_mistake}"
+        found.append(Statement("Configuration", text))
     return [statement for statement in found if statement is not None]
 
 
