@@ -25,7 +25,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.config import Config, dump_config, load_config
 from warpav.errors import InputError, OptionError
+from warpav.replacing import replacing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -497,21 +498,10 @@ def _numbered_folder(name: str) -> Path:
             return path
 
 
-@contextlib.contextmanager
-def _replacing(file: Path) -> Iterator[Path]:
-    """A path to write to; the file takes its place in one step when the block ends well."""
-    draft = file.with_name(f".draft-{os.getpid()}-{file.name}")
-    try:
-        yield draft
-        os.replace(draft, file)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
 def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import numpy as np
 
-    with _replacing(file) as draft, draft.open("wb") as stream:
+    with replacing(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
@@ -521,7 +511,7 @@ def _one_line(error: Exception) -> str:
 
 def write_text(file: Path, text: str) -> None:
     """Write a text in one step."""
-    with _replacing(file) as draft:
+    with replacing(file) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
