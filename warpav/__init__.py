@@ -5,7 +5,7 @@ Floors, top to bottom; an import only ever points downwards:
     cli > run, method_figures > experiment > problem > gallery, inspection, scene_commands, scene_figures, bench,
     doctor, console, report > sources > collection > figures, view > results > config > blind_ground > evaluate
     > optimise > objective > detection > render > reconstruction > capture > rig, scene > geometry > recipe, executor,
-    warp_setup > yaml_file > errors, warpav_kernels
+    warp_setup > yaml_file, replacing > errors, warpav_kernels
 """
 
 __version__ = "0.1.0"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.errors import InputError
+from warpav.replacing import replacing
 from warpav.view.frustum import sector_polygon_m
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
@@ -602,11 +602,10 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     path = Path(path)
     encoded = io.BytesIO()
     figure.savefig(encoded, format="png", metadata={"Software": None})
-    unfinished = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(encoded.getvalue())
-        os.replace(unfinished, path)
+        with replacing(path) as draft:
+            draft.write_bytes(encoded.getvalue())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
     return path

@@ -26,7 +26,7 @@ import sys
 import time
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.config import Config, dump_config, load_config, with_absolute_paths
 from warpav.errors import InputError, OptionError
+from warpav.replacing import replacing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -218,7 +219,7 @@ class RunFolder:
         folder = self.path / "figures" / "views"
         folder.mkdir(exist_ok=True)
         for name, encoded in image_of.items():
-            with _replacing(folder / name) as draft:
+            with replacing(folder / name) as draft:
                 draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
@@ -502,21 +503,10 @@ def _numbered_folder(name: str) -> Path:
             return path
 
 
-@contextlib.contextmanager
-def _replacing(file: Path) -> Iterator[Path]:
-    """A path to write to; the file takes its place in one step when the block ends well."""
-    draft = file.with_name(f".draft-{os.getpid()}-{file.name}")
-    try:
-        yield draft
-        os.replace(draft, file)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
 def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import numpy as np
 
-    with _replacing(file) as draft, draft.open("wb") as stream:
+    with replacing(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
@@ -531,7 +521,7 @@ def write_text(file: Path, text: str) -> None:
         InputError: The file cannot be written.
     """
     try:
-        with _replacing(file) as draft:
+        with replacing(file) as draft:
             draft.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None

@@ -208,6 +208,16 @@ def test_it_can_begin_with_the_outcomes(state, tmp_path):
         opened.plotter.close()
 
 
+def test_a_key_that_fails_says_so_in_the_window(inspector, tmp_path, capfd):
+    (tmp_path / "mine.yaml").mkdir()  # in the way of the rig
+    press(inspector, "Return")
+    said = "".join(inspector._numbers.input.split())
+    assert "mine.yaml:expectedaplacetowritetherigto,got:" in said
+    assert "Traceback" not in capfd.readouterr().err
+    press(inspector, "c")
+    assert "mine.yaml" not in inspector._numbers.input
+
+
 def test_a_drag_changes_what_is_drawn_in_place(inspector):
     """The picture after moves equals one that is drawn anew, and no actor was made for it."""
     plotter, state = inspector.plotter, inspector.state

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-import os
 import re
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +19,7 @@ from warpav.geometry.frames import (
     wrap_angle_rad,
     yaw_pitch_roll_from_rotation,
 )
+from warpav.replacing import replacing
 from warpav.rig.camera import CameraModel
 from warpav.rig.lens import Lens, LensShape
 from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
@@ -264,15 +263,8 @@ def replace_file(file: Path, content: bytes) -> None:
         InputError: The folder does not exist or cannot be written to.
     """
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            os.chmod(temporary, 0o644)  # a temporary file is private, a rig is not
-            os.replace(temporary, file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with replacing(file) as draft:
+            draft.write_bytes(content)
     except OSError as error:
         raise InputError(f"{file}: expected a place to write the rig to, got: {error.strerror}") from None
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.errors import InputError
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
@@ -27,7 +30,7 @@ from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_rend
 from warpav.view.sight_view import add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from warpav.evaluate import CameraLook
     from warpav.render.coverage import Ground
@@ -52,6 +55,9 @@ VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
 
 TURN_RAD = math.radians(2.0)
+MESSAGE_CHARACTERS = 80
+"""Longest line of a message in the window."""
+
 _BALL_RADIUS_M = 0.11
 
 
@@ -189,7 +195,11 @@ class Inspector:
             self._after_change(self.chosen)
 
     def save(self) -> Path:
-        """Write the rig as it is now."""
+        """Write the rig as it is now.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
         path = self.state.save(self.save_to)
         with self._one_render():
             self._say(f"wrote {path}")
@@ -219,6 +229,14 @@ class Inspector:
             if self.shows_outcomes:
                 self._draw_scene()
             self._redraw()
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        """Do what a key stands for; what keeps it from being done is said in the window."""
+        try:
+            action()
+        except InputError as error:
+            with self._one_render():
+                self._say(textwrap.fill(str(error), MESSAGE_CHARACTERS))
 
     @contextmanager
     def _one_render(self) -> Iterator[None]:
@@ -262,7 +280,7 @@ class Inspector:
         }
         for key, action in actions.items():
             plotter.clear_events_for_key(key, raise_on_missing=False)
-            plotter.add_key_event(key, action)
+            plotter.add_key_event(key, partial(self._attempt, action))
 
     def _add_ball(self, index: int) -> None:
         """A ball around a camera that can be dragged."""

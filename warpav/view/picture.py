@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.errors import InputError
+from warpav.replacing import replacing
 from warpav.view.opengl import display_text, has_display, load_pyvista, optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 from warpav.view.rig_view import WINDOW_PX, rig_plotter
@@ -310,11 +310,10 @@ def _check_suffix(path: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    unfinished = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(content)
-        os.replace(unfinished, path)
+        with replacing(path) as draft:
+            draft.write_bytes(content)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place with --out") from None
     return path
