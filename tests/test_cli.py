@@ -116,6 +116,10 @@ def test_rig_presets_are_listed(capsys):
 BAD_INPUT = [
     (["optimse"], 'command line: Unknown command "optimse". Did you mean "optimise"?'),
     (["config", "check", "--loud"], "command line: Unknown option: --loud"),
+    (
+        ["optimise", "--cameras", "6"],
+        "command line: Unknown option: --cameras; options of a run are key=value, such as rig.cameras=6;",
+    ),
     (["evaluate"], 'command line: Command "evaluate" parameter RIG requires an argument'),
     (["optimise", "rig.camera=3"], "command line (rig.camera=3): rig.camera: expected one of cameras,"),
     (

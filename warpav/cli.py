@@ -51,9 +51,13 @@ FileFormat = Annotated[
 ]
 FileOrigin = Annotated[
     Triple | None,
-    Parameter(help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z."),
+    Parameter(
+        help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z.", negative=""
+    ),
 ]
-FileTurn = Annotated[Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.")]
+FileTurn = Annotated[
+    Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.", negative="")
+]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
 Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
@@ -548,11 +552,14 @@ def rig_import(
     accept_mirrored: Annotated[
         bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
     ] = False,
+    overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
     from warpav.rig.files.formats import ImportOptions, import_rig
     from warpav.rig.rig import rig_text, write_rig
 
+    if out is not None and out.exists() and not overwrite:
+        raise InputError(f"{out}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
     options = ImportOptions(
         origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
     )
@@ -789,7 +796,9 @@ def _load(config: str, overrides: Sequence[str]):  # noqa: ANN202 (importing the
 
 def _usage_text(error: CycloptsError) -> str:
     """What is wrong with the words of the command, in one line."""
-    return f"command line: {' '.join(str(error).split()).rstrip('.')}; see warpav --help"
+    text = " ".join(str(error).split()).rstrip(".")
+    hint = "options of a run are key=value, such as rig.cameras=6; " if text.startswith("Unknown option") else ""
+    return f"command line: {text}; {hint}see warpav --help"
 
 
 def _say(text: str) -> None:

@@ -18,7 +18,7 @@ FISHEYE = wp.constant(2)
 PANORAMA = wp.constant(3)
 
 # Newton's steps at most, and the step after which the error is far below single precision, being that step's square
-RADIUS_STEPS = wp.constant(16)
+RADIUS_STEPS = wp.constant(32)
 PLACE_STEPS = wp.constant(8)
 LAST_STEP = wp.constant(3.0e-5)
 PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
@@ -88,9 +88,10 @@ def radius_and_growth(lens: Lens, angle: float) -> wp.vec2:
 
 @wp.func
 def angle_at(lens: Lens, radius: float) -> float:
-    """The inverse of `radius_and_growth`: Newton's steps, or halvings where they would leave the bracket."""
+    """The inverse of `radius_and_growth`: Newton's steps, or halvings of the bracket where these do not settle."""
     low = float(0.0)
     high = lens.limit
+    last = lens.limit
     angle = wp.min(radius, high)
     for _ in range(RADIUS_STEPS):
         reached = radius_and_growth(lens, angle)
@@ -99,9 +100,10 @@ def angle_at(lens: Lens, radius: float) -> float:
         else:
             high = angle
         step = (reached[0] - radius) / reached[1]
-        if angle - step < low or angle - step > high:
+        if angle - step < low or angle - step > high or wp.abs(step) > 0.5 * last:
             step = angle - 0.5 * (low + high)
         angle -= step
+        last = wp.abs(step)
         if wp.abs(step) < LAST_STEP:
             break
     return angle

@@ -23,6 +23,7 @@ SHAPES = [
     LensShape(Lens.FISHEYE),
     LensShape(Lens.FISHEYE, (-0.013, 0.0021, -0.0042, 0.0007)),
     LensShape(Lens.FISHEYE, (0.08, -0.02, 0.004, -0.0003)),
+    LensShape(Lens.FISHEYE, (0.0, 0.0, 0.013671875, -0.001953125)),  # where Newton's steps alone go to and fro
     LensShape(Lens.PANORAMA),
 ]
 NAMES = [f"{shape.lens}{i}" for i, shape in enumerate(SHAPES)]

@@ -116,6 +116,7 @@ kannala = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.05, 0.05), st.floats(-0
     st.floats(150.0, 500.0),
 )
 @example(("brown_conrady", (0.0, -0.25, 0.0, 0.0, 2e-25)), 150.0)  # a term that matters nowhere
+@example(("fisheye", (0.0, 0.0, 0.013671875, -0.001953125)), 150.0)  # Newton's steps go to and fro
 def test_images_of_rays_are_where_the_rays_began(lens_and_distortion, focal_px):
     lens, distortion = lens_and_distortion
     model = calibrated(lens, distortion, (focal_px, 0.9 * focal_px))

@@ -130,16 +130,19 @@ class LensShape:
         return factor * angle, factor + 2.0 * squared * slope
 
     def angle(self, radius: np.ndarray) -> np.ndarray:
-        """The inverse of `radius`, at most `limit`: Newton's steps, halvings where they would leave the bracket."""
+        """The inverse of `radius`, at most `limit`: Newton's steps, halvings where these do not settle."""
         radius = np.minimum(radius, self.edge)
         low, high = np.zeros_like(radius), np.full_like(radius, self.limit)
-        angle = np.minimum(radius, high)
+        angle, last = np.minimum(radius, high), np.full_like(radius, self.limit)
         for _ in range(_RADIUS_STEPS):
             reached, growth = self.radius(angle)
             low, high = np.where(reached <= radius, angle, low), np.where(reached <= radius, high, angle)
             newton = angle - (reached - radius) / growth
-            old, angle = angle, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-            if np.all(np.abs(angle - old) <= 1e-15):
+            # where a step is more than half as long as the last one, Newton's may go to and fro for ever
+            settles = (newton >= low) & (newton <= high) & (np.abs(newton - angle) <= 0.5 * last)
+            old, angle = angle, np.where(settles, newton, 0.5 * (low + high))
+            last = np.abs(angle - old)
+            if np.all(last <= 1e-15):
                 break
         return angle
 

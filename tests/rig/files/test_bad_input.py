@@ -325,7 +325,34 @@ def test_the_command_prints_the_rig_and_nothing_else(tmp_path, capsys):
     (tmp_path / "rig.yaml").write_text(captured.out)
     assert read_rig(tmp_path / "rig.yaml").cameras[0].name == "front_left"
     assert "left-handed" in captured.err
-    assert "no --origin-m X Y Z says where it lies" in captured.err
+    assert "warning: the file's origin is" in captured.err
+
+
+def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
+    out = tmp_path / "rig.yaml"
+    words = [
+        "rig",
+        "import",
+        str(write_sample("carla-python", tmp_path)),
+        "--format",
+        "carla-python",
+        "--out",
+        str(out),
+    ]
+    out.write_text("mine")
+    assert main(words) == 2
+    assert "rig.yaml: expected a file that does not exist yet" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert main([*words, "--overwrite"]) == 0
+    assert read_rig(out).cameras
+
+
+def test_autoware_names_the_files_that_it_looks_for(tmp_path):
+    (tmp_path / "sensors.json").write_text("{}")
+    with pytest.raises(
+        InputError, match=r"sensors.json: expected a folder with sensors_calibration.yaml and sensor_kit"
+    ):
+        import_rig(tmp_path / "sensors.json", "autoware")
 
 
 def test_the_command_takes_origins_behind_the_axle(tmp_path, capsys):

@@ -23,6 +23,8 @@ def read(path: Path, part: str | None) -> Found:
     """The cameras of both files: those of the kit, and those that hang at base_link directly."""
     del part
     folder = path if path.is_dir() else path.parent
+    if not (folder / _SENSORS).is_file() and not (folder / _KIT).is_file():
+        raise InputError(f"{path}: expected a folder with {_SENSORS} and {_KIT}, or one of them, got neither")
     sensors, kits = (read_yaml_record(folder / name) for name in (_SENSORS, _KIT))
     base = sensors.at(_BASE_LINK)
     base.mapping(f"a mapping of the links at {_BASE_LINK}")

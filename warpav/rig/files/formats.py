@@ -252,8 +252,8 @@ def _origin_notes(form: RigFormat, origin_m: tuple[float, float, float] | None) 
     if form.is_ego_origin:
         return []
     return [
-        f"origin: {form.origin}; no --origin-m X Y Z says where it lies, so it is taken to be warpav's, on the ground "
-        "below the middle of the rear axle"
+        f"warning: the file's origin is {form.origin}; without --origin-m X Y Z, which says where that lies, it is "
+        "taken to be warpav's, on the ground below the middle of the rear axle"
     ]
 
 
