@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +21,7 @@ from warpav.errors import InputError
 from warpav.executor import ExecutorName, Outcome, Task, run_tasks
 from warpav.recipe import recipe
 from warpav.reconstruction.settings import ReconstructionSettings
+from warpav.replacing import replacing
 from warpav.warp_setup import load_warp
 
 SCHEMA = "warpav-collection/1"
@@ -246,9 +246,8 @@ def _note(task: SceneTask, made_with: str) -> None:
     entries = _index(task.file.parent)
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
-    draft = file.with_name(f".{INDEX}.part")
-    draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
-    os.replace(draft, file)
+    with replacing(file) as draft:
+        draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 
 def _index(folder: Path) -> dict[str, Any]:

@@ -44,6 +44,7 @@ from warpav.capture.plan import PlanSettings, capture_plan, spawn_visible_traffi
 from warpav.capture.simulator import Simulator
 from warpav.errors import InputError
 from warpav.recipe import digest
+from warpav.replacing import replacing
 from warpav.rig.camera import CameraModel
 from warpav.scene.scene import Box
 
@@ -461,9 +462,8 @@ def _is_whole(data: bytes) -> bool:
 
 def _write(file: Path, data: bytes) -> None:
     """Write a file that appears whole or not at all."""
-    draft = file.with_name(f".{file.name}.part")
     try:
-        draft.write_bytes(data)
-        os.replace(draft, file)
+        with replacing(file) as draft:
+            draft.write_bytes(data)
     except OSError as error:
         raise InputError(f"{file}: expected to write here, got: {error.strerror}") from None
