@@ -518,16 +518,14 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert "--show" in _complaint(capsys, "inspect", "highest", "--show", "blind")
 
 
-def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
+def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch):
     opened = []
     monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
     window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
     monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
-    for shown in ("rig", "coverage", "outcomes"):
+    for shown in ("rig", "coverage", "outcomes", "sight"):
         assert main(["inspect", "highest", "--show", shown]) == 0
-    assert [options["shows_outcomes"] for options in opened] == [False, False, True]
-    assert "--show sight: expected --out" in _complaint(capsys, "inspect", "highest", "--show", "sight")
-    assert len(opened) == 3
+    assert [options["begin_with"] for options in opened] == ["coverage", "coverage", "outcomes", "sight"]
 
 
 @needs_opengl

@@ -254,11 +254,12 @@ def inspect(
     ] = "rig",
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
+    from warpav.console import RunDisplay
     from warpav.inspection import inspect_rig
     from warpav.sources import config_for
 
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
-        file = inspect_rig(run_or_rig, settings, out, shown=show)
+        file = inspect_rig(run_or_rig, settings, out, shown=show, display=RunDisplay())
     if file is not None and out is None:
         from warpav.view.opengl import display_text
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,45 +27,49 @@ from warpav.sources import (
 )
 
 if TYPE_CHECKING:
+    from warpav.console import RunDisplay
     from warpav.detection.detector import Detector
     from warpav.evaluate import ObjectOutcome, RigObserver
     from warpav.geometry.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.inspector import Inspector
+    from warpav.view.picture import Watch
 
 Shown = Literal["rig", "coverage", "outcomes", "sight"]
 """What a picture of a rig shows besides: the ground by how many cameras see somebody there, traffic by what becomes of
 it, or what every camera sees."""
 
 
-def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown = "rig") -> Path | None:
+def inspect_rig(
+    source: str, config: Config, out: Path | None, *, shown: Shown = "rig", display: RunDisplay | None = None
+) -> Path | None:
     """Show a rig on its vehicle in traffic: the interactive inspector when there is a display, else a file.
 
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives the scene: the first test scene; and the detector.
         out: PNG, HTML, GIF or MP4 to write, the last two films of a run; None opens a window.
-        shown: What is drawn besides the rig and the path of its cameras. The inspector begins with the coverage, or
-            with the outcomes instead.
+        shown: What is drawn besides the rig and the path of its cameras. The inspector begins with it, and with the
+            coverage when it is the rig alone.
+        display: Shows how many pictures of a film are done.
 
     Returns:
         The file that was written, if one was.
 
     Raises:
-        InputError: The rig or the file cannot be used, a window was to show ``sight``, or this machine cannot draw.
+        InputError: The rig or the file cannot be used, or this machine cannot draw.
     """
     from warpav.view.opengl import has_display
     from warpav.view.picture import MOVIE_SUFFIXES
     from warpav.view.picture import inspect_rig as show
 
     if out is None and has_display():
-        if shown == "sight":
-            raise InputError("--show sight: expected --out with a file to write, got none; windows do not show it")
-        inspector(source, config, shows_outcomes=shown == "outcomes").plotter.show()
+        inspector(source, config, begin_with="coverage" if shown == "rig" else shown).plotter.show()
         return None
+    watch = None if display is None else partial(_watched, display)
     is_run = is_run_folder(source)
     if is_run and shown == "rig" and out is not None and out.suffix.lower() in MOVIE_SUFFIXES:
-        return ShownRun.of(RunFolder.open(source), config=config).save_film(out)
+        return ShownRun.of(RunFolder.open(source), config=config).save_film(out, watch=watch)
     if is_run and shown == "rig":
         run = ShownRun.of(RunFolder.open(source), config=config)
         return show(
@@ -76,6 +80,7 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
             add=run.descent_at(None),
             out=out,
             out_without_display=run.folder.path / "inspect.png",
+            watch=watch,
         )
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
@@ -85,11 +90,18 @@ def inspect_rig(source: str, config: Config, out: Path | None, *, shown: Shown =
         scene=scene,
         trajectory_m=trajectory(RunFolder.open(source).events()) if is_run else None,
         outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
-        add=_addition(rig, scene, config, shown),
+        sight=shown == "sight",
+        add=_coverage(rig, scene, config) if shown == "coverage" else None,
         is_wide=shown != "rig",
         out=out,
         out_without_display=Path(source) / "inspect.png" if is_run else Path("rig.png"),
+        watch=watch,
     )
+
+
+def _watched(display: RunDisplay, image_rgb: Iterable[np.ndarray], count: int) -> Iterator[np.ndarray]:
+    with display:
+        yield from display.steps("pictures", image_rgb, count=count)
 
 
 def run_plotter(
@@ -159,7 +171,7 @@ class ShownRun:
         events, rig = folder.events(), find_rig(str(folder.path), config, scene.ego)
         return cls(folder, config, events, rig, rigs_of_events(events, rig, place=folder.path), scene)
 
-    @functools.cached_property
+    @cached_property
     def surface(self) -> MountSurface:
         """What the cameras stand on."""
         return mount_surface(self.config, self.scene.ego)
@@ -223,13 +235,18 @@ class ShownRun:
             return None
         return lambda plotter: add_descent(plotter, self.frames[index], descent, self.surface)
 
-    def save_film(self, out: Path, *, arrows: bool = True) -> Path:
+    def save_film(self, out: Path, *, arrows: bool = True, watch: Watch | None = None) -> Path:
         """Write the run as a film: the cameras move over the vehicle, their ways grow.
+
+        Args:
+            out: ``.gif`` or ``.mp4``.
+            arrows: Whether to draw where the descent moves and turns the cameras.
+            watch: Shows how many pictures are done.
 
         Raises:
             InputError: The run has no iteration, the file cannot be written, or a module for it is missing.
         """
-        from warpav.view.film import run_film
+        from warpav.view.film import run_film, shown_iterations
         from warpav.view.picture import MOVIE_FRAME_S, MOVIE_LAST_S, save_movie
 
         if not self.events:
@@ -244,6 +261,8 @@ class ShownRun:
             scene=self.scene,
             surface=self.surface if arrows else None,
         )
+        if watch is not None:
+            film = watch(film, len(shown_iterations(len(self.frames))) + 1)
         return save_movie(film, out, frame_s=MOVIE_FRAME_S, last_s=MOVIE_LAST_S)
 
     def _checked(self, iteration: int) -> int:
@@ -259,14 +278,18 @@ class ShownRun:
 
 
 def inspector(
-    source: str, config: Config, *, shows_outcomes: bool = False, off_screen: bool | None = None
+    source: str,
+    config: Config,
+    *,
+    begin_with: Literal["coverage", "outcomes", "sight"] = "coverage",
+    off_screen: bool | None = None,
 ) -> Inspector:
     """The interactive picture of a rig on the test scenes, with the iterations of a run; not yet shown.
 
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives scenes, detector, mount surface and constraints.
-        shows_outcomes: Whether to begin with traffic coloured by what becomes of it, instead of the coverage.
+        begin_with: What is shown at first, see `warpav.view.inspector.Inspector`.
         off_screen: Draw without a window; by default when there is no display.
 
     Raises:
@@ -298,7 +321,7 @@ def inspector(
         descents=descents,
         device=device,
     )
-    return Inspector(state, save_to=save_to, shows_outcomes=shows_outcomes, off_screen=off_screen)
+    return Inspector(state, save_to=save_to, begin_with=begin_with, off_screen=off_screen)
 
 
 def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:
@@ -339,17 +362,13 @@ def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path
     return rigs
 
 
-def _addition(rig: Rig, scene: Scene, config: Config, shown: Shown) -> Callable[[Any], object] | None:
-    """What draws coverage or sight into the picture of a rig."""
-    if shown not in ("coverage", "sight"):
-        return None
+def _coverage(rig: Rig, scene: Scene, config: Config) -> Callable[[Any], object]:
+    """What draws into the picture of a rig who is seen where."""
     from warpav.render.coverage import Ground
     from warpav.render.device_scene import DeviceScene
-    from warpav.view.sight_view import add_coverage, add_sight
+    from warpav.view.sight_view import add_coverage
 
     packed = DeviceScene.pack(scene, device=checked_device(config.device))
-    if shown == "sight":
-        return lambda plotter: add_sight(plotter, rig, packed)
     coverage = Ground.around(packed).coverage(rig.cameras)
     return lambda plotter: add_coverage(plotter, coverage)
 

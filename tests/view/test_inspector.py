@@ -194,9 +194,46 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert len(read_rig(tmp_path / "mine.yaml").cameras) == 4
 
 
+def test_views_follow_the_cameras_and_the_scene(inspector):
+    """What is painted is what each camera sees now, coarser while it is dragged."""
+    state = inspector.state
+
+    def painted():
+        return {name: actor for name, actor in inspector.plotter.actors.items() if name.startswith("sight/")}
+
+    def points_m(name):
+        return painted()[name].mapper.dataset.points
+
+    assert not painted()
+    assert "coverage" in inspector.plotter.actors
+    press(inspector, "v")
+    assert "coverage" not in inspector.plotter.actors  # the ground carries one of the two
+    names = {f"sight/cam_{k}" for k in range(4)}
+    assert set(painted()) == names
+    before = painted()
+    inspector.drag(0, np.array([1.2, 0.3]))
+    assert {name for name in names if painted()[name] is before[name]} == names - {"sight/cam_0"}
+    dragged = len(points_m("sight/cam_0"))
+    inspector.drop(0, np.array([1.5, -0.2]))
+    assert len(points_m("sight/cam_0")) > 2 * dragged
+    # every side of the view meets in the camera
+    assert np.linalg.norm(points_m("sight/cam_0") - state.rig.cameras[0].position_m, axis=1).min() < 1e-5
+    in_first_scene = {name: points_m(name) for name in names}
+    press(inspector, "n")
+    assert any(not np.array_equal(points_m(name), in_first_scene[name]) for name in names)
+    inspector.go_to(0)
+    assert np.linalg.norm(points_m("sight/cam_3") - state.frames[0].cameras[3].position_m, axis=1).min() < 1e-5
+    press(inspector, "c")
+    assert "coverage" in inspector.plotter.actors
+    assert not painted()
+    press(inspector, "v")
+    press(inspector, "v")
+    assert not painted()
+
+
 @needs_opengl
 def test_it_can_begin_with_the_outcomes(state, tmp_path):
-    opened = Inspector(state, save_to=tmp_path / "mine.yaml", shows_outcomes=True, off_screen=True)
+    opened = Inspector(state, save_to=tmp_path / "mine.yaml", begin_with="outcomes", off_screen=True)
     try:
         assert "scene/outcomes/1/body" in opened.plotter.actors
         assert "coverage" not in opened.plotter.actors
@@ -204,6 +241,16 @@ def test_it_can_begin_with_the_outcomes(state, tmp_path):
         assert "coverage" in opened.plotter.actors
         opened.toggle_outcomes()
         assert "scene/outcomes/1/body" not in opened.plotter.actors
+    finally:
+        opened.plotter.close()
+
+
+@needs_opengl
+def test_it_can_begin_with_the_views(state, tmp_path):
+    opened = Inspector(state, save_to=tmp_path / "mine.yaml", begin_with="sight", off_screen=True)
+    try:
+        assert "sight/cam_3" in opened.plotter.actors
+        assert "coverage" not in opened.plotter.actors
     finally:
         opened.plotter.close()
 

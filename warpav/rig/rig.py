@@ -125,6 +125,7 @@ class Rig:
         scene: Scene | None = None,
         mount_surface: MountSurface | None = None,
         trajectory_m: np.ndarray | None = None,
+        sight: bool = False,
         title: str | None = None,
         window_size: tuple[int, int] = (1280, 800),
         zoom: float = 1.0,
@@ -139,6 +140,7 @@ class Rig:
             scene: Traffic and street around it; an empty ground when None.
             mount_surface: Drawn on the vehicle in colours of height.
             trajectory_m: Camera positions over the iterations of an optimisation [m], [iteration, camera, 3].
+            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
             title: A line in the upper left corner.
             window_size: Width and height [px].
             zoom: 1 fills the picture with the vehicle, less shows more around it.
@@ -160,6 +162,7 @@ class Rig:
             scene=scene,
             mount_surface=mount_surface,
             trajectory_m=trajectory_m,
+            sight=sight,
             title=title,
             window_size=window_size,
             zoom=zoom,

@@ -207,6 +207,7 @@ class Scene:
         *,
         rig: Rig | None = None,
         outcomes: Sequence[str] | None = None,
+        sight: bool = False,
         title: str | None = None,
         window_size: tuple[int, int] = (1280, 800),
         zoom: float = 1.0,
@@ -219,6 +220,7 @@ class Scene:
             out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
             rig: Cameras on the ego vehicle.
             outcomes: What becomes of every vehicle, `warpav.evaluate.ObjectOutcome`; they are then coloured by it.
+            sight: Whether to paint what every camera sees, and its view up to what stands in the way.
             title: A line in the upper left corner.
             window_size: Width and height [px].
             zoom: 1 fills the picture with the ego vehicle, less shows more around it.
@@ -239,6 +241,7 @@ class Scene:
             out,
             scene=self,
             outcomes=outcomes,
+            sight=sight,
             title=title,
             window_size=window_size,
             zoom=zoom,

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from warpav.view.palette import (
 )
 from warpav.view.picture import WIDE_ZOOM
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_render, rig_plotter
-from warpav.view.sight_view import add_coverage, add_outcomes, colour_coverage
+from warpav.view.sight_view import RAYS_PX, add_camera_sight, add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -43,7 +43,8 @@ KEYS = {
     "n": "next scene",
     "c": "coverage: child, adult, off",
     "d": "detections",
-    "g": "arrows of the descent",
+    "v": "views",
+    "g": "descent arrows",
     "Left": "turn left",
     "Right": "turn right",
     "Return": "write the rig",
@@ -58,6 +59,9 @@ TURN_RAD = math.radians(2.0)
 MESSAGE_CHARACTERS = 80
 """Longest line of a message in the window."""
 
+DRAGGED_RAYS_PX = 49
+"""Rays along each side of the view of a camera while it is dragged."""
+
 _BALL_RADIUS_M = 0.11
 
 
@@ -70,6 +74,8 @@ class Inspector:
         chosen: Number of the camera whose view is shown; None: no view.
         shown_height: Which of the coverage's heights is shown; None: no coverage.
         shows_outcomes: Whether traffic is coloured by what becomes of it.
+        shows_sight: Whether the views of the cameras are painted, up to what stands in the way; the ground carries
+            either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
 
     What moves is changed in place: while a camera is dragged no actor is made, and the picture is drawn once.
@@ -80,7 +86,7 @@ class Inspector:
         state: InspectedRig,
         *,
         save_to: Path,
-        shows_outcomes: bool = False,
+        begin_with: Literal["coverage", "outcomes", "sight"] = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -89,7 +95,8 @@ class Inspector:
         Args:
             state: What to show.
             save_to: File that the rig is written to.
-            shows_outcomes: Whether to begin with traffic coloured by what becomes of it, instead of the coverage.
+            begin_with: What is shown at first: how many cameras see the ground, traffic in the colours of what
+                becomes of it, or the views of the cameras.
             off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
 
@@ -98,8 +105,9 @@ class Inspector:
         """
         self.state, self.save_to = state, save_to
         self.chosen: int | None = None
-        self.shown_height: int | None = None if shows_outcomes else 0
-        self.shows_outcomes = shows_outcomes
+        self.shown_height: int | None = 0 if begin_with == "coverage" else None
+        self.shows_outcomes = begin_with == "outcomes"
+        self.shows_sight = begin_with == "sight"
         self.shows_descent = True
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
@@ -126,8 +134,9 @@ class Inspector:
         self._numbers: Any = None
         self._add_controls()
         self._draw_descent()
-        if shows_outcomes:
+        if self.shows_outcomes:
             self._draw_scene()
+        self._draw_sight()
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do
@@ -142,6 +151,7 @@ class Inspector:
                 self._draw_camera(index)
                 self._put_ball(index)
             self._draw_descent()
+            self._draw_sight()
             self._redraw()
 
     def next_scene(self) -> None:
@@ -149,13 +159,17 @@ class Inspector:
         self.state.show_scene(self.state.scene_index + 1)
         with self._one_render():
             self._draw_scene()
+            self._draw_sight()
             self._redraw()
 
     def cycle_coverage(self) -> None:
-        """Show who is seen where for the next height, then nothing, then the first height again."""
+        """Show who is seen where for the next height, then nothing, then the first height again; views go."""
         heights = [*range(len(self.state.coverage.heights_m)), None]
         self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
+        if self.shown_height is not None:
+            self.shows_sight = False
         with self._one_render():
+            self._draw_sight()
             self._redraw()
 
     def toggle_outcomes(self) -> None:
@@ -164,6 +178,15 @@ class Inspector:
         with self._one_render():
             self._draw_scene()
             self._redraw()
+
+    def toggle_sight(self) -> None:
+        """Paint the views of the cameras up to what stands in the way, or no longer; the coverage goes."""
+        self.shows_sight = not self.shows_sight
+        if self.shows_sight:
+            self.shown_height = None
+        with self._one_render():
+            self._draw_sight()
+            self._draw_coverage()
 
     def toggle_descent(self) -> None:
         """Show the arrows of the descent, or no longer."""
@@ -214,6 +237,8 @@ class Inspector:
         self._draw_camera(camera)
         if was_descent:
             self._draw_descent()
+        if self.shows_sight:
+            self._draw_sight_of(camera, rays=DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
@@ -226,6 +251,8 @@ class Inspector:
             self._draw_camera(camera)
             self._put_ball(camera)
             self._draw_descent()
+            if self.shows_sight:
+                self._draw_sight_of(camera)
             if self.shows_outcomes:
                 self._draw_scene()
             self._redraw()
@@ -273,6 +300,7 @@ class Inspector:
             "n": self.next_scene,
             "c": self.cycle_coverage,
             "d": self.toggle_outcomes,
+            "v": self.toggle_sight,
             "g": self.toggle_descent,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
@@ -327,6 +355,16 @@ class Inspector:
     def _draw_descent(self) -> None:
         descent = self.state.descent if self.shows_descent else None
         add_descent(self.plotter, self.state.rig, descent, self.state.surface)
+
+    def _draw_sight(self) -> None:
+        for index, camera in enumerate(self.state.rig.cameras):
+            if self.shows_sight:
+                self._draw_sight_of(index)
+            else:
+                self.plotter.remove_actor(f"sight/{camera.name}")
+
+    def _draw_sight_of(self, index: int, *, rays: int = RAYS_PX) -> None:
+        add_camera_sight(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
 
     def _draw_scene(self) -> None:
         scene, plotter = self.state.scene, self.plotter

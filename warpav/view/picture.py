@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from warpav.scene.scene import Scene
 
     Plotter = Any
+    Watch = Callable[[Iterable[np.ndarray], int], Iterable[np.ndarray]]
+    """Passes the pictures of a film on, told how many will come: a progress bar."""
 
 WIDE_ZOOM = 0.62
 """Of pictures of what a rig sees."""
@@ -52,11 +54,13 @@ def inspect_rig(
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     outcomes: Sequence[ObjectOutcome] | None = None,
+    sight: bool = False,
     add: Callable[[Plotter], object] | None = None,
     is_wide: bool = False,
     title: str | None = None,
     out: Path | str | None = None,
     out_without_display: Path | str = "rig.png",
+    watch: Watch | None = None,
 ) -> Path | None:
     """Show a rig in a window, or write its picture to a file.
 
@@ -67,11 +71,13 @@ def inspect_rig(
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3].
         mount_surface: When given, drawn on the vehicle in colours of height.
         outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
+        sight: Whether to paint what every camera sees of the scene.
         add: Called with the plotter; draws more into the picture.
         is_wide: Whether the picture shows more around the vehicle.
         title: A line in the upper left corner.
         out: File to write, ``.png``, ``.html``, ``.gif`` or ``.mp4``; a window when None.
         out_without_display: File to write when ``out`` is None and there is no display.
+        watch: Shows how many pictures of a film are done.
 
     Returns:
         The file written, or None after the window was closed.
@@ -82,7 +88,7 @@ def inspect_rig(
     target = Path(out) if out is not None else None if has_display() else Path(out_without_display)
     if target is not None:
         _check_suffix(target)
-    is_wide = is_wide or outcomes is not None
+    is_wide = is_wide or sight or outcomes is not None
     window_size = MOVIE_PX if target is not None and target.suffix.lower() in MOVIE_SUFFIXES else WINDOW_PX
     plotter = rig_plotter(
         rig,
@@ -91,6 +97,7 @@ def inspect_rig(
         trajectory_m=trajectory_m,
         mount_surface=mount_surface,
         outcomes=outcomes,
+        sight=sight,
         title=title,
         window_size=window_size,
         off_screen=target is not None,
@@ -103,7 +110,7 @@ def inspect_rig(
         if target is None:
             plotter.show()
             return None
-        return save_picture(plotter, target)
+        return save_picture(plotter, target, watch=watch)
     finally:
         plotter.close()
 
@@ -160,7 +167,12 @@ def plot_rig(
 
 
 def save_picture(
-    plotter: Plotter, path: Path | str, *, supersampling: int = 2, frame_count: int = _ORBIT_FRAMES
+    plotter: Plotter,
+    path: Path | str,
+    *,
+    supersampling: int = 2,
+    frame_count: int = _ORBIT_FRAMES,
+    watch: Watch | None = None,
 ) -> Path:
     """Write what an off-screen plotter shows.
 
@@ -172,6 +184,7 @@ def save_picture(
         path: Where to; the suffix decides what.
         supersampling: Rays per pixel and axis in PNG and films, 1 to 4.
         frame_count: Pictures in a film, at least 2.
+        watch: Shows how many of them are done.
 
     Returns:
         The path.
@@ -182,8 +195,9 @@ def save_picture(
     path = Path(path)
     _check_suffix(path)
     if path.suffix.lower() in MOVIE_SUFFIXES:
-        orbit = _orbit(plotter, frame_count=max(2, frame_count), supersampling=supersampling)
-        return save_movie(orbit, path, frame_s=_ORBIT_FRAME_S)
+        frame_count = max(2, frame_count)
+        orbit = _orbit(plotter, frame_count=frame_count, supersampling=supersampling)
+        return save_movie(watch(orbit, frame_count) if watch else orbit, path, frame_s=_ORBIT_FRAME_S)
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)

@@ -59,6 +59,7 @@ def rig_plotter(
     ego: Mesh | None = None,
     scene: Scene | None = None,
     outcomes: Sequence[ObjectOutcome] | None = None,
+    sight: bool = False,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     off_screen: bool | None = None,
@@ -77,6 +78,7 @@ def rig_plotter(
             axes of the ego frame stand in its place.
         scene: Traffic and street around it; an empty ground when None.
         outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
+        sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
         trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
         mount_surface: When given, drawn on the vehicle in colours of height.
         off_screen: Draw without a window; by default when there is no display.
@@ -89,7 +91,10 @@ def rig_plotter(
 
     Raises:
         InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
+        ValueError: ``sight`` or ``outcomes`` of no scene.
     """
+    if scene is None and (sight or outcomes is not None):
+        raise ValueError("sight, outcomes: expected a scene with what is seen, got none")
     pyvista = load_pyvista()
     if off_screen is None:
         from warpav.view.opengl import has_display
@@ -121,6 +126,11 @@ def rig_plotter(
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
     add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    if sight and scene is not None:
+        from warpav.render.device_scene import DeviceScene
+        from warpav.view.sight_view import add_sight
+
+        add_sight(plotter, rig, DeviceScene.pack(scene))
     if trajectory_m is not None:
         add_trajectory(plotter, trajectory_m)
     if title:

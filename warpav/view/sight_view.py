@@ -41,6 +41,7 @@ MAX_REACH_RATIO = 1.35
 
 _LIFT_M = 0.04  # of the coverage above the ground, so that both can be told apart
 _COVERAGE_ALPHA = 153
+_SEEN_ALPHA, _SIDE_ALPHA = 71, 15
 
 
 def sight_to_pyvista(
@@ -107,20 +108,43 @@ def add_sight(
         top_m: What lies higher in the ego frame is not drawn [m].
         name: First part of the actors' names.
     """
-    for index, camera in enumerate(rig.cameras):
-        surface = sight_to_pyvista(camera, scene, farthest_m=farthest_m).clip("z", origin=(0.0, 0.0, top_m))
-        for part, opacity in (("side", 0.06), ("seen", 0.28)):
-            cells = surface.extract_cells(surface.cell_data["part"] == part)
-            if cells.n_cells:
-                plotter.add_mesh(
-                    cells.extract_surface(algorithm=None),
-                    color=camera_rgb(index),
-                    opacity=opacity,
-                    lighting=False,
-                    name=f"{name}/{camera.name}/{part}",
-                )
-            else:
-                plotter.remove_actor(f"{name}/{camera.name}/{part}")
+    for index in range(len(rig.cameras)):
+        add_camera_sight(plotter, rig.cameras[index], index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
+
+
+def add_camera_sight(
+    plotter: Plotter,
+    camera: RigCamera,
+    index: int,
+    scene: DeviceScene,
+    *,
+    farthest_m: float = FARTHEST_M,
+    top_m: float = TOP_M,
+    rays: int = RAYS_PX,
+    name: str = "sight",
+) -> None:
+    """Paint what one camera sees, with the sides of its view up to there.
+
+    Args:
+        plotter: Where to draw.
+        camera: The camera.
+        index: Its number in the rig, which gives its colour.
+        scene: What is seen and stands in the way.
+        farthest_m: Where free sight ends [m].
+        top_m: What lies higher in the ego frame is not drawn [m].
+        rays: Rays along each side of the image; fewer are faster and coarser.
+        name: First part of the actor's name.
+    """
+    surface = sight_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
+    surface = surface.clip("z", origin=(0.0, 0.0, top_m))
+    part = surface.cell_data["part"]
+    surface = surface.extract_cells(part != "free").extract_surface(algorithm=None)
+    if surface.n_cells == 0:
+        plotter.remove_actor(f"{name}/{camera.name}")
+        return
+    alpha = np.where(surface.cell_data["part"] == "seen", _SEEN_ALPHA, _SIDE_ALPHA)
+    surface.cell_data["RGBA"] = np.column_stack([np.tile(camera_rgb(index), (len(alpha), 1)), alpha]).astype(np.uint8)
+    plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/{camera.name}")
 
 
 def add_outcomes(
