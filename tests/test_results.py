@@ -176,9 +176,23 @@ def test_a_view_is_replaced_in_one_step(folder, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.replace", fail)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(InputError, match=r"views: expected a place to write to, got: No space"):
         folder.write_views([], {"a.webp": b"after"})
     assert folder.view_path("a.webp").read_bytes() == b"before"
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("events.jsonl", lambda folder: folder.append_event(_record(0))),
+        ("checkpoints/last.npz", lambda folder: folder.write_checkpoint({"iteration": np.array(1)})),
+    ],
+)
+def test_what_cannot_be_written_is_named(folder, name, write):
+    (folder.path / name).unlink(missing_ok=True)
+    (folder.path / name).mkdir()
+    with pytest.raises(InputError, match=f"{name}: expected a place to write to, got: Is a directory"):
+        write(folder)
 
 
 def test_checkpoint_and_evaluation_come_back(folder):

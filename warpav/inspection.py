@@ -348,7 +348,12 @@ def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path
             pitch_deg, fov_deg = (free[name][k] if name in free else None for name in ("pitch_deg", "fov_deg"))
             model = camera.model
             if fov_deg is not None:
-                model = dataclasses.replace(model, fov_rad=math.radians(fov_deg), focal_px=None, centre_px=None)
+                try:
+                    model = dataclasses.replace(model, fov_rad=math.radians(fov_deg), focal_px=None, centre_px=None)
+                except ValueError as error:
+                    raise InputError(
+                        f"{place}: run folder: expected fields of view of {camera.name}, got: {error}"
+                    ) from None
             cameras.append(
                 dataclasses.replace(
                     camera,

@@ -26,7 +26,7 @@ import sys
 import time
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -217,10 +217,11 @@ class RunFolder:
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
         """Write what cameras see: ``figures/views.json``, and the pictures that it names."""
         folder = self.path / "figures" / "views"
-        folder.mkdir(exist_ok=True)
-        for name, encoded in image_of.items():
-            with replacing(folder / name) as draft:
-                draft.write_bytes(encoded)
+        with _writing(folder):
+            folder.mkdir(exist_ok=True)
+            for name, encoded in image_of.items():
+                with replacing(folder / name) as draft:
+                    draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
     def views(self) -> Any:  # noqa: ANN401 (JSON)
@@ -371,7 +372,7 @@ class RunFolder:
         return ShownRun.of(self, scene=scene).to_pyvista()
 
     def _append(self, name: str, line: str) -> None:
-        with (self.path / name).open("ab", buffering=0) as file:
+        with _writing(self.path / name), (self.path / name).open("ab", buffering=0) as file:
             file.write(line.encode())
 
     def _read_json(self, name: str) -> dict[str, Any] | None:
@@ -506,7 +507,7 @@ def _numbered_folder(name: str) -> Path:
 def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import numpy as np
 
-    with replacing(file) as draft, draft.open("wb") as stream:
+    with _writing(file), replacing(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
@@ -520,11 +521,17 @@ def write_text(file: Path, text: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
+    with _writing(file), replacing(file) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _writing(place: Path) -> Iterator[None]:
+    """What keeps a file from being written is one line that names it."""
     try:
-        with replacing(file) as draft:
-            draft.write_text(text, encoding="utf-8")
+        yield
     except OSError as error:
-        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
+        raise InputError(f"{place}: expected a place to write to, got: {error.strerror}") from None
 
 
 def _json_ready(value: object) -> Any:  # noqa: ANN401

@@ -16,7 +16,7 @@ from warpav.errors import InputError
 from warpav.figures import DetectionPanel
 from warpav.gallery import _keep_views
 from warpav.report.reading import read_run
-from warpav.report.report import MAX_BYTES, _cards, write_report
+from warpav.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
 from warpav.report.words import headline, summary
 from warpav.results import ARM_ROWS
 
@@ -309,6 +309,15 @@ def test_many_lost_vehicles_are_all_there(folder):
     assert sum(row[:2] == ["town_7", "<bus>"] for table in page.tables for row in table) == 50
 
 
+def test_very_many_lost_vehicles_are_counted(folder):
+    """A test over very many scenes must not make the report too large to be written."""
+    folder.write_evaluation(evaluation(outcomes=[seen(float(k), "missed") for k in range(30_000)]))
+    page = page_of(folder)
+    assert f"{MOST_ROWS - 30} more, farther away" in page.words
+    assert f"{30_000 - MOST_ROWS} farther ones are listed in evaluation.json alone." in page.words
+    assert sum(row[:2] == ["town_7", "<bus>"] for table in page.tables for row in table) == MOST_ROWS
+
+
 # ------------------------------------------------------------------------------------------------ stopped, old, hostile
 
 
@@ -455,6 +464,10 @@ def _garbled_ground(folder):
     file.write_bytes(bytes(content))
 
 
+def _ground_of_text(folder):
+    folder.write_ground({**folder.ground(), "cell_m": np.array("half")})
+
+
 BROKEN = {
     "evaluation cut off": (_replace("evaluation.json", '{"schema": 1, "arms"'), "evaluation.json: expected JSON"),
     "evaluation is a list": (_replace("evaluation.json", "[]"), "evaluation.json: expected what warpav optimise"),
@@ -518,7 +531,8 @@ BROKEN = {
         lambda folder: np.save((folder.path / "figures/ground.npz").open("wb"), np.zeros(3)),
         "ground.npz: expected arrays",
     ),
-    "ground is empty": (lambda folder: folder.write_ground({}), "ground.npz: expected open_count"),
+    "ground is empty": (lambda folder: folder.write_ground({}), "ground.npz: expected numbers open_count"),
+    "ground is text": (_ground_of_text, "ground.npz: expected numbers cell_m with 0 dimensions"),
 }
 
 

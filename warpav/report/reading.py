@@ -344,8 +344,10 @@ def _ground(folder: RunFolder, evaluation: Evaluation | None) -> GroundMap | Non
         **{f"blind_count_{arm}": 3 for arm in evaluation.arms},
     }
     for name, dimensions in wanted.items():
-        if name not in arrays or arrays[name].ndim != dimensions:
-            raise InputError(f"{file}: expected {name} with {dimensions} dimensions, got none; was the file changed?")
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in "iuf":
+            raise InputError(
+                f"{file}: expected numbers {name} with {dimensions} dimensions, got none; was the file changed?"
+            )
     opened = arrays["open_count"].astype(np.float64)
     shares = {}
     for arm in evaluation.arms:

@@ -37,6 +37,9 @@ SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65),
 ROWS_SHOWN = 30
 """Vehicles that are listed at once; the others follow folded."""
 
+MOST_ROWS = 1000
+"""Vehicles that are listed at all."""
+
 PICTURES = {
     "rig": "The rig at the end in a test scene, with the way of its cameras",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
@@ -148,6 +151,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
         "rows_shown": ROWS_SHOWN,
+        "most_rows": MOST_ROWS,
         "margin_name": words.margin_name,
         "seconds": _seconds(run),
         "versions": _versions(run.environment),
