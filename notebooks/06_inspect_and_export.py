@@ -22,7 +22,9 @@ import os
 os.environ.update(TRAIN="0..15", ITERATIONS="40", STARTS="16")
 
 # %%
+import shutil
 import tempfile
+from pathlib import Path
 
 import numpy as np
 from IPython.display import Image
@@ -31,7 +33,8 @@ from scipy.spatial.transform import Rotation
 from warpav.rig.rig import read_rig
 from warpav.sources import load_scene
 
-folder = tempfile.TemporaryDirectory()  # what is written below goes here
+here = Path.cwd()
+folder = tempfile.TemporaryDirectory()  # what is written below goes here; the last cell keeps what is worth keeping
 os.chdir(folder.name)
 
 # %% [markdown]
@@ -146,7 +149,15 @@ for name in ("autoware", "urdf", "carla-ros-bridge", "carla-python"):
     )
 
 # %% [markdown]
-# That is rounding. Images are small here so that a run is short; for your own cameras write their true size and lens
+# That is rounding, so they can be handed over. The files, and the run that they come from, are kept beside this
+# notebook, in the folder `exported`:
+
+# %%
+shutil.copytree(folder.name, here / "exported", dirs_exist_ok=True)
+print(*sorted(path.name for path in (here / "exported").iterdir()), sep="\n")
+
+# %% [markdown]
+# Images are small here so that a run is short; for your own cameras write their true size and lens
 # into the rig file, and `camera.width_px`, `camera.height_px` into the run. Formats with lens models of their own
 # (`opencv`, `kitti`, `nuscenes`, `argoverse2`, `camera-info`; `kalibr` to import) work the same way: [which hold
 # what](../warpav/rig/design.md).

@@ -315,6 +315,7 @@ class RunFolder:
         iteration: int | None = None,
         scene: Scene | None = None,
         arrows: bool = True,
+        sight: bool = False,
         title: str | None = None,
         window_size: tuple[int, int] = (1280, 800),
         zoom: float = 1.0,
@@ -331,6 +332,7 @@ class RunFolder:
             iteration: Instead of the result, the rig before the step of this one; negative ones count from the end.
             scene: Traffic and street; by default the first test scene of the run.
             arrows: Whether to draw the arrows, where the run recorded gradients.
+            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
             title: A line in the upper left corner.
             window_size: Width and height [px].
             zoom: 1 fills the picture with the vehicle, less shows more around it.
@@ -349,6 +351,7 @@ class RunFolder:
             out,
             iteration=iteration,
             arrows=arrows,
+            sight=sight,
             title=title,
             window_size=window_size,
             zoom=zoom,

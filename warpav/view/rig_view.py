@@ -86,7 +86,7 @@ def rig_plotter(
         title: A line in the upper left corner.
         zoom: 1 fills the picture with the vehicle, less shows more around it.
         frustum_depth_m: How far the frustums are drawn [m].
-        sectors: Whether to draw on the ground what bearings each camera covers.
+        sectors: Whether to draw on the ground what bearings each camera covers; ``sight`` takes their place.
         labels: Whether to name the cameras.
 
     Raises:
@@ -125,7 +125,7 @@ def rig_plotter(
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
-    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors and not sight, labels=labels)
     if sight and scene is not None:
         from warpav.render.device_scene import DeviceScene
         from warpav.view.sight_view import add_sight
