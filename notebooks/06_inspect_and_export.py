@@ -18,13 +18,14 @@
 
 # %% tags=["parameters"]
 import os
+from pathlib import Path
 
 os.environ.update(TRAIN="0..15", ITERATIONS="40", STARTS="16")
+exported = Path("exported").absolute()  # what is worth keeping goes there
 
 # %%
 import shutil
 import tempfile
-from pathlib import Path
 
 import numpy as np
 from IPython.display import Image
@@ -33,8 +34,7 @@ from scipy.spatial.transform import Rotation
 from warpav.rig.rig import read_rig
 from warpav.sources import load_scene
 
-here = Path.cwd()
-folder = tempfile.TemporaryDirectory()  # what is written below goes here; the last cell keeps what is worth keeping
+folder = tempfile.TemporaryDirectory()  # what is written below goes here
 os.chdir(folder.name)
 
 # %% [markdown]
@@ -153,8 +153,8 @@ for name in ("autoware", "urdf", "carla-ros-bridge", "carla-python"):
 # notebook, in the folder `exported`:
 
 # %%
-shutil.copytree(folder.name, here / "exported", dirs_exist_ok=True)
-print(*sorted(path.name for path in (here / "exported").iterdir()), sep="\n")
+shutil.copytree(folder.name, exported, dirs_exist_ok=True)
+print(*sorted(path.name for path in exported.iterdir()), sep="\n")
 
 # %% [markdown]
 # Images are small here so that a run is short; for your own cameras write their true size and lens

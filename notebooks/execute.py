@@ -36,7 +36,8 @@ SMALL = {
     "04_own_detector": "os.environ.update(FIT='500000..500003', HELD_OUT='500050..500051', TEST='[1000]')",
     "05_reproduce_table_two": "os.environ.update(ARMS='random_ifr_doa,highest_ifr_doa', RUNS='1', "
     "OPTIONS='scenes.train_seeds=0..3 scenes.test_seeds=[1000] run.iterations=2')",
-    "06_inspect_and_export": "os.environ.update(TRAIN='0..3', ITERATIONS='2', STARTS='6')",
+    "06_inspect_and_export": "import tempfile; kept = tempfile.TemporaryDirectory(); exported = Path(kept.name)\n"
+    "os.environ.update(TRAIN='0..3', ITERATIONS='2', STARTS='6')",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

@@ -617,7 +617,7 @@ def rig_check(
     """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
     from warpav.rig.check import description, mirrored_cameras, oddities
     from warpav.rig.files.formats import formats_for
-    from warpav.sources import rig_to_export
+    from warpav.sources import is_run_folder, rig_to_export
 
     found = rig_to_export(rig)
     for camera in found.cameras:
@@ -629,6 +629,10 @@ def rig_check(
     for name, reason in unfit.items():
         _say(f"not as {name}: {reason}")
     mirrored = [] if accept_mirrored else list(mirrored_cameras(found.cameras))
+    if is_run_folder(rig):  # the optimiser knows no names
+        for text in mirrored:
+            _say(f"odd: {text}; the run moved it there, so it needs another name")
+        return 0
     for text in mirrored:
         _complain(f"{rig}: {text}; was it made of a left-handed file? --accept-mirrored takes it as it is")
     return 2 if mirrored else 0

@@ -6,11 +6,16 @@ import contextlib
 import os
 import sys
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 
+@cache
 def load_warp() -> Any:  # noqa: ANN401 (the module)
-    """The module ``warp``, initialised without its start-up messages."""
+    """The module ``warp``, initialised without its start-up messages.
+
+    Whoever wants messages raises ``warp.config.log_level`` after the first call.
+    """
     import warp
 
     warp.config.log_level = warp.LOG_ERROR

@@ -81,10 +81,11 @@ def test_open(benchmark, arguments):
     benchmark.pedantic(show, rounds=5, warmup_rounds=1)
 
 
-def test_drag(benchmark, arguments):
+@pytest.mark.parametrize("begin_with", ["coverage", "sight"])
+def test_drag(benchmark, arguments, begin_with):
     """One move of the mouse with the ball of a camera held: camera, coverage of four cameras, numbers, picture."""
     config = load_config("quick", arguments[1:])
-    opened = inspector(arguments[0], config, off_screen=True)
+    opened = inspector(arguments[0], config, begin_with=begin_with, off_screen=True)
     plotter = opened.plotter
     try:
         plotter.show(auto_close=False, interactive=False)

@@ -11,6 +11,7 @@ import warp as wp
 
 from warpav.geometry.mesh import merge
 from warpav.scene.scene import ROAD_USERS, Scene, Sky
+from warpav.warp_setup import load_warp
 from warpav_kernels.rasterise import Triangles
 
 CLUSTER_SIZE = 64
@@ -178,6 +179,7 @@ class DeviceScene:
         Raises:
             ValueError: A mesh cannot be drawn (see `Mesh.check`), or there are too many vertices or triangles.
         """
+        load_warp()
         for other in scene.others:
             other.mesh.check(f"{scene.name}: {other.category} {other.instance_id}")
         meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]

@@ -9,7 +9,9 @@ import pytest
 
 from tests.rig.files.known_pose import KALIBR, KITTI, NUSCENES, URDF, write_sample
 from warpav.cli import main
+from warpav.config import load_config
 from warpav.errors import InputError
+from warpav.results import RunFolder
 from warpav.rig.camera import CameraModel
 from warpav.rig.check import side_of_name
 from warpav.rig.files.formats import FORMAT_NAMES, ImportOptions, export_rig, find_format, import_rig
@@ -378,6 +380,18 @@ def test_the_command_checks_rigs(tmp_path, capsys):
     assert main(["rig", "check", str(mirrored)]) == 2
     assert "expected it on the left" in capsys.readouterr().err
     assert main(["rig", "check", str(mirrored), "--accept-mirrored"]) == 0
+
+
+def test_a_run_may_move_a_camera_to_the_other_side(tmp_path, capsys):
+    """The optimiser knows no names, so nothing is wrong with the rig of a run but the name of the camera."""
+    run = RunFolder.create(load_config("quick", [f"run.out={tmp_path / 'run'}"]), name="quick")
+    run.write_rig(
+        "best", import_rig(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0]
+    )
+    assert main(["rig", "check", str(run.path)]) == 0
+    captured = capsys.readouterr()
+    assert "the run moved it there, so it needs another name" in captured.out
+    assert captured.err == ""
 
 
 def test_the_help_names_every_format(capsys):
