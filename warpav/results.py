@@ -332,7 +332,7 @@ class RunFolder:
             iteration: Instead of the result, the rig before the step of this one; negative ones count from the end.
             scene: Traffic and street; by default the first test scene of the run.
             arrows: Whether to draw the arrows, where the run recorded gradients.
-            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
+            sight: Whether to paint what every camera sees of the scene, up to what stands in the way; not in films.
             title: A line in the upper left corner.
             window_size: Width and height [px].
             zoom: 1 fills the picture with the vehicle, less shows more around it.
