@@ -59,7 +59,7 @@ class Steps:
             self.pose.grad.zero_()
             losses = [step.run() for step in self.steps]
             gradient = self.pose.grad.numpy()
-            assert np.isfinite([loss.numpy() for loss in losses]).all()
+            assert np.isfinite([loss.value.numpy() for loss in losses]).all()
             adam.step(gradient, rate)
 
 

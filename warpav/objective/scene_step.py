@@ -34,7 +34,7 @@ class AssignedScene:
 
 
 class SceneLosses(NamedTuple):
-    """What the cameras are worth on a scene.
+    """What the cameras are worth on a scene; of a `SceneStep` until it judges or learns again.
 
     Attributes:
         value: Of every objective, 0 where it is left out, float [objective] in the order of `OBJECTIVES`.
@@ -130,9 +130,12 @@ class SceneStep:
     and hand its boxes over with `set_boxes`. `learn` measures, adds up the losses, and adds the gradient of their
     weighted sum to the poses' gradient. Nothing in between waits for the device.
 
+    What a recorded launch allocates and does not free belongs to its recording, at least 32 MiB of CUDA's memory, so
+    everything that outlives a call is an array from before the first one.
+
     Attributes:
         scene: The scene.
-        image: What the cameras see ahead after `look`, 0..1, vec3 [camera, row, column].
+        image: What the cameras see ahead after `look`, until the renderer's next, 0..1, vec3 [camera, row, column].
     """
 
     def __init__(
@@ -183,6 +186,11 @@ class SceneStep:
         self._camera_of_vehicle = assigned.assigned_camera
         self._assigned_camera = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self._assigned_count = int(np.count_nonzero(assigned.assigned_camera >= 0))
+        self.image = renderer.kept_image(len(self._ahead_view))
+        self._losses = SceneLosses(
+            wp.zeros(len(OBJECTIVES), dtype=float, device=device),
+            wp.zeros_like(self._detected) if settings.missed > 0.0 and scene.vehicle_count else None,
+        )
         self._recordings = [
             Recording(function, renderer, enabled=recorded)
             for function in (self._look, self._learn, self._judge, self._look_and_learn)
@@ -205,17 +213,17 @@ class SceneStep:
     def learn(self) -> SceneLosses:
         """The losses of the last look; their gradient is added to the poses'."""
         self._recordings[1]()
-        return self._learned
+        return self._losses
 
     def judge(self) -> SceneLosses:
         """The losses of the last look, without a gradient."""
         self._recordings[2]()
-        return self._judged
+        return self._losses
 
     def run(self) -> SceneLosses:
         """`look` and `learn` at once, with the boxes as they are: a step without a detector."""
         self._recordings[3]()
-        return self._learned
+        return self._losses
 
     def _look_and_learn(self) -> None:
         self._look()
@@ -224,12 +232,12 @@ class SceneStep:
     def _look(self) -> None:
         views = self._views()
         self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
-        self.image = self._renderer.rgb(self.scene, self._ahead_view)
+        self._renderer.rgb(self.scene, self._ahead_view, into=self.image)
 
     def detector_loss(
         self, detector: DifferentiableDetector, truth_box_px: np.ndarray, *, weight: float | None
     ) -> float:
-        """The detection network's own loss of the last look, after `learn` (or `judge`).
+        """The detection network's own loss of the last look.
 
         PyTorch runs the network, so this is never part of a recording.
 
@@ -239,7 +247,7 @@ class SceneStep:
             weight: Weight of the loss in the poses' gradient, to which it is added; None: no gradient.
         """
         tape = None if weight is None else wp.Tape()
-        measures = self._judged_measures if tape is None else self._learned_measures
+        measures = self._renderer.measure(self.scene, self._box_px)
         if tape is None:
             views = self._views()
         else:
@@ -261,14 +269,13 @@ class SceneStep:
     def _views(self) -> PlacedViews:
         return self._mount.place(self._pose, self._rotation_count)
 
-    def _losses(self) -> tuple[SceneLosses, Measures]:
-        measures = self._renderer.measure(self.scene, self._box_px)
-        losses = losses_of_look(
+    def _losses_of_look(self) -> SceneLosses:
+        return losses_of_look(
             self._mount,
             self._renderer,
             self.scene,
             self._views(),
-            measures,
+            self._renderer.measure(self.scene, self._box_px),
             self._assigned_camera,
             assigned_count=self._assigned_count,
             settings=self._settings,
@@ -277,14 +284,18 @@ class SceneStep:
             stage=self._stage,
             image=self.image,
         )
-        return losses, measures
 
     def _learn(self) -> None:
-        # kept: a recording goes on using the arrays of the tape
-        self._tape = wp.Tape()
-        with self._tape:
-            self._learned, self._learned_measures = self._losses()
-        self._tape.backward(grads={self._learned.value: self._seed})
+        tape = wp.Tape()
+        with tape:
+            losses = self._losses_of_look()
+        tape.backward(grads={losses.value: self._seed})
+        self._keep(losses)
 
     def _judge(self) -> None:
-        self._judged, self._judged_measures = self._losses()
+        self._keep(self._losses_of_look())
+
+    def _keep(self, losses: SceneLosses) -> None:
+        for kept, found in zip(self._losses, losses, strict=True):
+            if kept is not None and found is not None:
+                wp.copy(kept, found)

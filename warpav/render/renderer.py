@@ -845,6 +845,10 @@ class Renderer:
         )  # fmt: skip
         return image
 
+    def kept_image(self, count: int) -> wp.array:
+        """An array for ``into`` of `rgb`, the same one whenever it is asked for, vec3 [image, row, column]."""
+        return self._kept("image", (count, self.height_px, self.width_px), wp.vec3)
+
     def rgb_on_tape(
         self,
         tape: wp.Tape,
