@@ -11,7 +11,8 @@ from warpav.config import load_config
 from warpav.errors import InputError
 from warpav.results import RunFolder, check_new_run, write_json
 from warpav.rig.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig.presets import preset_rig
+from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 
 
 @dataclasses.dataclass
@@ -57,17 +58,31 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
 
 def test_a_run_with_relative_paths_is_used_from_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for file in ("mine.yaml", "mine.onnx", "mine.obj"):
+    for file in ("mine.onnx", "mine.obj"):
         (tmp_path / file).touch()
     (tmp_path / "mine").mkdir()
-    given = ["rig.start=mine.yaml", "scenes.source=folder", "scenes.folder=mine", "scenes.ego=mine.obj"]
+    given = ["scenes.source=folder", "scenes.folder=mine", "scenes.ego=mine.obj"]
     config = load_config("quick", [*given, "detector.model=mine.onnx"])
     folder = RunFolder.open(RunFolder.create(config, name="quick").path.absolute())
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     found = folder.config()
-    assert (found.rig.start, found.detector.model) == (str(tmp_path / "mine.yaml"), str(tmp_path / "mine.onnx"))
+    assert found.detector.model == str(tmp_path / "mine.onnx")
     assert (found.scenes.folder, found.scenes.ego) == (tmp_path / "mine", tmp_path / "mine.obj")
+
+
+def test_a_run_keeps_the_rig_that_it_started_from(tmp_path, monkeypatch):
+    """Neither the rig's file nor the place of the folder matters afterwards."""
+    monkeypatch.chdir(tmp_path)
+    write_rig(_rig(0.7), "mine.yaml")
+    config = load_config("quick", ["rig.start=mine.yaml"])
+    RunFolder.create(config, name="quick", start=_rig(0.7)).path.rename("moved")
+    (tmp_path / "mine.yaml").unlink()
+    folder = RunFolder.open("moved")
+    assert folder.config().rig.start == str(tmp_path / "moved" / "rig_start.yaml")
+    assert read_rig(folder.config().rig.start).cameras[0].position_m[0] == 0.7
+    preset = load_config("quick", ["rig.start=nuscenes", "rig.cameras=6"])
+    assert RunFolder.create(preset, name="preset", start=preset_rig("nuscenes")).config().rig.start == "nuscenes"
 
 
 def test_runs_without_a_name_are_numbered(folder):
@@ -160,6 +175,21 @@ def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
     last.write_rig("best", _rig(3.0))
     last.write_rig("final", _rig(2.0))
     assert last.rig().cameras[0].position_m[0] == 2.0
+
+
+def test_what_a_run_that_has_ended_has_lost_is_missed(folder):
+    for role in ("initial", "best", "final"):
+        folder.write_rig(role, _rig())
+    for iteration in range(3):
+        folder.append_event(_record(iteration))
+    folder.write_evaluation({"descent": {"iterations": 4}})
+    with pytest.raises(InputError, match=r"events.jsonl: expected the 4 iterations of a run that has ended, got 3"):
+        folder.events()
+    folder.append_event(_record(3))
+    assert len(folder.events()) == 4
+    (folder.path / "rig_best.yaml").unlink()  # the last iteration's is another rig
+    with pytest.raises(InputError, match=r"expected rig_best.yaml, got none; was it removed\?"):
+        folder.rig()
 
 
 def test_a_folder_in_the_place_of_the_report_is_one_line(folder):

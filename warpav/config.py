@@ -49,6 +49,9 @@ COMMAND_LINE = "command line"
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""
 
+START_FILE = "rig_start.yaml"
+"""A rig.start of this name is the file beside the configuration, as a run leaves it."""
+
 MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
 
@@ -874,6 +877,9 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     """
     file = find_config(path) if path is not None else None
     data, line_of = _read_file(file) if file else ({}, {})
+    rig = data.get("rig")
+    if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
+        rig["start"] = str((file.parent / START_FILE).absolute())
     return _validated(data, overrides, file, line_of)
 
 

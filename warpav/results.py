@@ -3,6 +3,7 @@
 ::
 
     runs/<name>/  config.yaml  env.json  events.jsonl  metrics.csv  rig_initial.yaml  rig_best.yaml  rig_final.yaml
+                  rig_start.yaml (where rig.start names a rig)
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
                   figures/ground.npz  figures/views.json  figures/views/*.webp
 
@@ -32,7 +33,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.config import Config, dump_config, load_config, with_absolute_paths
+from warpav.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.errors import InputError, OptionError
 from warpav.replacing import replacing
 
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
     MultiBlock = Any
 
-RigRole = Literal["initial", "best", "final"]
+RigRole = Literal["start", "initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
 ARM_ROWS = {
@@ -112,7 +113,7 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def create(cls, config: Config, *, name: str, device: str = "") -> RunFolder:
+    def create(cls, config: Config, *, name: str, device: str = "", start: Rig | None = None) -> RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
         Args:
@@ -120,6 +121,7 @@ class RunFolder:
                 so that the folder can be used from everywhere.
             name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
             device: What computes, in words.
+            start: The rig that ``rig.start`` names, which the folder keeps, so that it needs no file from elsewhere.
 
         Raises:
             InputError: ``run.out`` exists, or no folder can be made there.
@@ -138,7 +140,11 @@ class RunFolder:
             raise OptionError(
                 "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
-        write_text(path / "config.yaml", dump_config(with_absolute_paths(config)))
+        config = with_absolute_paths(config)
+        if start is not None and Path(config.rig.start).is_absolute():  # no preset
+            folder.write_rig("start", start)
+            config = config.model_copy(update={"rig": config.rig.model_copy(update={"start": START_FILE})})
+        write_text(path / "config.yaml", dump_config(config))
         write_json(path / "env.json", environment(config, device))
         return folder
 
@@ -249,7 +255,8 @@ class RunFolder:
         """All iterations so far; a line that was cut off in the middle of being written is left out.
 
         Raises:
-            InputError: The file cannot be read, or a line is no iteration of a run.
+            InputError: The file cannot be read, a line is no iteration of a run, or iterations of a run that has ended
+                are missing.
         """
         file = self.path / "events.jsonl"
         try:
@@ -275,6 +282,11 @@ class RunFolder:
                 if wrong:
                     raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
                 events.append(event)
+        count = _iterations_of(self.evaluation())
+        if len(events) < count:
+            raise InputError(
+                f"{file}: expected the {count} iterations of a run that has ended, got {len(events)}; was it cut off?"
+            )
         return events
 
     def evaluation(self) -> dict[str, Any] | None:
@@ -293,20 +305,25 @@ class RunFolder:
                 what comes nearest to it when the run was stopped.
 
         Raises:
-            InputError: The run was stopped before it had one.
+            InputError: The run was stopped before it had one, or its best one is missing.
         """
         from warpav.rig.rig import read_rig
 
         if role is None:
             keep_best = self.config().optimiser.keep == "best"
-            roles: tuple[RigRole, ...] = ("best", "final", "initial") if keep_best else ("final", "best", "initial")
+            roles: tuple[RigRole, ...] = ("best", "initial") if keep_best else ("final", "best", "initial")
+            if keep_best and (self.path / "rig_final.yaml").is_file():  # written after the best one
+                roles = ("best",)
         else:
             roles = (role,)
         for name in roles:
             file = self.path / f"rig_{name}.yaml"
             if file.is_file():
                 return read_rig(file)
-        raise InputError(f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none; the run has none yet")
+        raise InputError(
+            f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none"
+            + ("; was it removed?" if len(roles) == 1 and role is None else "; the run has none yet")
+        )
 
     def plot(
         self,
@@ -512,6 +529,13 @@ def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
     with _writing(file), replacing(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def _iterations_of(evaluation: object) -> int:
+    """How many iterations ``evaluation.json`` speaks of; 0 where it does not."""
+    descent = evaluation.get("descent") if isinstance(evaluation, dict) else None
+    count = descent.get("iterations") if isinstance(descent, dict) else None
+    return count if isinstance(count, int) else 0
 
 
 def _one_line(error: Exception) -> str:

@@ -61,7 +61,7 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     start = descent.start
     laps.end("looking for a start")
 
-    folder = RunFolder.create(config, name=name, device=device_name(config.device))
+    folder = RunFolder.create(config, name=name, device=device_name(config.device), start=start_rig)
     display.say(f"run folder: {folder.path}")
     folder.write_rig("initial", mount.rig(start))
     try:
