@@ -21,7 +21,7 @@ import os
 from pathlib import Path
 
 os.environ.update(TRAIN="0..15", ITERATIONS="40", STARTS="16")
-exported = Path("exported").absolute()  # what is worth keeping goes there
+exported = Path(_dh[0]) / "exported"  # noqa: F821 (where Jupyter began); what is worth keeping goes there
 
 # %%
 import shutil
@@ -77,14 +77,15 @@ Image(read_rig("mine.yaml").plot("mine.png", scene=load_scene("1000")), width=80
 # warpav rig check run
 
 # %% [markdown]
-# The fixed cameras stand where they stood, to the last digit. The objective on the training scenes falls a little; the
-# intervals say that six test scenes are too few to tell this rig from the one it started from.
+# The fixed cameras stand where they stood, to the last digit. The objective on the training scenes falls a little, and the
+# recall on the test scenes may as well: the interval of its difference reaches 0, as six scenes are too few to tell
+# this rig from the one it started from.
 #
 # ## What it sees
 #
 # `warpav inspect` opens a window when there is a display: go through the iterations, look through a camera, drag
 # cameras over the roof while coverage follows, save the rig. With `--out` it draws a picture. First the blind spots:
-# where would a child of 1.1 m be seen by no camera (red), by one, by two or more?
+# where would a child of 1.1 m be seen by no camera (red), by one, by two, by more?
 
 # %% language="bash"
 # warpav inspect run --show coverage --out coverage.png
@@ -117,8 +118,8 @@ Image("sight.png", width=800)
 # warpav rig export run --format autoware --out autoware
 # warpav rig export run --format urdf --out car.urdf
 # warpav rig export run --format carla-ros-bridge --out objects.json --origin-m 1.36 0 0
-# warpav rig export run --format carla-python --out sensors.py --origin-m 1.36 0 0
-# cat sensors.py
+# warpav rig export run --format carla-python --out sensors.json --origin-m 1.36 0 0
+# cat sensors.json
 
 # %% [markdown]
 # The two CARLA dialects use the same keys and mean different things: the ros-bridge's y points left, like ROS's, the
@@ -133,7 +134,7 @@ Image("sight.png", width=800)
 # warpav rig import autoware --format autoware --out autoware.yaml > import.txt
 # warpav rig import car.urdf --format urdf --out urdf.yaml >> import.txt
 # warpav rig import objects.json --format carla-ros-bridge --origin-m 1.36 0 0 --out carla-ros-bridge.yaml >> import.txt
-# warpav rig import sensors.py --format carla-python --origin-m 1.36 0 0 --out carla-python.yaml >> import.txt
+# warpav rig import sensors.json --format carla-python --origin-m 1.36 0 0 --out carla-python.yaml >> import.txt
 
 # %%
 rig = read_rig("run/rig_best.yaml")

@@ -614,6 +614,8 @@ def test_the_inspector_goes_through_a_run(run_folder):
                 assert math.degrees(camera.yaw_rad) == pytest.approx(yaw_deg)
         assert rig_text(frames[-1]) == rig_text(run_folder.rig())
         assert opened.save_to == run_folder.path / "rig_inspected.yaml"
+        drawn = {name.partition("/")[0] for name in opened.plotter.actors}
+        assert {"trajectory", "descent"} <= drawn  # as in the picture of the run
     finally:
         opened.plotter.close()
 

@@ -229,7 +229,7 @@ class ShownRun:
 
         if not self.events:
             return None
-        index = self._nearest() if iteration is None else self._checked(iteration)
+        index = nearest_iteration(self.events, self.rig) if iteration is None else self._checked(iteration)
         descent = Descent.of_event(self.events[index])
         if descent is None:
             return None
@@ -271,11 +271,6 @@ class ShownRun:
             raise InputError(f"{self.folder.path}: iteration: expected one of {count} from 0, got {iteration}")
         return iteration % count
 
-    def _nearest(self) -> int:
-        end_m = np.array([camera.position_m for camera in self.rig.cameras])
-        places_m = np.array([event["positions_m"] for event in self.events], np.float64)
-        return int(np.linalg.norm(places_m - end_m, axis=2).max(axis=1).argmin())
-
 
 def inspector(
     source: str,
@@ -302,12 +297,15 @@ def inspector(
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
     first = next(load_scenes(config, seeds[:1]))
     rig = find_rig(source, config, first.ego)
-    frames, descents, save_to = [rig], [None], Path("rig.yaml")
+    frames, descents, way_m, save_to = [rig], [None], None, Path("rig.yaml")
     if is_run_folder(source):
         folder = RunFolder.open(source)
         events = folder.events()
         frames = [*rigs_of_events(events, rig, place=folder.path), rig]
+        way_m = trajectory(events)
         descents = [*map(Descent.of_event, events), None]
+        if events:  # as in pictures, the result has the arrows of the iteration nearest to it
+            descents[-1] = descents[nearest_iteration(events, rig)]
         save_to = folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)
     detector = load_detector(config)
@@ -321,7 +319,19 @@ def inspector(
         descents=descents,
         device=device,
     )
-    return Inspector(state, save_to=save_to, begin_with=begin_with, off_screen=off_screen)
+    return Inspector(state, save_to=save_to, trajectory_m=way_m, begin_with=begin_with, off_screen=off_screen)
+
+
+def nearest_iteration(events: Sequence[Mapping[str, Any]], rig: Rig) -> int:
+    """The iteration before whose step the cameras stood nearest to those of a rig; from 0.
+
+    Args:
+        events: Lines of ``events.jsonl``, at least one, of as many cameras as the rig has.
+        rig: The rig.
+    """
+    end_m = np.array([camera.position_m for camera in rig.cameras])
+    places_m = np.array([event["positions_m"] for event in events], np.float64)
+    return int(np.linalg.norm(places_m - end_m, axis=2).max(axis=1).argmin())
 
 
 def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:

@@ -239,7 +239,7 @@ def test_the_summary_says_what_the_numbers_say(folder, page):
         "the interval leaves 0 out: worse",
         "fell by 25.0 % (2.0000 to 1.5000) on the training scenes",
         "the gain holds on new scenes",
-        "left by 12 cm and 30° to the left; 1 camera stayed.",
+        "left by 12 cm (turned 30° to the left); 1 camera stayed.",
         "3 vehicles: 1 in plain sight of a camera, and missed by the detector, 1 hidden behind something and 1 in no "
         "camera's image. The nearest is 4 m away.",
         "no camera sees 25.0 % of the ground for someone 1.1 m tall (start 15.0 %, highest 0.0 %)",

@@ -192,6 +192,14 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert state.rig.cameras[1].yaw_rad == pytest.approx(yaw + math.radians(2.0))
     press(inspector, "Return")
     assert len(read_rig(tmp_path / "mine.yaml").cameras) == 4
+    before = (tmp_path / "mine.yaml").read_bytes()
+    press(inspector, "Left")
+    inspector.drag(0, state.rig.cameras[1].position_m)
+    press(inspector, "Return")  # does not replace what is there, and leaves the numbers
+    assert (tmp_path / "mine.yaml").read_bytes() == before != (tmp_path / "mine-2.yaml").read_bytes()
+    said = inspector._numbers.input.splitlines()
+    assert said[-1] == f"wrote {tmp_path / 'mine-2.yaml'}"
+    assert any(line.startswith("constraints broken") for line in said)
 
 
 def test_views_follow_the_cameras_and_the_scene(inspector):

@@ -243,7 +243,7 @@ def _moves(run: RunContent) -> Statement | None:
     if not moved:
         return Statement("What moved", "Nothing: the rig is the one at the start.")
     ways = [
-        f"{name} by {100.0 * way_m:.0f} cm and {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'}"
+        f"{name} by {100.0 * way_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
         for name, way_m, turn_deg in moved
     ]
     still = len(found) - len(moved)

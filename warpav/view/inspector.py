@@ -86,6 +86,7 @@ class Inspector:
         state: InspectedRig,
         *,
         save_to: Path,
+        trajectory_m: np.ndarray | None = None,
         begin_with: Literal["coverage", "outcomes", "sight"] = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
@@ -94,7 +95,8 @@ class Inspector:
 
         Args:
             state: What to show.
-            save_to: File that the rig is written to.
+            save_to: File that the rig is written to; files that are there stay.
+            trajectory_m: Ways of the cameras over a run, which are drawn [m], [iteration, camera, 3].
             begin_with: What is shown at first: how many cameras see the ground, traffic in the colours of what
                 becomes of it, or the views of the cameras.
             off_screen: Draw without a window; by default when there is no display.
@@ -117,6 +119,7 @@ class Inspector:
                 state.rig,
                 ego=state.scene.ego,
                 scene=state.scene,
+                trajectory_m=trajectory_m,
                 off_screen=off_screen,
                 window_size=window_size,
                 sectors=False,
@@ -218,14 +221,18 @@ class Inspector:
             self._after_change(self.chosen)
 
     def save(self) -> Path:
-        """Write the rig as it is now.
+        """Write the rig as it is now, to a file of its own: a number follows the name where that is taken.
 
         Raises:
             InputError: The file cannot be written.
         """
-        path = self.state.save(self.save_to)
+        path, number = self.save_to, 1
+        while path.is_file():
+            number += 1
+            path = self.save_to.with_stem(f"{self.save_to.stem}-{number}")
+        self.state.save(path)
         with self._one_render():
-            self._say(f"wrote {path}")
+            self._say("\n".join([*self._lines(), f"wrote {path}"]))
         return path
 
     # ------------------------------------------------------------------------------------------------ what is drawn
@@ -275,7 +282,8 @@ class Inspector:
     def _add_controls(self) -> None:
         plotter, count = self.plotter, len(self.state.frames)
         plotter.add_text(
-            "   ".join(f"{key}: {word}" for key, word in KEYS.items()),
+            "click a ball: look through the camera   drag it: move the camera\n"
+            + "   ".join(f"{key}: {word}" for key, word in KEYS.items()),
             position=(0.02, 0.012),
             viewport=True,
             font_size=8,
@@ -378,13 +386,20 @@ class Inspector:
     def _redraw(self, *, detector: bool = True) -> None:
         """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
         self._draw_coverage()
+        self._say("\n".join(self._lines(detector=detector)))
+        if detector:
+            self._draw_view()
+
+    def _lines(self, *, detector: bool = True) -> list[str]:
+        """What the corner says."""
         lines = self.state.lines
+        if self.shown_height is not None:
+            height_m = self.state.coverage.heights_m[self.shown_height]
+            lines.append(f"ground: {height_m:g} m tall, seen by no camera (red), by one, two or more (blue)")
         if detector and (self.shows_outcomes or self.chosen is not None):
             look = self.state.look
             lines.append(f"{int(look.detected.sum())} of {len(look.detected)} vehicles detected")
-        self._say("\n".join(lines))
-        if detector:
-            self._draw_view()
+        return lines
 
     def _draw_coverage(self) -> None:
         if self.shown_height is None:

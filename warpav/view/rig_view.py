@@ -100,7 +100,9 @@ def rig_plotter(
         from warpav.view.opengl import has_display
 
         off_screen = not has_display()
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="light kit")
+    plotter = pyvista.Plotter(
+        off_screen=off_screen, window_size=list(window_size), lighting="light kit", title="warpav"
+    )
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     if ego is None and scene is not None:

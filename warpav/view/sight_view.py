@@ -144,7 +144,10 @@ def add_camera_sight(
         return
     alpha = np.where(surface.cell_data["part"] == "seen", _SEEN_ALPHA, _SIDE_ALPHA)
     surface.cell_data["RGBA"] = np.column_stack([np.tile(camera_rgb(index), (len(alpha), 1)), alpha]).astype(np.uint8)
-    plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/{camera.name}")
+    actor = plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/{camera.name}")
+    # paint lies on what it covers: drawn as if nearer, or it would come and go with the rounding of depths
+    actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(-1.0, -1.0)
 
 
 def add_outcomes(
