@@ -165,6 +165,19 @@ BAD_INPUT = [
 ]
 
 
+@pytest.mark.parametrize(
+    ("argv", "end"),
+    [
+        (["optimse"], ", optimize, ...; see warpav --help"),
+        (["rig", "send"], " Available commands: presets, import, export, check; see warpav rig --help"),
+        (["rig", "export", "nuscenes", "--out", "x"], " --format requires an argument; see warpav rig export --help"),
+        (["optimise", "--cameras", "6"], "such as rig.cameras=6; see warpav optimise --help"),
+    ],
+)
+def test_wrong_words_lead_to_the_help_of_their_command(capsys, argv, end):
+    assert _complaint(capsys, *argv).endswith(end)
+
+
 @pytest.mark.parametrize(("argv", "message"), BAD_INPUT, ids=[" ".join(argv) for argv, _ in BAD_INPUT])
 def test_bad_input_is_one_line_and_leaves_nothing(working_directory, capsys, argv, message):
     (working_directory / "garbage.onnx").write_text("this is neither ONNX nor GLB nor a rig\n")

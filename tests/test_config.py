@@ -264,6 +264,10 @@ FILE_MISTAKES = [
     ("rig:\n\tcameras: 4\n", "mine.yaml:2: expected valid YAML, got a syntax error:"),
     ("rig: !!python/object:x.y {}\n", "mine.yaml:1: rig: expected plain YAML, got the tag"),
     ("rig: &a [*a]\n", "mine.yaml:1: expected at most 12 levels, got more"),
+    (
+        "frame: ego\ncameras: []\n",
+        "mine.yaml: expected a configuration, got a rig file; rig.start=mine.yaml begins with it",
+    ),
     ("- 4\n", "mine.yaml:1: expected sections such as 'rig: {cameras: 4}', got [4]"),
     ("rig: \x00\n", "mine.yaml: expected valid YAML, got:"),
 ]
@@ -322,6 +326,18 @@ def test_a_missing_file_is_named_with_a_suggestion(tmp_path, monkeypatch):
     assert "shipped ones are" in _message("zzz.yaml")
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\xff")
     assert _message("bytes.yaml") == "bytes.yaml: expected a readable YAML file, got: not UTF-8 text"
+
+
+def test_a_run_folder_is_no_configuration_but_holds_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "runs" / "quick"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text("run: {iterations: 7}\n")
+    assert _message("runs/quick") == (
+        "runs/quick: config: expected a YAML file or a shipped name, got a run folder; runs/quick/config.yaml repeats "
+        "it, rig.start=runs/quick begins with its rig"
+    )
+    assert load_config("runs/quick/config.yaml", ["rig.start=runs/quick"]).run.iterations == 7
 
 
 def test_words_that_old_yaml_would_convert_stay_words(yaml_file):

@@ -243,7 +243,10 @@ def inspect(
     *overrides: Overrides,
     out: Annotated[
         Path | None,
-        Parameter(help="PNG, HTML, GIF or MP4 to write; of a run GIF and MP4 are films over its iterations."),
+        Parameter(
+            help="PNG, HTML, GIF or MP4 to write. GIF and MP4 are one turn around the vehicle; of a run, without "
+            "--show, films over its iterations."
+        ),
     ] = None,
     show: Annotated[
         Literal["rig", "coverage", "outcomes", "sight"],
@@ -556,11 +559,11 @@ def rig_import(
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
-    from warpav.rig.files.formats import ImportOptions, import_rig
+    from warpav.rig.files.formats import ImportOptions, check_target, import_rig
     from warpav.rig.rig import rig_text, write_rig
 
-    if out is not None and out.exists() and not overwrite:
-        raise InputError(f"{out}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
+    if out is not None:
+        check_target(out, overwrite=overwrite)
     options = ImportOptions(
         origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
     )
@@ -801,9 +804,10 @@ def _load(config: str, overrides: Sequence[str]):  # noqa: ANN202 (importing the
 
 def _usage_text(error: CycloptsError) -> str:
     """What is wrong with the words of the command, in one line."""
-    text = " ".join(str(error).split()).rstrip(".")
+    text = " ".join(str(error).split())
+    text = text if text.endswith("...") else text.removesuffix(".")
     hint = "options of a run are key=value, such as rig.cameras=6; " if text.startswith("Unknown option") else ""
-    return f"command line: {text}; {hint}see warpav --help"
+    return f"command line: {text}; {hint}see {' '.join(('warpav', *(error.command_chain or ()), '--help'))}"
 
 
 def _say(text: str) -> None:

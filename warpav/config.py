@@ -1077,6 +1077,11 @@ def find_config(path: str | Path) -> Path:
     named = str(path) in (file.stem, shipped.name, f"configs/{shipped.name}")
     if named and shipped.is_file():
         return shipped
+    if (file / "config.yaml").is_file():
+        raise InputError(
+            f"{path}: config: expected a YAML file or a shipped name, got a run folder; {file / 'config.yaml'} repeats "
+            f"it, rig.start={file} begins with its rig"
+        )
     near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
     hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
     raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
@@ -1086,6 +1091,8 @@ def _read_file(file: Path) -> tuple[dict[str, Any], dict[Location, int]]:
     data, line_of = read_yaml(file)
     if data is not None and not isinstance(data, dict):
         raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {_shown(data)}")
+    if data is not None and {"frame", "cameras"} <= data.keys():
+        raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
     return data or {}, line_of
 
 

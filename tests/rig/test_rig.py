@@ -206,8 +206,23 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         ("cameras:\n", "cameras: []\nrest:\n", r"cameras: expected a list of at least one camera, got \[\]"),
         ("frame: ego", "frame: ego\nframe: ego", r"rig.yaml:2: frame: expected every key once"),
         ("frame: ego", "frame: [ego", r"rig.yaml:\d+: expected valid YAML, got a syntax error"),
+        ("frame: ego\n", "", r"rig.yaml:1: frame: expected the field frame, got nothing; write frame: ego$"),
         (GOOD, "", r"rig.yaml: expected a mapping with frame, cameras, got nothing"),
-        (GOOD, "- 1\n", r"rig.yaml:1: expected a mapping with frame, cameras, got \[1\]"),
+        (
+            GOOD,
+            "- 1\n",
+            r"rig.yaml:1: expected a mapping .*, got \[1\]; files of other tools are read by warpav rig import",
+        ),
+        (
+            GOOD,
+            "objects: []\nversion: 1\n",
+            r"^[^\n]*rig.yaml:1: expected .*, got \{'objects': [^\n]*; files of other tools .* --format NAME$",
+        ),
+        (
+            GOOD,
+            "run: {seed: 1}\nrig: {cameras: 4}\n",
+            r"^[^\n]*rig.yaml:1: expected .*; this is a configuration: of a run, give the folder instead$",
+        ),
     ],
 )
 def test_reading_rejects_a_mistake_with_its_place(tmp_path, old, new, message):

@@ -198,6 +198,7 @@ def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
     )
 
 
+_OTHER_TOOLS_TEXT = "files of other tools are read by warpav rig import FILE --format NAME"
 _NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"
 _ANGLE_TEXT = "a finite number in degrees, such as 90.0"
@@ -341,6 +342,11 @@ class _RigReader:
         self.mistakes: list[str] = []
 
     def rig(self, data: object) -> Rig:
+        if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
+            is_config = isinstance(data, dict) and "rig" in data
+            hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
+            self.refuse((), "a mapping with frame, cameras", data, f"; {hint}")
+            raise InputError(self.mistakes[0])
         root = self.mapping(data, (), ("frame", "cameras"))
         if "frame" in root and root["frame"] != "ego":
             self.refuse(("frame",), "ego (x forward, y left, z up)", root["frame"])
@@ -398,7 +404,8 @@ class _RigReader:
                 hint = f"; did you mean {near[0]}?" if near else ""
                 self.refuse((*location, field), f"one of {', '.join(fields)}", field, hint)
         for field in missing:
-            self.refuse((*location, field), _EXPECTED.get(field, f"the field {field}"), None)
+            hint = "; write frame: ego" if field == "frame" else ""
+            self.refuse((*location, field), _EXPECTED.get(field, f"the field {field}"), None, hint)
         return {field: data[field] for field in fields if field in data}
 
     def refuse(self, location: Location, expected: str, value: object, hint: str = "") -> None:

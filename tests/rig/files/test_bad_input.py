@@ -3,6 +3,8 @@
 import importlib
 import json
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -310,11 +312,14 @@ def test_exports_replace_nothing_unless_told(tmp_path):
     export_rig(plain_rig("a"), "nuscenes", tmp_path, overwrite=True)
     assert json.loads(file.read_text())
     (tmp_path / "wall").write_text("")
+    for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
+        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; name another place$"):
+            export_rig(plain_rig("a"), "autoware", target, overwrite=True)
     with pytest.raises(InputError, match="expected a place to write to, got"):
-        export_rig(plain_rig("a"), "kitti", tmp_path / "wall" / "deep")
+        export_rig(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
     with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
         export_rig(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
-    with pytest.raises(InputError, match="expected a format for export, got one for import only"):
+    with pytest.raises(InputError, match=r"expected one of nuscenes, .*, opencv; kalibr is for import only"):
         export_rig(plain_rig("a"), "kalibr", tmp_path / "a")
 
 
@@ -347,6 +352,10 @@ def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
     assert out.read_text() == "mine"
     assert main([*words, "--overwrite"]) == 0
     assert read_rig(out).cameras
+    capsys.readouterr()
+    for more in ([], ["--overwrite"]):
+        assert main([*words[:-1], str(tmp_path), *more]) == 2
+        assert capsys.readouterr().err == f"{tmp_path}: expected a file to write, got a folder; name a file in it\n"
 
 
 def test_autoware_names_the_files_that_it_looks_for(tmp_path):

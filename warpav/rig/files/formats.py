@@ -184,13 +184,25 @@ def export_rig(
     losses = Losses(form.name, approximate)
     files = content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
     for file in files:
-        if file.exists() and not overwrite:
-            raise InputError(
-                f"{file}: expected a file that does not exist yet, got one that does; --overwrite replaces it"
-            )
+        check_target(file, overwrite=overwrite)
     for file, content in files.items():
         _write(file, content)
     return list(files), [f"frame: {form.frame}", *losses.notes, *_origin_notes(form, origin_m)]
+
+
+def check_target(file: Path, *, overwrite: bool) -> None:
+    """Refuse to write a file where there is something else.
+
+    Raises:
+        InputError: It is a folder, or there already and not to be replaced, or would have to lie in what is a file.
+    """
+    if file.is_dir():
+        raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
+    if file.exists() and not overwrite:
+        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
+    for folder in file.parents:
+        if folder.is_file():
+            raise InputError(f"{folder}: expected a folder to write to, got a file; name another place")
 
 
 def content_of(
@@ -208,7 +220,10 @@ def content_of(
         InputError: The format cannot hold it.
     """
     if form.write is None:
-        raise InputError(f"command line (--format {form.name}): expected a format for export, got one for import only")
+        names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
+        raise InputError(
+            f"command line (--format {form.name}): expected one of {names}; {form.name} is for import only"
+        )
     file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     return form.write(placed, target, losses)
