@@ -77,9 +77,9 @@ Image(read_rig("mine.yaml").plot("mine.png", scene=load_scene("1000")), width=80
 # warpav rig check run
 
 # %% [markdown]
-# The fixed cameras stand where they stood, to the last digit. The objective on the training scenes falls a little, and the
-# recall on the test scenes may as well: the interval of its difference reaches 0, as six scenes are too few to tell
-# this rig from the one it started from.
+# The fixed cameras stand where they stood, to the last digit. The objective on the training scenes falls a little, and
+# so may the recall on the test scenes: the interval of its difference reaches 0, as six scenes are too few to tell this
+# rig from the one it started from.
 #
 # ## What it sees
 #
