@@ -137,6 +137,9 @@ def add_camera_sight(
     """
     surface = sight_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
     surface = surface.clip("z", origin=(0.0, 0.0, top_m))
+    # most rays graze the ground, so that the way back along them leads hardly off it
+    is_end = ~np.isclose(surface.points, camera.position_m, atol=1e-4).all(axis=1)
+    surface.points[is_end, 2] += _LIFT_M
     part = surface.cell_data["part"]
     surface = surface.extract_cells(part != "free").extract_surface(algorithm=None)
     if surface.n_cells == 0:
@@ -144,10 +147,7 @@ def add_camera_sight(
         return
     alpha = np.where(surface.cell_data["part"] == "seen", _SEEN_ALPHA, _SIDE_ALPHA)
     surface.cell_data["RGBA"] = np.column_stack([np.tile(camera_rgb(index), (len(alpha), 1)), alpha]).astype(np.uint8)
-    actor = plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/{camera.name}")
-    # paint lies on what it covers: drawn as if nearer, or it would come and go with the rounding of depths
-    actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-    actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(-1.0, -1.0)
+    plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/{camera.name}")
 
 
 def add_outcomes(
