@@ -581,12 +581,24 @@ def _corrupt(run_folder, change):
         (lambda run: (run / "events.jsonl").write_bytes(b"\xff\n\x00\n"), "copy/events.jsonl:1: expected one JSON"),
         (
             lambda run: (run / "events.jsonl").write_text(
-                '{"iteration": 0, "loss": 1, "positions_m": [[1, 0, 2]], "yaw_deg": [0]}\n'
+                3 * '{"iteration": 0, "loss": 1, "positions_m": [[1, 0, 2]], "yaw_deg": [0]}\n'
             ),
             "copy: run folder: expected events.jsonl and the rig files of one run, got 1 cameras in the one and 2",
         ),
+        (
+            lambda run: (run / "events.jsonl").write_text((run / "events.jsonl").read_text()[:-100]),
+            "copy/events.jsonl: expected the 3 iterations of a run that has ended, got 2; was it cut off?",
+        ),
     ],
-    ids=["no config", "garbage config", "no rigs", "foreign events", "garbage events", "events of another run"],
+    ids=[
+        "no config",
+        "garbage config",
+        "no rigs",
+        "foreign events",
+        "garbage events",
+        "events of another run",
+        "events cut off",
+    ],
 )
 def test_a_corrupt_run_folder_is_one_line(run_folder, working_directory, capsys, change, message):
     _corrupt(run_folder, change)
@@ -600,6 +612,7 @@ def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, 
         text = (run / "events.jsonl").read_text()
         (run / "events.jsonl").write_text(text[: len(text) - 100])
         (run / "checkpoints" / "last.npz").write_bytes(b"garbage")
+        (run / "evaluation.json").unlink()  # which ends a run
 
     _corrupt(run_folder, cut)
     assert len(RunFolder.open("copy").events()) == 2
