@@ -80,6 +80,17 @@ def test_steps_repeat_bit_by_bit(device):
             np.testing.assert_array_equal(other, one)
 
 
+def test_replays_write_into_nobody_elses_memory(device, rng):
+    """What a recorded step allocated and let go is not handed to others while it replays."""
+    steps = Steps(device, recorded=True)
+    for _ in range(3):
+        steps.at(POSE)
+    others = [wp.full(int(size), 7.0, dtype=float, device=device) for size in rng.integers(4, 100_000, 300)]
+    for _ in range(3):
+        steps.at(POSE + rng.uniform(-0.05, 0.05, POSE.shape).astype(np.float32))
+    assert all((other.numpy() == 7.0).all() for other in others)
+
+
 def test_a_recording_that_ran_out_of_room_is_made_again(device):
     steps, fresh = Steps(device, recorded=True), Steps(device, recorded=False)
     far_above = np.array([[0.0, 0.0, 0.0, -1.5, 0.0, 0.0, 0.0]] * 2, np.float32)  # sees hardly a car

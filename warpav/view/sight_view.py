@@ -108,8 +108,8 @@ def add_sight(
         top_m: What lies higher in the ego frame is not drawn [m].
         name: First part of the actors' names.
     """
-    for index in range(len(rig.cameras)):
-        add_camera_sight(plotter, rig.cameras[index], index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
+    for index, camera in enumerate(rig.cameras):
+        add_camera_sight(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
 
 
 def add_camera_sight(
