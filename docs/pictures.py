@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.cli import main
+from warpav.cli.app import main
 
 PICTURES = Path(__file__).resolve().parents[1] / ".github" / "pictures"
 

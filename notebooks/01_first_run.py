@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from IPython.display import Image
 
-from warpav.results import RunFolder
+from warpav.runs.run_folder import RunFolder
 
 open_experiment = json.loads(Path("../docs/results/open.json").read_text())
 folder = tempfile.TemporaryDirectory()  # what is written below goes here

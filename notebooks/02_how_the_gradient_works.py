@@ -30,14 +30,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from warpav.config import load_config
-from warpav.render.device_scene import DeviceScene
-from warpav.render.images import render_images
-from warpav.render.renderer import VISIBLE_AREA, Renderer
-from warpav.rig.camera import CameraModel
+from warpav.core.warp_setup import load_warp
+from warpav.detection.images import render_images
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import VISIBLE_AREA, Renderer
 from warpav.rig.rig import RigCamera
-from warpav.scene.town import town_scene
-from warpav.warp_setup import load_warp
+from warpav.runs.config import load_config
+from warpav.scene.town.town import town_scene
 
 wp = load_warp()
 scene = town_scene(scene_seed)
@@ -283,7 +283,7 @@ plt.show()
 # image's left border cuts through the lorry:
 
 # %%
-from warpav.sources import camera_mount
+from warpav.runs.sources import camera_mount
 
 config = load_config("quick", ["camera.fov_deg=80"])
 mount = camera_mount(config, scene.ego)  # the height map of roof and bonnet, and how high above it cameras stand

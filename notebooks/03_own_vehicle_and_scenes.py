@@ -34,10 +34,10 @@ import numpy as np
 import trimesh
 from IPython.display import Image
 
-from warpav.console import RunDisplay, arm_table
-from warpav.results import RunFolder
+from warpav.runs.progress import RunDisplay, arm_table
+from warpav.runs.run_folder import RunFolder
 from warpav.scene.glb import read_scene
-from warpav.scene.vehicle_shapes import vehicle_mesh
+from warpav.scene.town.vehicle_shapes import vehicle_mesh
 
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
 os.chdir(folder.name)

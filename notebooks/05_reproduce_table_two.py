@@ -34,7 +34,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Markdown
 
-from warpav.experiment.thesis_tables import thesis_table
+from warpav.experiments.thesis_tables import thesis_table
 
 published = json.loads(Path("../docs/results/table2.json").read_text())
 folder = tempfile.TemporaryDirectory()  # what is written below goes here

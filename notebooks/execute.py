@@ -90,7 +90,7 @@ def executed(source: Path, *, small: bool = False) -> NotebookNode:
 
 def _environment(temporary: str) -> dict[str, str]:
     """What kernels get: an empty cache, so that nothing depends on earlier runs, but the compiled kernels."""
-    from warpav.warp_setup import load_warp
+    from warpav.core.warp_setup import load_warp
 
     return {
         "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),  # finds warpav

@@ -38,7 +38,7 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path):
     shown = [each for each in console_of(TUTORIAL.read_text()) if not each[0].startswith(ELSEWHERE)]
     assert len(shown) == 4
     for command, lines in shown:
-        words = [sys.executable, "-m", "warpav.cli", *command.split()[1:]]
+        words = [sys.executable, "-m", "warpav.cli.app", *command.split()[1:]]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
         printed = [line for line in done.stdout.splitlines() if line.strip()]
         rest = iter([without_numbers(line) for line in lines if line.strip()])

@@ -1,11 +1,8 @@
 """warpav: where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.
 
-Floors, top to bottom; an import only ever points downwards:
+Rooms, top to bottom; an import only ever points downwards (``[tool.importlinter]`` in ``pyproject.toml``):
 
-    cli > run, method_figures > experiment > problem > gallery, inspection, scene_commands, scene_figures, bench,
-    doctor, console, report > sources > collection > figures, view > results > config > blind_ground > evaluate
-    > optimise > objective > detection > render > reconstruction > capture > rig, scene > geometry > recipe, executor,
-    warp_setup > yaml_file, replacing > errors, warpav_kernels
+    cli > experiments > runs > view > evaluation > optimisation > detection > rig, scene > raster > core, warpav_kernels
 """
 
 import os

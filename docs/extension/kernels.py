@@ -13,7 +13,7 @@ import warpav_kernels
 
 
 def _unwrap_kernels() -> None:
-    names = [found.name for found in pkgutil.iter_modules(warpav_kernels.__path__, "warpav_kernels.")]
+    names = [found.name for found in pkgutil.walk_packages(warpav_kernels.__path__, "warpav_kernels.")]
     for module in [importlib.import_module(name) for name in names]:  # all first: a kernel may need another's struct
         for name, value in list(vars(module).items()):
             behind = {"Kernel": "func", "Function": "func", "Struct": "cls"}.get(type(value).__name__)

@@ -8,8 +8,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from warpav.cli import app as warpav_app
-from warpav.config import config_dir, config_names, described_options, load_config, option_values
+from warpav.cli.app import app as warpav_app
+from warpav.runs.config import config_dir, config_names, described_options, load_config, option_values
 
 
 class Options(SphinxDirective):

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from cyclopts import CycloptsError
 
-from warpav.cli import DEFAULT_CONFIG, app, main
-from warpav.config import Config, load_config, option_values
-from warpav.errors import InputError
+from warpav.cli.app import DEFAULT_CONFIG, app, main
+from warpav.core.errors import InputError
+from warpav.runs.config import Config, load_config, option_values
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").rglob("*.md"))

@@ -29,11 +29,11 @@ def modules_after(code):
 
 
 def test_help_imports_nothing_heavy():
-    modules, output = modules_after("from warpav.cli import main\nassert main(['--help']) in (0, None)")
+    modules, output = modules_after("from warpav.cli.app import main\nassert main(['--help']) in (0, None)")
     assert "optimise" in output
     assert modules & HEAVY == set()
 
 
 def test_configuration_and_rigs_import_nothing_heavy():
-    modules, _ = modules_after("import warpav, warpav.config, warpav.rig.presets, warpav.geometry.mount_surface")
+    modules, _ = modules_after("import warpav, warpav.runs.config, warpav.rig.presets, warpav.rig.mount_surface")
     assert modules & HEAVY == set()

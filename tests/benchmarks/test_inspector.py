@@ -12,13 +12,13 @@ import pytest
 import trimesh
 
 from tests.view.stand_ins import needs_opengl
-from warpav.config import load_config
-from warpav.geometry.mesh import Mesh
-from warpav.inspection import inspector
+from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
+from warpav.runs.config import load_config
+from warpav.runs.inspect import inspector
+from warpav.runs.sources import find_rig
 from warpav.scene.glb import write_scene
-from warpav.scene.town import town_scene
-from warpav.sources import find_rig
+from warpav.scene.town.town import town_scene
 from warpav.view.rig_view import project_px
 
 pytestmark = needs_opengl
@@ -27,8 +27,8 @@ TRIANGLES = 200_000
 SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=[0]", "device=cpu"]
 OPEN = """
 import sys
-from warpav.inspection import inspector
-from warpav.sources import config_for
+from warpav.runs.inspect import inspector
+from warpav.runs.sources import config_for
 with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
     inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)
 """

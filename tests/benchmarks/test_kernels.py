@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpav.bench.items import place_cameras
-from warpav.bench.workload import embedded_workload, pack_workload
-from warpav.render.renderer import Content, Renderer
+from warpav.experiments.bench.items import place_cameras
+from warpav.experiments.bench.workload import embedded_workload, pack_workload
+from warpav.raster.renderer import Content, Renderer
 
 
 @pytest.fixture(scope="module")

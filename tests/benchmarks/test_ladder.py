@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from warpav.bench.workload import embedded_workload
+from warpav.experiments.bench.workload import embedded_workload
 
 VIEWS = (8, 16, 64, 256, 1024)
 FULL_CHUNK = 64  # views; memory is flat from here on
-COMMAND = "import sys; from warpav.cli import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main(sys.argv[1:]))"
 
 
 def subdivided(vertex, rgb, triangle):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpav.bench.workload import embedded_workload, pack_workload
-from warpav.geometry.mount_surface import MountSurface
-from warpav.objective.losses import LossSettings
-from warpav.objective.mount import CameraMount
-from warpav.objective.scene_step import AssignedScene, SceneStep
-from warpav.optimise.gradient import AdamW
-from warpav.render.renderer import Occlusion, Renderer
+from warpav.experiments.bench.workload import embedded_workload, pack_workload
+from warpav.optimisation.gradient import AdamW
+from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.mount import CameraMount
+from warpav.optimisation.scene_step import AssignedScene, SceneStep
+from warpav.raster.renderer import Occlusion, Renderer
+from warpav.rig.mount_surface import MountSurface
 
 SCENES, ITERATIONS = 4, 100
 

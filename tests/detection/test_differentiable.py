@@ -10,21 +10,21 @@ import warp as wp
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
 from tests.oracle import clipped_edges
-from tests.render.test_gradients import YAW, X, Y, moved
+from tests.raster.test_gradients import YAW, X, Y, moved
+from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
-from warpav.errors import InputError
-from warpav.objective.detector_loss import detector_loss_of
-from warpav.objective.losses import LossSettings
-from warpav.objective.mount import CameraMount, PlacedViews
-from warpav.objective.objective import AssignedScene, RigObjective
-from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import Occlusion, Renderer
-from warpav.rig.camera import CameraModel
-from warpav.scene.town import town_scene
+from warpav.optimisation.detector_loss import detector_loss_of
+from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.mount import CameraMount, PlacedViews
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import Occlusion, Renderer
+from warpav.scene.town.town import town_scene
 
 SIZE_PX = 256
 MODEL = CameraModel(SIZE_PX, SIZE_PX, math.radians(90.0), 0.1)

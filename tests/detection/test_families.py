@@ -11,11 +11,11 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpav.cli import main
-from warpav.config import DetectorConfig
+from warpav.cli.app import main
+from warpav.core.errors import InputError
 from warpav.detection.families import COCO_80, COCO_91, FAMILIES, Letterbox, Placement
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.errors import InputError
+from warpav.runs.config import DetectorConfig
 
 pytest.importorskip("onnx")
 

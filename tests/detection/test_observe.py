@@ -9,8 +9,8 @@ from scipy import ndimage
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, street
 from tests.oracle.ray_cast import cast_scene
 from warpav.detection.observe import observe
-from warpav.render.renderer import Occlusion, Renderer
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.renderer import Occlusion, Renderer
 
 MODEL = CameraModel(160, 120, math.pi / 2)
 POSES = [camera_pose([1.2, 0.1, 1.8], 0.05), camera_pose([0.8, -0.2, 1.8], 3.1), camera_pose([1.0, 0.5, 1.8], 1.5)]

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from warpav.core.errors import InputError
 from warpav.detection.matching import iou_matrix
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector, suppress
 from warpav.detection.training import CLASS_NAMES
-from warpav.errors import InputError
 
 
 def _black(count, rows=256, columns=256):

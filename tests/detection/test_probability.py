@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from tests.driving_scene import camera_pose, on_device, packed_street
+from warpav.core.errors import InputError
 from warpav.detection import probability as module
 from warpav.detection.probability import (
     FEATURE_COUNT,
@@ -24,10 +25,9 @@ from warpav.detection.probability import (
     stored_file,
     whole_solid_angle,
 )
-from warpav.errors import InputError
-from warpav.render.device_scene import FIRST_VEHICLE, UprightBoxes
-from warpav.render.renderer import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA, Renderer
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import FIRST_VEHICLE, UprightBoxes
+from warpav.raster.renderer import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA, Renderer
 
 KNOTS = 7
 MODEL = CameraModel(256, 256, math.radians(80.0))

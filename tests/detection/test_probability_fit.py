@@ -14,8 +14,8 @@ from tests.driving_scene import ALL_CARS, ConstantDetector, packed_street, roof
 from warpav.detection.observe import observe
 from warpav.detection.probability import CONTRAST, FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
 from warpav.detection.probability_fit import Sightings, fit_probability, look, random_cameras, score
-from warpav.render.renderer import Renderer
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.renderer import Renderer
 
 MODEL = CameraModel(128, 128, math.radians(90.0))
 

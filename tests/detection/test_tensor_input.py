@@ -5,12 +5,12 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street
+from warpav.core.errors import InputError
 from warpav.detection.detector import TensorDetector
 from warpav.detection.observe import detections_in, network_input_of
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.errors import InputError
-from warpav.render.renderer import Renderer
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.renderer import Renderer
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.driving_scene import roof, street
+from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.training import CLASS_NAMES, data
@@ -17,8 +18,7 @@ from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, assign_cells, detection_loss, generalised_iou, pairwise_iou
 from warpav.detection.training.network import TownNetwork
 from warpav.detection.training.train import DeviceData, Training, train_detector
-from warpav.detector_training import tables
-from warpav.errors import InputError
+from warpav.runs.detector_training import tables
 
 SIDE_PX = 64
 

@@ -7,8 +7,8 @@ import pytest
 import warp as wp
 from warp.autograd import gradcheck
 
-from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav_kernels import benchmark
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
+from warpav_kernels.experiments import benchmark
 
 
 def arrays(device, rng, camera_count=5):

@@ -8,8 +8,8 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import flat_surface
-from warpav.geometry.mount_surface import MountSurface
-from warpav_kernels import constraint_losses
+from warpav.rig.mount_surface import MountSurface
+from warpav_kernels.placement import constraint_losses
 
 FLAT = flat_surface([-1.0, -0.6], [1.4, 0.6])
 MARGIN_M = 0.03

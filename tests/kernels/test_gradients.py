@@ -9,17 +9,10 @@ import warp as wp
 from warp.autograd import gradcheck
 
 from tests.architecture.kernel_style import read_modules
-from warpav_kernels import (
-    benchmark,
-    constraint_losses,
-    detection_probability,
-    lagrangian,
-    linearise,
-    measure,
-    missed_loss,
-    mount_pose,
-    placement_losses,
-)
+from warpav_kernels.detection import detection_probability
+from warpav_kernels.experiments import benchmark
+from warpav_kernels.placement import constraint_losses, lagrangian, missed_loss, mount_pose, placement_losses
+from warpav_kernels.raster import linearise, measure
 
 VIEWS, CAMERAS, VEHICLES, ROTATIONS = 4, 2, 3, 2
 ASSIGNED = (1, -1, 0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpav.rig.lens import Lens, LensShape
-from warpav_kernels import lens
+from warpav.raster.lens import Lens, LensShape
+from warpav_kernels.raster import lens
 
 KINDS = {
     Lens.PINHOLE: int(lens.PINHOLE),

@@ -8,9 +8,9 @@ import warp as wp
 
 from tests.driving_scene import flat_surface, roof
 from tests.oracle import thesis
-from warpav.geometry.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav.objective.mount import CameraMount
-from warpav.rig.camera import CameraModel, rotational_additions
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
+from warpav.optimisation.mount import CameraMount
+from warpav.raster.camera import CameraModel, rotational_additions
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 OFFSET_M = 0.25

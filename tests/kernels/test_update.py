@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.oracle import thesis
-from warpav.optimise.gradient import AdamW
+from warpav.optimisation.gradient import AdamW
 
 STEPS = 60
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from warpav.geometry.mesh import merge
+from warpav.raster.mesh import merge
 
 
 @dataclass

@@ -7,8 +7,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.errors import InputError
-from warpav.rig.camera import CameraModel
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 
 GOOD = """\
@@ -36,7 +36,7 @@ def written(text, folder):
 
 
 def test_pose_of_the_known_camera(tmp_path):
-    """The pose of tests/geometry/test_frames.py, through the file."""
+    """The pose of tests/core/test_frames.py, through the file."""
     (front,) = read_rig(written(GOOD, tmp_path)).cameras
     camera_from_ego = np.linalg.inv(front.ego_from_camera)
     expected = [

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpav.errors import InputError
-from warpav.geometry.mesh import Mesh
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
-from warpav.scene.town import town_scene
+from warpav.scene.town.town import town_scene
 
 
 def _tetrahedron(offset_m, colour):

@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from tests.scene.closed_surface import signed_volume_m3
-from warpav.render.images import render_images
-from warpav.rig.camera import CameraModel
+from tests.scene.town.closed_surface import signed_volume_m3
+from warpav.detection.images import render_images
+from warpav.raster.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box
-from warpav.scene.town import town_scene
+from warpav.scene.town.town import town_scene
 
 LEFT_RIGHT = np.array([1.0, -1.0, 1.0])
 

@@ -6,13 +6,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.errors import InputError
-from warpav.geometry.mesh import Mesh, merge
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh, merge
 from warpav.scene.glb import vertex_coloured, write_scene
 from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle, unit_of, wheels_of, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
-from warpav.scene.town import ego_vehicle
-from warpav.scene.vehicle_shapes import vehicle_mesh
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.town.vehicle_shapes import vehicle_mesh
 
 TURNS = [(up, forward) for up in AXES for forward in AXES if up[-1] != forward[-1]]
 

@@ -5,13 +5,13 @@ import pytest
 
 from tests.driving_scene import ego_mesh
 from tests.scene.test_glb import _tetrahedron
-from warpav.config import load_config
-from warpav.errors import InputError
-from warpav.render.device_scene import DeviceScene
+from warpav.core.errors import InputError
+from warpav.raster.device_scene import DeviceScene
+from warpav.runs.config import load_config
+from warpav.runs.sources import load_scenes
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import ROAD_USERS, Box, Scene, Vehicle
-from warpav.scene.town import town_scene
-from warpav.sources import load_scenes
+from warpav.scene.town.town import town_scene
 
 
 def user(instance_id, category, x_m=5.0, y_m=0.0):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from warpav.geometry.mesh import Mesh, merge
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.view.opengl import opengl_problem

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import block, ego, rig, scene, vehicle
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Box, Sky, Vehicle
 from warpav.view import blocks

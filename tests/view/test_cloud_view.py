@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import block, needs_opengl
-from warpav.reconstruction.point_cloud import PointCloud
+from warpav.scene.reconstruction.point_cloud import PointCloud
 from warpav.scene.scene import Box
 from warpav.view.cloud_view import Viewpoint, cloud_picture
 

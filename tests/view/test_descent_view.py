@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
-from warpav.geometry.mount_surface import MountSurface
+from warpav.rig.mount_surface import MountSurface
 from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Descent, add_descent, arrows_m
 from warpav.view.film import run_film, shown_iterations
 from warpav.view.rig_view import rig_plotter

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.view.frustum import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
 

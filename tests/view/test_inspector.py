@@ -8,10 +8,10 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
-from warpav.evaluate import RigObserver
-from warpav.objective.constraints import BoundsAndSpacing
-from warpav.render.coverage import Ground
-from warpav.render.renderer import Occlusion
+from warpav.evaluation.coverage import Ground
+from warpav.evaluation.metrics import RigObserver
+from warpav.optimisation.constraints import BoundsAndSpacing
+from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Descent
 from warpav.view.inspected import InspectedRig

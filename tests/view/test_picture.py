@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 from warpav.view import picture
 from warpav.view.rig_view import project_px, rig_plotter
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points

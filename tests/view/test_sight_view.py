@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
-from warpav.evaluate import ObjectOutcome
-from warpav.render.coverage import Ground
-from warpav.render.device_scene import DeviceScene
-from warpav.rig.camera import CameraModel
-from warpav.rig.lens import Lens
+from warpav.evaluation.coverage import Ground
+from warpav.evaluation.metrics import ObjectOutcome
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import sight_view
 from warpav.view.palette import COVERAGE_RGB, OUTCOME_RGB

@@ -1,1 +1,1 @@
-"""Floor 4: detectors, matching and average precision."""
+"""Detectors, matching and average precision."""

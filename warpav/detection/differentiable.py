@@ -1,7 +1,7 @@
 """The detector's own loss on rendered images, with gradients to the images and to the true boxes (extra ``torch``).
 
 The thesis's "ideal scenario": a detection model with gradient flow in the optimisation loop instead of a handcrafted
-area. Only this side knows PyTorch; `warpav.objective` carries the gradients on to the cameras.
+area. Only this side knows PyTorch; `warpav.optimisation` carries the gradients on to the cameras.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.torch_network import TorchNetwork, require_torch
-from warpav.errors import InputError, OptionError
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
 
 STRIDE_PX = 32
 # The score at which the logarithmic score loss bends: a candidate far below still pulls, none pulls without bound.

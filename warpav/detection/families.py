@@ -37,7 +37,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warpav.errors import InputError, OptionError
+from warpav.core.errors import InputError, OptionError
 
 GREY = 114
 BACKGROUND = "__background__"

@@ -39,7 +39,7 @@ def visible_boxes(object_index: np.ndarray, vehicle_count: int, *, min_area_px: 
     """The ground-truth box of every vehicle of a scene in one image.
 
     Args:
-        object_index: What each pixel sees, as `warpav.render.images` writes it, int, shape [row, column].
+        object_index: What each pixel sees, as `warpav.detection.images` writes it, int, shape [row, column].
         vehicle_count: Number of vehicles in the scene.
         min_area_px: See `largest_component_box`.
 

@@ -11,9 +11,9 @@ import warp as wp
 from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.matching import match_detections
-from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import Renderer
-from warpav_kernels import network_input as network_input_kernels
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import Renderer
+from warpav_kernels.detection import network_input as network_input_kernels
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.families import Letterbox, NetworkFile, Tensor, metadata_labels, recognise
-from warpav.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

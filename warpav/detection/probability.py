@@ -20,10 +20,10 @@ import numpy as np
 import platformdirs
 import warp as wp
 
-from warpav.errors import InputError
-from warpav.render.device_scene import DeviceScene, UprightBoxes
-from warpav.render.renderer import Measures, Renderer
-from warpav_kernels import detection_probability as kernels
+from warpav.core.errors import InputError
+from warpav.raster.device_scene import DeviceScene, UprightBoxes
+from warpav.raster.renderer import Measures, Renderer
+from warpav_kernels.detection import detection_probability as kernels
 
 SCHEMA = 1
 FEATURE_COUNT = int(kernels.FEATURE_COUNT)

@@ -24,10 +24,10 @@ from warpav.detection.probability import (
     natural_range,
     spline_basis,
 )
-from warpav.geometry.mount_surface import MountSurface
-from warpav.render.device_scene import DeviceScene
-from warpav.render.renderer import VISIBLE_AREA, Renderer
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import VISIBLE_AREA, Renderer
+from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import RigCamera
 
 KNOT_COUNT = 9

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.errors import InputError, OptionError
+from warpav.core.errors import InputError, OptionError
 
 MAX_ERROR = 1e-3
 _MIN_OPSET = 11

@@ -1,1 +1,1 @@
-"""Floor 2: cameras and the rigs that carry them."""
+"""Cameras and the rigs that carry them."""

@@ -12,21 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.errors import InputError
-from warpav.geometry.frames import (
-    FLU_FROM_RDF,
-    rotation_from_yaw_pitch_roll,
-    wrap_angle_rad,
-    yaw_pitch_roll_from_rotation,
-)
-from warpav.replacing import replacing
-from warpav.rig.camera import CameraModel
-from warpav.rig.lens import Lens, LensShape
-from warpav.yaml_file import Location, dotted, parse_yaml, read_yaml
+from warpav.core.atomic_write import replacing
+from warpav.core.errors import InputError
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
+from warpav.core.yaml_file import Location, dotted, parse_yaml, read_yaml
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens, LensShape
 
 if TYPE_CHECKING:
-    from warpav.geometry.mesh import Mesh
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
 
     MultiBlock = Any

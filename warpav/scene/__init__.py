@@ -1,1 +1,1 @@
-"""Floor 2: traffic scenes and where they come from."""
+"""Traffic scenes and where they come from."""

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.errors import InputError
-from warpav.geometry.mesh import Mesh
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 if TYPE_CHECKING:

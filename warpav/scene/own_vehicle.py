@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.errors import InputError
-from warpav.geometry.mesh import Mesh
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.geometry.mesh import Mesh, merge
+from warpav.raster.mesh import Mesh, merge
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -219,7 +219,7 @@ class Scene:
         Args:
             out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
             rig: Cameras on the ego vehicle.
-            outcomes: What becomes of every vehicle, `warpav.evaluate.ObjectOutcome`; they are then coloured by it.
+            outcomes: What becomes of every vehicle, `warpav.evaluation.metrics.ObjectOutcome`; it colours them.
             sight: Whether to paint what every camera sees, and its view up to what stands in the way.
             title: A line in the upper left corner.
             window_size: Width and height [px].

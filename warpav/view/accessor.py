@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpav.view.opengl import load_pyvista_data
 
 if TYPE_CHECKING:
-    from warpav.geometry.mesh import Mesh
+    from warpav.raster.mesh import Mesh
     from warpav.scene.scene import Scene
 
     MultiBlock = Any
@@ -51,7 +51,7 @@ class SurfaceAccessor:
         Raises:
             InputError: No face looks upwards, or the vehicle is not given in metres.
         """
-        from warpav.geometry.mount_surface import mount_surface_from_mesh
+        from warpav.rig.mount_surface import mount_surface_from_mesh
         from warpav.view.vehicle_view import mountable_zone_to_pyvista
 
         return mountable_zone_to_pyvista(

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
-from warpav.geometry.mesh import Mesh
+from warpav.raster.mesh import Mesh
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import PAPER_RGB, Rgb, hex_colour
 from warpav.view.rig_view import mesh_to_pyvista
 
 if TYPE_CHECKING:
-    from warpav.reconstruction.point_cloud import PointCloud
+    from warpav.scene.reconstruction.point_cloud import PointCloud
     from warpav.scene.scene import Box
 
 _SUPERSAMPLING = 2

@@ -14,7 +14,7 @@ from warpav.view.palette import DESCENT_RGB
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
 
     Plotter = Any

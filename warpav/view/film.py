@@ -14,7 +14,7 @@ from warpav.view.rig_view import add_rig, add_trajectory, no_render, rig_plotter
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 

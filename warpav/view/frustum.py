@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from warpav.rig.camera import CameraModel
+    from warpav.raster.camera import CameraModel
     from warpav.rig.rig import RigCamera
 
 

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.objective.constraints import min_camera_distance_m
-from warpav.render.coverage import Ground
-from warpav.render.device_scene import DeviceScene
+from warpav.evaluation.coverage import Ground
+from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.raster.device_scene import DeviceScene
 from warpav.rig.rig import Rig, RigCamera, write_rig
 
 if TYPE_CHECKING:
-    from warpav.evaluate import RigLook, RigObserver
-    from warpav.geometry.mount_surface import MountSurface
-    from warpav.objective.constraints import Constraints
-    from warpav.render.coverage import Coverage
+    from warpav.evaluation.coverage import Coverage
+    from warpav.evaluation.metrics import RigLook, RigObserver
+    from warpav.optimisation.constraints import Constraints
+    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.descent_view import Descent
 

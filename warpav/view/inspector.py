@@ -13,18 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
-from warpav.view.palette import (
-    FALSE_POSITIVE_RGB,
-    INK_RGB,
-    MISS_RGB,
-    TRUE_POSITIVE_RGB,
-    camera_rgb,
-    hex_colour,
-)
+from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 from warpav.view.picture import WIDE_ZOOM
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_render, rig_plotter
 from warpav.view.sight_view import RAYS_PX, add_camera_sight, add_coverage, add_outcomes, colour_coverage
@@ -32,8 +25,8 @@ from warpav.view.sight_view import RAYS_PX, add_camera_sight, add_coverage, add_
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from warpav.evaluate import CameraLook
-    from warpav.render.coverage import Ground
+    from warpav.evaluation.coverage import Ground
+    from warpav.evaluation.metrics import CameraLook
     from warpav.rig.rig import RigCamera
     from warpav.view.inspected import InspectedRig
 

@@ -8,7 +8,7 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 
 if TYPE_CHECKING:
     from types import ModuleType

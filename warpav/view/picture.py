@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.errors import InputError
-from warpav.replacing import replacing
+from warpav.core.atomic_write import replacing
+from warpav.core.errors import InputError
 from warpav.view.opengl import display_text, has_display, load_pyvista, optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 from warpav.view.rig_view import WINDOW_PX, rig_plotter
@@ -20,9 +20,9 @@ from warpav.view.rig_view import WINDOW_PX, rig_plotter
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from warpav.evaluate import ObjectOutcome
-    from warpav.geometry.mesh import Mesh
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.evaluation.metrics import ObjectOutcome
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 

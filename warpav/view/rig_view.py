@@ -20,9 +20,9 @@ from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb,
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from warpav.evaluate import ObjectOutcome
-    from warpav.geometry.mesh import Mesh
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.evaluation.metrics import ObjectOutcome
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
 
@@ -129,7 +129,7 @@ def rig_plotter(
         add_mount_surface(plotter, mount_surface)
     add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors and not sight, labels=labels)
     if sight and scene is not None:
-        from warpav.render.device_scene import DeviceScene
+        from warpav.raster.device_scene import DeviceScene
         from warpav.view.sight_view import add_sight
 
         add_sight(plotter, rig, DeviceScene.pack(scene))
@@ -315,7 +315,7 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
         name: First part of the actors' names.
         softness: How far the street's colours move towards the background, 0..1, so that cameras stand out.
     """
-    from warpav.geometry.mesh import merge
+    from warpav.raster.mesh import merge
 
     low, high = scene.ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2
@@ -432,7 +432,7 @@ def checked_trajectory(trajectory_m: object) -> np.ndarray:
     Raises:
         InputError: It has another shape or holds a number that is not finite.
     """
-    from warpav.errors import InputError
+    from warpav.core.errors import InputError
 
     path = np.asarray(trajectory_m, dtype=np.float64)
     if path.ndim != 3 or path.shape[2] != 3 or 0 in path.shape:
@@ -583,7 +583,7 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     low = environment.triangle[(normal[:, 2] > -1e-6) & (top_m < GROUND_CUT_M + np.where(is_flat, grade_m, 0.0))]
     if len(low) == 0:
         return None
-    from warpav.geometry.mesh import Mesh
+    from warpav.raster.mesh import Mesh
 
     surface = mesh_to_pyvista(Mesh(environment.vertex_m, low, environment.vertex_rgb)).clean(point_merging=False)
     surface.point_data["RGB"] = surface.point_data["RGB"].astype(np.float32)

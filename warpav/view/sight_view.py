@@ -18,9 +18,9 @@ from warpav.view.rig_view import mesh_to_pyvista
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpav.evaluate import ObjectOutcome
-    from warpav.render.coverage import Coverage
-    from warpav.render.device_scene import DeviceScene
+    from warpav.evaluation.coverage import Coverage
+    from warpav.evaluation.metrics import ObjectOutcome
+    from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
 
@@ -59,7 +59,7 @@ def sight_to_pyvista(
         Triangles in the ego frame, with cell data ``part``: ``seen`` surfaces, ``side`` of the volume (the sides meet
         in the camera's centre), or ``free``, where nothing stands in the way.
     """
-    from warpav.render.coverage import free_shares
+    from warpav.evaluation.coverage import free_shares
 
     model, transform = camera.model, camera.ego_from_camera
     row_px, column_px = np.linspace(0.0, model.height_px, rays), np.linspace(0.0, model.width_px, rays)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from warpav.geometry.mesh import Mesh
-    from warpav.geometry.mount_surface import MountSurface
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
 
     Plotter = Any
     PolyData = Any

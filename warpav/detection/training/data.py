@@ -15,17 +15,17 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from warpav.core.errors import InputError
+from warpav.core.executor import run_tasks
+from warpav.core.fingerprint import recipe
+from warpav.core.warp_setup import load_warp
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
-from warpav.errors import InputError
-from warpav.executor import run_tasks
-from warpav.geometry.mesh import Mesh
-from warpav.geometry.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.recipe import recipe
-from warpav.rig.camera import CameraModel
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
+from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene, Vehicle
-from warpav.warp_setup import load_warp
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,8 @@ def render_scene(
     Returns:
         Pictures for every size of ``views_per_scene``.
     """
-    from warpav.render.device_scene import DeviceScene
-    from warpav.render.images import render_images
+    from warpav.detection.images import render_images
+    from warpav.raster.device_scene import DeviceScene
 
     rng = np.random.default_rng([seed, 1])
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
@@ -243,11 +243,11 @@ def reconstructed_scene(seed: int) -> Scene:
     Returns:
         The scene; of its `others` those of whom anything is left.
     """
-    from warpav.capture.plan import PlanSettings, record
-    from warpav.capture.town_simulator import TownSimulator
-    from warpav.reconstruction.reconstruct import reconstruct
-    from warpav.reconstruction.settings import ReconstructionSettings
-    from warpav.scene.town import town_scene
+    from warpav.scene.capture.plan import PlanSettings, record
+    from warpav.scene.capture.town_simulator import TownSimulator
+    from warpav.scene.reconstruction.reconstruct import reconstruct
+    from warpav.scene.reconstruction.settings import ReconstructionSettings
+    from warpav.scene.town.town import town_scene
 
     with TownSimulator() as simulator:
         capture = record(simulator, seed, PlanSettings())
@@ -295,7 +295,7 @@ def load_pictures(folder: Path) -> dict[int, Pictures]:
 
 @functools.cache
 def _town_surface() -> MountSurface:
-    from warpav.scene.town import ego_vehicle
+    from warpav.scene.town.town import ego_vehicle
 
     return mount_surface_from_mesh(ego_vehicle())
 
@@ -313,7 +313,7 @@ class _Job:
 
 def _write_scene(job: _Job) -> dict[int, Labels]:
     """Render one town scene into its place in the folder's files and return its labels."""
-    from warpav.scene.town import town_scene
+    from warpav.scene.town.town import town_scene
 
     load_warp()  # without its start-up messages, in every process
     subset = job.subset

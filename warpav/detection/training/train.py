@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from warpav.core.errors import InputError
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
 from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, write_pictures
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, detection_loss
 from warpav.detection.training.network import TownNetwork
-from warpav.errors import InputError
 
 # How often a batch is drawn from the pictures of each side [px].
 SIZE_PROBABILITY = {256: 0.55, 384: 0.25, 640: 0.2}

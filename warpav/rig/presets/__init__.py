@@ -6,7 +6,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpav.errors import InputError
+from warpav.core.errors import InputError
 from warpav.rig.rig import Rig, read_rig
 
 _FOLDER = Path(__file__).parent

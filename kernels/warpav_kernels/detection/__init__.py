@@ -1,0 +1,1 @@
+"""Detection probability, and images as a network takes them."""

@@ -1,0 +1,229 @@
+"""How probable it is that a detector finds an object in a view, from what the view shows of it.
+
+The logit is a constant plus one curve for each feature (a generalised additive model). A curve is a uniform cubic
+B-spline whose coefficients go on along straight lines beyond both ends: so it is natural, twice continuously
+differentiable everywhere, and straight outside the range that it was fitted on.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.measure import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
+
+# the features of an object in a view, in this order
+VISIBLE_SIZE = wp.constant(0)  # ln(1 + visible area / px^2)
+VISIBLE_SHARE = wp.constant(1)  # visible area over the area of the object alone, inside the image
+IN_FRAME_SHARE = wp.constant(2)  # solid angle of the object alone inside the image, over that of its box
+ASPECT = wp.constant(3)  # ln of (width + 1 px) over (height + 1 px) of the object alone inside the image
+BORDER_DISTANCE = wp.constant(4)  # ln(4 + least distance of that extent from the image's border / px), softly
+CONTRAST = wp.constant(5)  # distance of the object's mean colour from that of its surroundings
+FEATURE_COUNT = wp.constant(6)
+
+# Points along each side of the grid on which colours are compared: the same work for large objects and for small ones.
+COLOUR_POINTS = wp.constant(24)
+
+
+@wp.func
+def corner_solid_angle(depth_m: float, a_m: float, b_m: float) -> float:
+    """Signed solid angle of the rectangle from (0, 0) to (a, b) in a plane at a positive depth [sr]."""
+    return wp.atan2(a_m * b_m, depth_m * wp.sqrt(depth_m * depth_m + a_m * a_m + b_m * b_m))
+
+
+@wp.func
+def face_solid_angle(beyond_m: float, a_m: float, b_m: float, half_a_m: float, half_b_m: float) -> float:
+    """Solid angle of a box's face from ``beyond_m`` above its plane and (a, b) off its middle [sr]; 0 from behind."""
+    if beyond_m <= 0.0:
+        return 0.0
+    return (
+        corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m - b_m)
+        + corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m - b_m)
+        + corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m + b_m)
+        + corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m + b_m)
+    )
+
+
+@wp.kernel
+def box_solid_angle_kernel(
+    # in
+    position_ego_m: wp.array[wp.vec3],
+    centre_ego_m: wp.array[wp.vec3],
+    half_size_m: wp.array[wp.vec3],
+    along: wp.array[wp.vec2],
+    # out
+    solid_angle_sr: wp.array2d[float],
+):
+    """Solid angle of every object's upright box from the centre of every view, in closed form.
+
+    The first axis of a box points along the unit vector ``along`` (ego x, y), the third upwards. Convex bodies cover
+    what their faces that look at the eye cover. From within a box it is 0.
+
+    Launch: ``dim=view_count``; one thread per view, so that a pose's gradient is summed in a fixed order.
+    Writes: every element of ``solid_angle_sr`` [view, object] once.
+    """
+    v = wp.tid()
+    for k in range(solid_angle_sr.shape[1]):
+        away = position_ego_m[v] - centre_ego_m[k]
+        x = along[k][0] * away[0] + along[k][1] * away[1]
+        y = along[k][0] * away[1] - along[k][1] * away[0]
+        z = away[2]
+        half = half_size_m[k]
+        solid_angle_sr[v, k] = (
+            face_solid_angle(wp.abs(x) - half[0], y, z, half[1], half[2])
+            + face_solid_angle(wp.abs(y) - half[1], x, z, half[0], half[2])
+            + face_solid_angle(wp.abs(z) - half[2], x, y, half[0], half[1])
+        )
+
+
+@wp.kernel(enable_backward=False)
+def find_contrast_kernel(
+    # in
+    image: wp.array3d[wp.vec3],
+    object_index: wp.array3d[wp.int32],
+    layer_object: wp.array[wp.int32],
+    measure: wp.array3d[float],
+    # out
+    contrast: wp.array2d[float],
+):
+    """Distance between the mean colour of what is seen of an object and that of what surrounds it (RGB in 0..1).
+
+    The surroundings are what else is seen in the object's extent inside the image, enlarged by a quarter and 2 pixels
+    on every side. A grid of points stands for them. 0 where either is not seen.
+
+    Launch: ``dim=(view_count, object_count)``. Not taped: colours are held fixed while the camera moves.
+    Writes: every element of ``contrast`` once.
+    """
+    v, k = wp.tid()
+    contrast[v, k] = 0.0
+    wide = measure[v, k, RIGHT] - measure[v, k, LEFT]
+    high = measure[v, k, BOTTOM] - measure[v, k, TOP]
+    if wide <= 0.0 or high <= 0.0:
+        return
+    left = wp.max(measure[v, k, LEFT] - 0.25 * wide - 2.0, 0.0)
+    right = wp.min(measure[v, k, RIGHT] + 0.25 * wide + 2.0, float(image.shape[2]))
+    top = wp.max(measure[v, k, TOP] - 0.25 * high - 2.0, 0.0)
+    bottom = wp.min(measure[v, k, BOTTOM] + 0.25 * high + 2.0, float(image.shape[1]))
+    own = wp.vec3(0.0, 0.0, 0.0)
+    other = wp.vec3(0.0, 0.0, 0.0)
+    own_count = float(0.0)
+    other_count = float(0.0)
+    for i in range(COLOUR_POINTS):
+        for j in range(COLOUR_POINTS):
+            row = int(top + (float(i) + 0.5) / float(COLOUR_POINTS) * (bottom - top))
+            column = int(left + (float(j) + 0.5) / float(COLOUR_POINTS) * (right - left))
+            if object_index[v, row, column] == layer_object[k]:
+                own += image[v, row, column]
+                own_count += 1.0
+            else:
+                other += image[v, row, column]
+                other_count += 1.0
+    if own_count > 0.0 and other_count > 0.0:
+        contrast[v, k] = wp.length(own / own_count - other / other_count)
+
+
+@wp.func
+def cubic_spline(coefficient: wp.array2d[float], curve: int, start: float, step: float, x: float) -> float:
+    """Value of a curve at x, its knots being ``start + i step``."""
+    last = coefficient.shape[1] - 1
+    u = (x - start) / step
+    if u <= 0.0:
+        return coefficient[curve, 0] + u * (coefficient[curve, 1] - coefficient[curve, 0])
+    if u >= float(last):
+        slope = coefficient[curve, last] - coefficient[curve, last - 1]
+        return coefficient[curve, last] + (u - float(last)) * slope
+    i = wp.min(int(u), last - 1)
+    t = u - float(i)
+    c1 = coefficient[curve, i]
+    c2 = coefficient[curve, i + 1]
+    c0 = 2.0 * c1 - c2
+    if i > 0:
+        c0 = coefficient[curve, i - 1]
+    c3 = 2.0 * c2 - c1
+    if i + 2 <= last:
+        c3 = coefficient[curve, i + 2]
+    s = 1.0 - t
+    return (
+        s * s * s * c0
+        + (3.0 * t * t * t - 6.0 * t * t + 4.0) * c1
+        + (3.0 * s * s * s - 6.0 * s * s + 4.0) * c2
+        + t * t * t * c3
+    ) / 6.0
+
+
+@wp.func
+def soft_border_distance_px(left: float, right: float, top: float, bottom: float, width: float, height: float) -> float:
+    """Least of four distances from the image's border [px], or up to ln 4 px less: smooth where two are alike."""
+    a = left
+    b = width - right
+    c = top
+    d = height - bottom
+    least = wp.min(wp.min(a, b), wp.min(c, d))
+    return least - wp.log(wp.exp(least - a) + wp.exp(least - b) + wp.exp(least - c) + wp.exp(least - d))
+
+
+@wp.kernel
+def detection_probability_kernel(
+    # in
+    measure: wp.array3d[float],
+    in_frame_sr: wp.array3d[float],
+    whole_sr: wp.array2d[float],
+    contrast: wp.array2d[float],
+    width_px: float,
+    height_px: float,
+    coefficient: wp.array2d[float],
+    start: wp.array[float],
+    step: wp.array[float],
+    constant: float,
+    # out
+    feature: wp.array3d[float],
+    probability: wp.array2d[float],
+):
+    """The features of every object in every view, and the probability that the detector finds it there.
+
+    The curve of feature f has the knots ``start[f] + i step[f]`` and the B-spline coefficients ``coefficient[f]``; the
+    logit is their sum plus ``constant``. What shows less than a pixel fades out: the probability of an object of which
+    nothing is visible is 0, and so are all its features.
+
+    Launch: ``dim=(view_count, object_count)``; no gradient is added by two threads.
+    Writes: every element of ``feature`` [view, object, feature] and ``probability`` [view, object] once.
+    """
+    v, k = wp.tid()
+    visible_px = measure[v, k, VISIBLE_AREA]
+    alone_px = measure[v, k, AMODAL_AREA]
+    if visible_px <= 0.0 or alone_px <= 0.0 or whole_sr[v, k] <= 0.0:
+        for f in range(FEATURE_COUNT):
+            feature[v, k, f] = 0.0
+        probability[v, k] = 0.0
+        return
+    left = measure[v, k, LEFT]
+    right = measure[v, k, RIGHT]
+    top = measure[v, k, TOP]
+    bottom = measure[v, k, BOTTOM]
+    size = wp.log(1.0 + visible_px)
+    visible_share = visible_px / alone_px
+    in_frame_share = in_frame_sr[v, k, 0] / whole_sr[v, k]
+    aspect = wp.log((right - left + 1.0) / (bottom - top + 1.0))
+    # extents that were carried on along their Jacobian may leave the image, where the logarithm would end
+    border = wp.log(wp.max(4.0 + soft_border_distance_px(left, right, top, bottom, width_px, height_px), 1.0))
+    feature[v, k, VISIBLE_SIZE] = size
+    feature[v, k, VISIBLE_SHARE] = visible_share
+    feature[v, k, IN_FRAME_SHARE] = in_frame_share
+    feature[v, k, ASPECT] = aspect
+    feature[v, k, BORDER_DISTANCE] = border
+    feature[v, k, CONTRAST] = contrast[v, k]
+    logit = (
+        constant
+        + cubic_spline(coefficient, VISIBLE_SIZE, start[VISIBLE_SIZE], step[VISIBLE_SIZE], size)
+        + cubic_spline(coefficient, VISIBLE_SHARE, start[VISIBLE_SHARE], step[VISIBLE_SHARE], visible_share)
+        + cubic_spline(coefficient, IN_FRAME_SHARE, start[IN_FRAME_SHARE], step[IN_FRAME_SHARE], in_frame_share)
+        + cubic_spline(coefficient, ASPECT, start[ASPECT], step[ASPECT], aspect)
+        + cubic_spline(coefficient, BORDER_DISTANCE, start[BORDER_DISTANCE], step[BORDER_DISTANCE], border)
+        + cubic_spline(coefficient, CONTRAST, start[CONTRAST], step[CONTRAST], contrast[v, k])
+    )
+    # the smooth step of fifth order: 0 at nothing, 1 from a pixel on, no kink of the second derivative
+    fade = float(1.0)
+    if visible_px < 1.0:
+        fade = visible_px * visible_px * visible_px * (visible_px * (6.0 * visible_px - 15.0) + 10.0)
+    if logit >= 0.0:
+        probability[v, k] = fade / (1.0 + wp.exp(-logit))
+    else:
+        grown = wp.exp(logit)
+        probability[v, k] = fade * grown / (1.0 + grown)

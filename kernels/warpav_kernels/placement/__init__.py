@@ -1,0 +1,1 @@
+"""Camera poses on the mount surface, losses and constraints of a placement."""

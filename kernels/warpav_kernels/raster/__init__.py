@@ -1,0 +1,1 @@
+"""Rasterisation: triangles to samples, areas, extents and their derivatives."""

@@ -1,0 +1,588 @@
+"""Decide: which surface is nearest in every sample, and what each object covers when it stands alone.
+
+Two kinds of buffer are filled in one sweep over the triangles:
+
+* the key buffer, int64 [view, row, column]: ``bits(1/z) << 32 | triangle``, filled by atomic maximum, 0 is background.
+  Z-buffer, triangle and object of every sample are read from it;
+* the layers (see `layers`): 1/z of single objects, and how far each goes on between its samples.
+
+A row of samples meets a triangle in one span, whose ends are solved from the triangle's edges. The samples inside are
+covered; the rest of the span, beyond its last sample on either side, is the reach. Columns are swept as well, for the
+reach alone.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
+from warpav_kernels.raster.lens import PINHOLE
+from warpav_kernels.raster.view import View, point_in_camera
+
+wp.set_module_options({"enable_backward": False})
+
+# On a GPU, triangles of more samples than this are cut into strips of rows, which many threads fill together.
+LARGE_SAMPLES = wp.constant(64)
+STRIP_ROWS = wp.constant(8)
+
+LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
+LEAST_REACH = wp.constant(1.0e-6)  # 0 means unknown
+
+
+@wp.struct
+class Triangles:
+    """The scene's triangles, sorted by object and by place, in clusters of one object each.
+
+    Attributes:
+        vertex_ego_m: Vertex positions in the ego frame [m], [vertex].
+        triangle: Vertex indices, [triangle].
+        triangle_object: Object of every triangle, [triangle].
+        triangle_plane: Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle].
+        neighbour: Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of
+            the other winding, [triangle].
+        object_layer: Layer of every object; -1 where it has none, [object].
+        cluster_first: First triangle of each cluster, [cluster].
+        cluster_count: Number of triangles of each cluster, [cluster].
+        cluster_layer: Layer of each cluster's object; -1 where the object has none, [cluster].
+        cluster_sphere_ego_m: Bounding sphere, centre and radius [m], [cluster].
+    """
+
+    vertex_ego_m: wp.array[wp.vec3]
+    triangle: wp.array[wp.vec3i]
+    triangle_object: wp.array[wp.int32]
+    triangle_plane: wp.array[wp.vec4]
+    neighbour: wp.array[wp.vec3i]
+    object_layer: wp.array[wp.int32]
+    cluster_first: wp.array[wp.int32]
+    cluster_count: wp.array[wp.int32]
+    cluster_layer: wp.array[wp.int32]
+    cluster_sphere_ego_m: wp.array[wp.vec4]
+
+
+@wp.struct
+class FrontPart:
+    """What the near plane leaves of a triangle, in camera coordinates.
+
+    Attributes:
+        part_count: Triangles of the fan: 0, 1 (a, b, c), or 2 (a, b, c and a, c, d).
+        is_whole: Whether nothing was cut off.
+        a: First corner.
+        b: Second corner.
+        c: Third corner.
+        d: Fourth corner of a fan of two.
+    """
+
+    part_count: int
+    is_whole: bool
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+    d: wp.vec3
+
+
+@wp.func
+def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
+    """The part of a triangle in front of the near plane."""
+    near_m = camera.near_m
+    corner = scene.triangle[triangle]
+    part = FrontPart()
+    part.a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
+    part.b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
+    part.c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
+    in_front = int(part.a[2] >= near_m) + int(part.b[2] >= near_m) + int(part.c[2] >= near_m)
+    part.part_count = 0
+    part.is_whole = in_front == 3
+    if in_front == 3:
+        part.part_count = 1
+    elif in_front == 1:
+        # turn the triangle so that p is the corner in front
+        p = part.a
+        q = part.b
+        r = part.c
+        if part.b[2] >= near_m:
+            p = part.b
+            q = part.c
+            r = part.a
+        elif part.c[2] >= near_m:
+            p = part.c
+            q = part.a
+            r = part.b
+        part.part_count = 1
+        part.a = p
+        part.b = point_on_near_plane(p, q, near_m)
+        part.c = point_on_near_plane(p, r, near_m)
+    elif in_front == 2:
+        # turn the triangle so that r is the corner behind
+        p = part.a
+        q = part.b
+        r = part.c
+        if part.a[2] < near_m:
+            p = part.b
+            q = part.c
+            r = part.a
+        elif part.b[2] < near_m:
+            p = part.c
+            q = part.a
+            r = part.b
+        part.part_count = 2
+        part.a = p
+        part.b = q
+        part.c = point_on_near_plane(q, r, near_m)
+        part.d = point_on_near_plane(p, r, near_m)
+    return part
+
+
+@wp.struct
+class Edge:
+    """A side of a triangle in the sample grid: inside is ``a (x - u) + b (y - v) >= 0``.
+
+    Attributes:
+        u: Column of a point on it.
+        v: Row of that point.
+        a: Growth of the inequality along a row.
+        b: Growth of the inequality along a column.
+    """
+
+    u: float
+    v: float
+    a: float
+    b: float
+
+
+@wp.func
+def edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> Edge:
+    """The edge from one corner to the next; ``side`` is the sign of the triangle's area.
+
+    It starts at its upper end, whichever way it runs: so two triangles that share it meet every row at the same place,
+    to the last bit, and leave no hole.
+    """
+    edge = Edge()
+    edge.u = u
+    edge.v = v
+    if next_v < v or (next_v == v and next_u < u):
+        edge.u = next_u
+        edge.v = next_v
+    edge.a = (v - next_v) * side
+    edge.b = (next_u - u) * side
+    return edge
+
+
+@wp.func
+def slope_of(along: float, across: float) -> float:
+    """By how much the crossing of an edge moves back along a line from one line to the next; 0 if it never crosses."""
+    if along == 0.0:
+        return 0.0
+    return across / along
+
+
+@wp.func
+def line_after(place: float, first: int, end: int) -> int:
+    """The first row or column from ``first`` to ``end`` whose centre lies at or after a place in the grid."""
+    # clamp in float: the cast of a huge float to an integer is undefined; a positive float's cast rounds down
+    return int(wp.clamp(place, float(first), float(end)) + 0.5)
+
+
+@wp.struct
+class ImageTriangle:
+    """A triangle in the sample grid.
+
+    Attributes:
+        a: First corner: column, row and inverse depth [1/m].
+        b: Second corner.
+        c: Third corner.
+        side: Sign of its area; 0 where it is too thin to have a plane.
+        edge0: First side.
+        edge1: Second side.
+        edge2: Third side.
+        w: Inverse depth at the first corner [1/m]; it is linear in the image.
+        w_per_column: Its growth along a row.
+        w_per_row: Its growth along a column.
+        first_column: First column whose centre lies between the leftmost and the rightmost corner.
+        last_column: Last such column; below the first where there is none.
+        first_row: First row whose centre lies between the highest and the lowest corner.
+        last_row: Last such row; below the first where there is none.
+    """
+
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+    side: float
+    edge0: Edge
+    edge1: Edge
+    edge2: Edge
+    w: float
+    w_per_column: float
+    w_per_row: float
+    first_column: int
+    last_column: int
+    first_row: int
+    last_row: int
+
+
+@wp.func
+def image_triangle(
+    camera: View, part: FrontPart, index: int, has_outline: bool, width: int, height: int
+) -> ImageTriangle:
+    """The image of one triangle of a fan in front of the near plane.
+
+    Where it holds no sample's centre, its sides are left out (0), unless ``has_outline`` and it crosses a row or a
+    column.
+    """
+    b = part.b
+    c = part.c
+    if index == 1:
+        b = part.c
+        c = part.d
+    w0 = 1.0 / part.a[2]
+    w1 = 1.0 / b[2]
+    w2 = 1.0 / c[2]
+    u0 = camera.centre[0] + camera.focal[0] * part.a[0] * w0
+    v0 = camera.centre[1] + camera.focal[1] * part.a[1] * w0
+    u1 = camera.centre[0] + camera.focal[0] * b[0] * w1
+    v1 = camera.centre[1] + camera.focal[1] * b[1] * w1
+    u2 = camera.centre[0] + camera.focal[0] * c[0] * w2
+    v2 = camera.centre[1] + camera.focal[1] * c[1] * w2
+    image = ImageTriangle()
+    image.first_column = line_after(wp.min(u0, wp.min(u1, u2)), 0, width)
+    image.last_column = line_after(wp.max(u0, wp.max(u1, u2)), 0, width) - 1
+    image.first_row = line_after(wp.min(v0, wp.min(v1, v2)), 0, height)
+    image.last_row = line_after(wp.max(v0, wp.max(v1, v2)), 0, height) - 1
+    if image.first_column > image.last_column and (image.first_row > image.last_row or not has_outline):
+        return image
+    if image.first_row > image.last_row and not has_outline:
+        return image
+    doubled_area = (u1 - u0) * (v2 - v0) - (u2 - u0) * (v1 - v0)
+    if wp.abs(doubled_area) < 1.0e-12:
+        return image
+    image.w = w0
+    image.a = wp.vec3(u0, v0, w0)
+    image.b = wp.vec3(u1, v1, w1)
+    image.c = wp.vec3(u2, v2, w2)
+    image.w_per_column = ((w1 - w0) * (v2 - v0) - (w2 - w0) * (v1 - v0)) / doubled_area
+    image.w_per_row = ((w2 - w0) * (u1 - u0) - (w1 - w0) * (u2 - u0)) / doubled_area
+    image.side = wp.sign(doubled_area)
+    image.edge0 = edge_from(u0, v0, u1, v1, image.side)
+    image.edge1 = edge_from(u1, v1, u2, v2, image.side)
+    image.edge2 = edge_from(u2, v2, u0, v0, image.side)
+    return image
+
+
+@wp.func
+def narrowed(span: wp.vec2, start: float, along: float, across: float, slope: float, beyond: float) -> wp.vec2:
+    """A span of a line, cut by one edge that meets the line's neighbour ``beyond`` lines back at ``start``.
+
+    A span that an edge shuts out becomes empty: its end lies before its start.
+    """
+    if along > 0.0:
+        return wp.vec2(wp.max(span[0], start - slope * beyond), span[1])
+    if along < 0.0:
+        return wp.vec2(span[0], wp.min(span[1], start - slope * beyond))
+    if across * beyond < 0.0:
+        return wp.vec2(1.0, -1.0)
+    return span
+
+
+@wp.func
+def raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
+    """Raise an element to a value, without an atomic operation where it is as high already."""
+    if bits[place] < value:
+        wp.atomic_max(bits, place, value)
+
+
+@wp.func
+def raise_reach(layers: Layers, direction: int, place: int, reach: float, inverse_depth: float, cut_triangle: int):
+    """Raise a sample's reach in one direction.
+
+    ``inverse_depth`` is the surface's where it ends; ``cut_triangle`` the triangle that the near plane ends there, or
+    -1.
+    """
+    far = wp.int64(wp.cast(wp.clamp(reach, LEAST_REACH, 1.0), wp.int32))
+    end = wp.int64(wp.cast(wp.max(inverse_depth, LEAST_INVERSE_DEPTH), wp.int32))
+    if cut_triangle >= 0:
+        end = NEAR_CUT | wp.int64(cut_triangle)
+    value = (far << wp.int64(32)) | end
+    if layers.reach_key[direction, place] < value:
+        wp.atomic_max(layers.reach_key, direction, place, value)
+
+
+@wp.func
+def fill_rows(
+    image: ImageTriangle,
+    first_row: int,
+    last_row: int,
+    lane: int,
+    lane_count: int,
+    v: int,
+    triangle: int,
+    has_key: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+    width: int,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter some rows of a triangle into the key buffer and, where ``offset`` is not negative, into its layer.
+
+    Lane k of n takes the samples k, k + n, ... of each row.
+    """
+    slope0 = slope_of(image.edge0.a, image.edge0.b)
+    slope1 = slope_of(image.edge1.a, image.edge1.b)
+    slope2 = slope_of(image.edge2.a, image.edge2.b)
+    for row in range(first_row, last_row + 1):
+        y = float(row) + 0.5
+        span = wp.vec2(0.0, float(width))
+        span = narrowed(span, image.edge0.u, image.edge0.a, image.edge0.b, slope0, y - image.edge0.v)
+        span = narrowed(span, image.edge1.u, image.edge1.a, image.edge1.b, slope1, y - image.edge1.v)
+        span = narrowed(span, image.edge2.u, image.edge2.a, image.edge2.b, slope2, y - image.edge2.v)
+        if span[0] <= span[1]:
+            first = int(span[0] + 0.5)
+            last = int(span[1] + 0.5) - 1
+            # the place of column 0 of this row in the layer
+            layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
+            for column in range(first + lane, last + 1, lane_count):
+                w = image.w + image.w_per_column * (float(column) + 0.5 - image.a[0])
+                w = wp.max(w + image.w_per_row * (y - image.a[1]), LEAST_INVERSE_DEPTH)
+                bits = wp.cast(w, wp.int32)
+                if has_key:
+                    value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
+                    if key[v, row, column] < value:
+                        wp.atomic_max(key, v, row, column, value)
+                if offset >= 0:
+                    raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
+
+
+@wp.func
+def faces(camera: View, plane: wp.vec4) -> bool:
+    """Whether the camera is in front of a plane."""
+    position_ego_m = camera.position_ego_m
+    return plane[0] * position_ego_m[0] + plane[1] * position_ego_m[1] + plane[2] * position_ego_m[2] > plane[3]
+
+
+@wp.func
+def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: int) -> bool:
+    """Whether an outline can run between a triangle and its neighbour: one faces the camera and the other does not."""
+    if neighbour < 0:
+        return True
+    return faces(camera, scene.triangle_plane[neighbour]) != is_facing
+
+
+@wp.func
+def reach_over_edge(
+    start: wp.vec3, end: wp.vec3, side: float, cut_triangle: int, rectangle: wp.vec4i, offset: int, layers: Layers
+):
+    """Scatter how far a triangle reaches, over one of its sides, from the samples next to it in rows and columns.
+
+    ``start`` and ``end`` are (column, row, 1/z) of the side's corners; ``side`` is the sign of the triangle's area.
+    Where the near plane has made the side, ``cut_triangle`` is the triangle, else -1.
+    """
+    along = end - start
+    bottom = rectangle[1] + rectangle[3]
+    right = rectangle[0] + rectangle[2]
+    first_row = line_after(start[1], rectangle[1], bottom)
+    last_row = line_after(end[1], rectangle[1], bottom)
+    if first_row != last_row:
+        for row in range(wp.min(first_row, last_row), wp.max(first_row, last_row)):
+            share = (float(row) + 0.5 - start[1]) / along[1]
+            x = start[0] + share * along[0]
+            column = line_after(x, rectangle[0], right)
+            direction = TO_LEFT
+            distance = float(column) + 0.5 - x
+            if along[1] * side > 0.0:  # the triangle lies to the left
+                column -= 1
+                direction = TO_RIGHT
+                distance = 1.0 - distance
+            if column >= rectangle[0] and column < right and distance <= 1.0:
+                place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
+    first_column = line_after(start[0], rectangle[0], right)
+    last_column = line_after(end[0], rectangle[0], right)
+    if first_column != last_column:
+        for column in range(wp.min(first_column, last_column), wp.max(first_column, last_column)):
+            share = (float(column) + 0.5 - start[0]) / along[0]
+            y = start[1] + share * along[1]
+            row = line_after(y, rectangle[1], bottom)
+            direction = TO_TOP
+            distance = float(row) + 0.5 - y
+            if along[0] * side < 0.0:  # the triangle lies above
+                row -= 1
+                direction = TO_BOTTOM
+                distance = 1.0 - distance
+            if row >= rectangle[1] and row < bottom and distance <= 1.0:
+                place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
+                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
+
+
+@wp.func
+def is_outside(centre_m: wp.vec3, radius_m: float, view: View, width: int, height: int) -> bool:
+    """Whether a sphere (camera coordinates) misses the view's pyramid."""
+    if centre_m[2] + radius_m < view.near_m:
+        return True
+    # distance to each side of the pyramid, which goes through the camera's centre
+    left = view.centre[0] / view.focal[0]
+    right = (float(width) - view.centre[0]) / view.focal[0]
+    top = view.centre[1] / view.focal[1]
+    bottom = (float(height) - view.centre[1]) / view.focal[1]
+    if -centre_m[0] - left * centre_m[2] > radius_m * wp.sqrt(1.0 + left * left):
+        return True
+    if centre_m[0] - right * centre_m[2] > radius_m * wp.sqrt(1.0 + right * right):
+        return True
+    if -centre_m[1] - top * centre_m[2] > radius_m * wp.sqrt(1.0 + top * top):
+        return True
+    return centre_m[1] - bottom * centre_m[2] > radius_m * wp.sqrt(1.0 + bottom * bottom)
+
+
+@wp.kernel(enable_backward=False)
+def scatter_triangles_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    layer_count: int,
+    width: int,
+    height: int,
+    first_view: int,
+    has_key: int,
+    lane_count: int,
+    # out
+    key: wp.array3d[wp.int64],
+    layers: Layers,
+    strip: wp.array[wp.vec4i],
+    strip_count: wp.array[wp.int32],
+):
+    """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
+
+    Views whose lens is no pinhole are left to `trace`. A cluster whose bounding sphere misses the view is skipped
+    whole; a triangle that crosses the near plane is cut to one or two. Without a key buffer (``has_key`` 0) clusters
+    without a layer are left out. Large triangles go to the queue ``strip`` instead, as (view, triangle, part of the
+    fan, first row), as long as it has room; a queue of length 0 is for devices where one thread fills them as well as
+    many.
+
+    Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
+    the cluster's triangles lane, lane + lane_count, ... Not taped.
+    Writes: ``key`` and ``layers`` by atomic maximum, ``strip_count[0]`` by atomic add; the caller zeroes them.
+    """
+    chunk_view, cluster, lane = wp.tid()
+    v = first_view + chunk_view
+    layer = scene.cluster_layer[cluster]
+    if layer >= layer_count:
+        layer = -1
+    if has_key == 0 and layer < 0:
+        return
+    camera = view[v]
+    if camera.lens.kind != PINHOLE:
+        return
+    sphere = scene.cluster_sphere_ego_m[cluster]
+    centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
+    if is_outside(centre_m, sphere[3], camera, width, height):
+        return
+    rectangle = wp.vec4i(0, 0, 0, 0)
+    offset = int(-1)
+    if layer >= 0:
+        rectangle = layers.rectangle[v, layer]
+        offset = layers.offset[v, layer]
+        if rectangle[2] == 0:
+            offset = -1
+    first = scene.cluster_first[cluster]
+    for k in range(lane, scene.cluster_count[cluster], lane_count):
+        triangle = first + k
+        part = front_part(camera, scene, triangle)
+        for index in range(part.part_count):
+            image = image_triangle(camera, part, index, offset >= 0, width, height)
+            if offset >= 0 and image.side != 0.0:
+                # the near plane makes new sides
+                neighbour = wp.vec3i(-1, -1, -1)
+                is_facing = False
+                if part.is_whole:
+                    neighbour = scene.neighbour[triangle]
+                    is_facing = faces(camera, scene.triangle_plane[triangle])
+                if may_be_outline(camera, scene, is_facing, neighbour[0]):
+                    reach_over_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
+                if may_be_outline(camera, scene, is_facing, neighbour[1]):
+                    # the last triangle of a fan has the side that the near plane made
+                    cut_triangle = int(-1)
+                    if not part.is_whole and index == part.part_count - 1:
+                        cut_triangle = triangle
+                    reach_over_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
+                if may_be_outline(camera, scene, is_facing, neighbour[2]):
+                    reach_over_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
+            rows = image.last_row - image.first_row + 1
+            columns = image.last_column - image.first_column + 1
+            if image.side != 0.0 and rows > 0 and columns > 0:
+                room = int(-1)
+                if strip.shape[0] > 0 and rows * columns > LARGE_SAMPLES:
+                    strips = (rows + STRIP_ROWS - 1) / STRIP_ROWS
+                    room = wp.atomic_add(strip_count, 0, strips)
+                    for s in range(strips):
+                        if room + s < strip.shape[0]:
+                            strip[room + s] = wp.vec4i(v, triangle, index, image.first_row + s * STRIP_ROWS)
+                    if room + strips > strip.shape[0]:
+                        room = -1
+                if room < 0:
+                    fill_rows(
+                        image,
+                        image.first_row,
+                        image.last_row,
+                        0,
+                        1,
+                        v,
+                        triangle,
+                        has_key == 1,
+                        rectangle,
+                        offset,
+                        layers,
+                        width,
+                        key,
+                    )
+
+
+@wp.kernel(enable_backward=False)
+def fill_strips_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    layer_count: int,
+    width: int,
+    height: int,
+    has_key: int,
+    strip: wp.array[wp.vec4i],
+    strip_count: wp.array[wp.int32],
+    group_count: int,
+    lane_count: int,
+    # out
+    key: wp.array3d[wp.int64],
+    layers: Layers,
+):
+    """Fill the strips of rows of large triangles that `scatter_triangles_kernel` has queued.
+
+    Launch: ``dim=(group_count, lane_count)``; group g takes the strips g, g + group_count, ..., its lanes share the
+    samples of a row. Not taped.
+    Writes: ``key`` and ``layers`` by atomic maximum.
+    """
+    group, lane = wp.tid()
+    for s in range(group, wp.min(strip_count[0], strip.shape[0]), group_count):
+        entry = strip[s]
+        v = entry[0]
+        camera = view[v]
+        triangle = entry[1]
+        layer = scene.object_layer[scene.triangle_object[triangle]]
+        rectangle = wp.vec4i(0, 0, 0, 0)
+        offset = int(-1)
+        if layer >= 0 and layer < layer_count:
+            rectangle = layers.rectangle[v, layer]
+            offset = layers.offset[v, layer]
+            if rectangle[2] == 0:
+                offset = -1
+        image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, width, height)
+        last_row = wp.min(image.last_row, entry[3] + STRIP_ROWS - 1)
+        fill_rows(
+            image,
+            entry[3],
+            last_row,
+            lane,
+            lane_count,
+            v,
+            triangle,
+            has_key == 1,
+            rectangle,
+            offset,
+            layers,
+            width,
+            key,
+        )

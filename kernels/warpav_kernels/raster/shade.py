@@ -1,0 +1,168 @@
+"""Measure: images read from the key buffer: depth, object and colour of every pixel."""
+
+import warp as wp
+
+from warpav_kernels.raster.rasterise import Triangles
+from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, ray_in_camera
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel(enable_backward=False)
+def resolve_depth_kernel(
+    # in
+    key: wp.array3d[wp.int64],
+    scene: Triangles,
+    sky_depth_m: float,
+    supersampling: int,
+    first_view: int,
+    lane_count: int,
+    # out
+    depth_m: wp.array3d[float],
+    object_index: wp.array3d[wp.int32],
+):
+    """Depth and object at the sample nearest to every pixel's centre.
+
+    Launch: ``dim=(views of this chunk, height_px, lane_count)``; the lanes share the pixels of a row. Not taped.
+    Writes: every element of ``depth_m`` [m], ``sky_depth_m`` where nothing is hit, and of ``object_index``, -1 there,
+        of these views.
+    """
+    chunk_view, row, lane = wp.tid()
+    v = first_view + chunk_view
+    grid_row = GUARD + row * supersampling + supersampling / 2
+    for column in range(lane, depth_m.shape[2], lane_count):
+        nearest = key[v, grid_row, GUARD + column * supersampling + supersampling / 2]
+        if nearest == wp.int64(0):
+            depth_m[v, row, column] = sky_depth_m
+            object_index[v, row, column] = -1
+        else:
+            depth_m[v, row, column] = 1.0 / inverse_depth_of(wp.int32(nearest >> wp.int64(32)))
+            object_index[v, row, column] = scene.triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
+
+
+@wp.func
+def sky_rgb(horizon_rgb: wp.vec3, zenith_rgb: wp.vec3, elevation_sine: float) -> wp.vec3:
+    """Colour of the sky in a direction: the horizon's below and at the horizon, the zenith's overhead."""
+    t = wp.clamp(elevation_sine, 0.0, 1.0)
+    share = 1.0 - (1.0 - t) * (1.0 - t)
+    return (1.0 - share) * horizon_rgb + share * zenith_rgb
+
+
+@wp.struct
+class Patch:
+    """The colours of one triangle, as a camera sees them along a ray.
+
+    Attributes:
+        triangle: The triangle; -1 at first.
+        share_a: Its product with a ray is the share of the first corner, up to a factor common to all three.
+        share_b: The same for the second corner.
+        share_c: The same for the third corner.
+        a_rgb: Colour of the first corner.
+        b_rgb: Colour of the second corner.
+        c_rgb: Colour of the third corner.
+    """
+
+    triangle: int
+    share_a: wp.vec3
+    share_b: wp.vec3
+    share_c: wp.vec3
+    a_rgb: wp.vec3
+    b_rgb: wp.vec3
+    c_rgb: wp.vec3
+
+
+@wp.func
+def patch_of(position_ego_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
+    """The colours of a triangle, seen from a place; rays are in ego axes."""
+    corner = scene.triangle[triangle]
+    a = scene.vertex_ego_m[corner[0]] - position_ego_m
+    b = scene.vertex_ego_m[corner[1]] - position_ego_m
+    c = scene.vertex_ego_m[corner[2]] - position_ego_m
+    patch = Patch()
+    patch.triangle = triangle
+    patch.share_a = wp.cross(b, c)
+    patch.share_b = wp.cross(c, a)
+    patch.share_c = wp.cross(a, b)
+    patch.a_rgb = vertex_rgb[corner[0]]
+    patch.b_rgb = vertex_rgb[corner[1]]
+    patch.c_rgb = vertex_rgb[corner[2]]
+    return patch
+
+
+@wp.func
+def patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
+    """Colour of a triangle where a ray hits it."""
+    share_a = wp.dot(ray, patch.share_a)
+    share_b = wp.dot(ray, patch.share_b)
+    share_c = wp.dot(ray, patch.share_c)
+    whole = 1.0 / (share_a + share_b + share_c)
+    return whole * (share_a * patch.a_rgb + share_b * patch.b_rgb + share_c * patch.c_rgb)
+
+
+@wp.func
+def patch_under(
+    patch: Patch, nearest: wp.int64, position_ego_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
+) -> Patch:
+    """The patch of the triangle of a key; the given one again where that is the same, or there is none."""
+    triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
+    if nearest == wp.int64(0) or triangle == patch.triangle:
+        return patch
+    return patch_of(position_ego_m, scene, vertex_rgb, triangle)
+
+
+@wp.func
+def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3) -> wp.vec3:
+    """What a camera sees along a ray in ego axes: the patch of the key, or the sky where the key is empty.
+
+    Black along a ray of zero, where the lens sees nothing.
+    """
+    if wp.length_sq(ray) == 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    if nearest == wp.int64(0):
+        return sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))
+    return patch_rgb(patch, ray)
+
+
+@wp.kernel(enable_backward=False)
+def resolve_rgb_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    vertex_rgb: wp.array[wp.vec3],
+    horizon_rgb: wp.vec3,
+    zenith_rgb: wp.vec3,
+    key: wp.array3d[wp.int64],
+    shown_view: wp.array[wp.int32],
+    supersampling: int,
+    first_image: int,
+    lane_count: int,
+    # out
+    rgb: wp.array3d[wp.vec3],
+):
+    """Unlit vertex colours, interpolated in perspective at every sample and averaged over the pixel.
+
+    Launch: ``dim=(images of this chunk, height_px, lane_count)``; the lanes share the pixels of a row. Image i shows
+    view ``shown_view[i]``. Not taped.
+    Writes: every element of ``rgb`` [image, row, column], 0..1, of these images once.
+    """
+    chunk_image, row, lane = wp.tid()
+    image = first_image + chunk_image
+    v = shown_view[image]
+    camera = view[v]
+    ego_from_camera = wp.transpose(camera.camera_from_ego)
+    # neighbouring samples often see the same triangle
+    patch = Patch()
+    patch.triangle = -1
+    for column in range(lane, rgb.shape[2], lane_count):
+        total = wp.vec3(0.0, 0.0, 0.0)
+        for sample in range(supersampling * supersampling):
+            grid_row = GUARD + row * supersampling + sample / supersampling
+            grid_column = GUARD + column * supersampling + sample % supersampling
+            ray = ego_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
+            nearest = key[v, grid_row, grid_column]
+            patch = patch_under(patch, nearest, camera.position_ego_m, scene, vertex_rgb)
+            total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
+        colour = total / float(supersampling * supersampling)
+        rgb[image, row, column] = wp.vec3(
+            wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0)
+        )

@@ -1,0 +1,139 @@
+"""A view: one image of the scene, and the geometry that every kernel shares.
+
+Depth is z for pinhole and Brown-Conrady lenses and distance for the others, see `lens`: a ray times a depth is a point.
+
+Sample grid of a view: the image's pixels, each cut into supersampling x supersampling samples, inside a frame of one
+guard sample on every side. Sample (row, column) has its centre at (column + 0.5, row + 0.5). The guard band has weight
+0 in every measure; it is there so that outlines within half a sample of the image's edge still carry a gradient.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.lens import FISHEYE, PANORAMA, PINHOLE, Lens, lens_ray, place_gradient
+
+wp.set_module_options({"enable_backward": False})
+
+GUARD = wp.constant(1)
+
+
+@wp.struct
+class View:
+    """Pose and lens of one view.
+
+    Attributes:
+        position_ego_m: Camera centre in the ego frame [m].
+        camera_from_ego: Rotation from ego axes to camera axes (x right, y down, z forward).
+        focal: Focal lengths along columns and rows, in samples of the grid.
+        centre: Principal point (column, row), in samples of the grid.
+        near_m: Depth below which nothing is seen [m].
+        lens: The lens without its focal lengths.
+    """
+
+    position_ego_m: wp.vec3
+    camera_from_ego: wp.mat33
+    focal: wp.vec2
+    centre: wp.vec2
+    near_m: float
+    lens: Lens
+
+
+@wp.func
+def point_in_camera(view: View, point_ego_m: wp.vec3) -> wp.vec3:
+    """A point of the ego frame in camera coordinates [m]."""
+    return view.camera_from_ego * (point_ego_m - view.position_ego_m)
+
+
+@wp.func
+def ray_in_camera(view: View, column: float, row: float) -> wp.vec3:
+    """Ray of depth 1 through a place of the sample grid, in camera coordinates; zero where the lens sees nothing."""
+    x = (column - view.centre[0]) / view.focal[0]
+    y = (row - view.centre[1]) / view.focal[1]
+    if view.lens.kind == PINHOLE:
+        return wp.vec3(x, y, 1.0)
+    return lens_ray(view.lens, x, y)
+
+
+@wp.func
+def sees(view: View, column: int, row: int) -> bool:
+    """Whether the lens sees anything at a sample."""
+    if view.lens.kind == PINHOLE or view.lens.kind == PANORAMA:
+        return True
+    return wp.length_sq(ray_in_camera(view, float(column) + 0.5, float(row) + 0.5)) > 0.0
+
+
+@wp.func
+def column_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the image column to a point in camera coordinates [samples/m]."""
+    if view.lens.kind != PINHOLE:
+        return view.focal[0] * place_gradient(view.lens, point_m)[0]
+    w = 1.0 / point_m[2]
+    return wp.vec3(view.focal[0] * w, 0.0, -view.focal[0] * point_m[0] * w * w)
+
+
+@wp.func
+def row_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the image row to a point in camera coordinates [samples/m]."""
+    if view.lens.kind != PINHOLE:
+        return view.focal[1] * place_gradient(view.lens, point_m)[1]
+    w = 1.0 / point_m[2]
+    return wp.vec3(0.0, view.focal[1] * w, -view.focal[1] * point_m[1] * w * w)
+
+
+@wp.func
+def depth_gradient(view: View, point_m: wp.vec3) -> wp.vec3:
+    """Gradient of the depth of a point to the point, in camera coordinates; of unit length."""
+    if view.lens.kind == FISHEYE or view.lens.kind == PANORAMA:
+        return point_m / wp.length(point_m)
+    return wp.vec3(0.0, 0.0, 1.0)
+
+
+@wp.func
+def solid_angle(view: View, ray: wp.vec3) -> float:
+    """Solid angle of one square sample, seen along the ray through its centre [sr].
+
+    On the unit sphere the image's gradients are tangents, and their cross product is samples per solid angle; on a ray
+    they fall off with its length. For a pinhole it is the cubed cosine of the angle to the axis over the focal lengths.
+    """
+    samples = wp.length(wp.cross(column_gradient(view, ray), row_gradient(view, ray)))
+    return 1.0 / (samples * wp.dot(ray, ray))
+
+
+@wp.func
+def inverse_depth_of(bits: wp.int32) -> float:
+    """Inverse depth [1/m] from its bit pattern; positive floats sort like their bits."""
+    return wp.cast(bits, float)
+
+
+@wp.kernel(enable_backward=False)
+def place_views_kernel(
+    # in
+    position_ego_m: wp.array[wp.vec3],
+    camera_from_ego: wp.array[wp.mat33],
+    intrinsics_px: wp.array[wp.vec4],
+    near_m: wp.array[float],
+    lens: wp.array[Lens],
+    log_zoom: wp.array[float],
+    supersampling: int,
+    # out
+    view: wp.array[View],
+):
+    """Gather each view's pose and lens into one struct.
+
+    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_zoom`` is the
+    logarithm of what the focal lengths are multiplied by.
+
+    Launch: ``dim=view_count``; one thread per view. Not taped.
+    Writes: every element of ``view`` once.
+    """
+    i = wp.tid()
+    scale = float(supersampling)
+    intrinsics = intrinsics_px[i]
+    placed = View()
+    placed.position_ego_m = position_ego_m[i]
+    placed.camera_from_ego = camera_from_ego[i]
+    focal_scale = scale * wp.exp(log_zoom[i])
+    placed.focal = wp.vec2(intrinsics[0] * focal_scale, intrinsics[1] * focal_scale)
+    placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
+    placed.near_m = near_m[i]
+    placed.lens = lens[i]
+    view[i] = placed

@@ -1,0 +1,1 @@
+"""Plane fits and the Poisson equation."""

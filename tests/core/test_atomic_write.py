@@ -1,0 +1,44 @@
+"""Files that appear whole or not at all."""
+
+import pytest
+from matplotlib.figure import Figure
+
+from warpav.core.atomic_write import replacing
+from warpav.core.errors import InputError
+from warpav.view import figures, picture
+
+
+def test_writers_at_the_same_time_do_not_share_a_draft(tmp_path):
+    file = tmp_path / "a.txt"
+    with replacing(file) as one, replacing(file) as other:
+        one.write_text("one")
+        other.write_text("other")
+        assert not file.exists()
+    assert file.read_text() == "one"  # the outer block ends last
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_was_there_stays_when_writing_fails(tmp_path):
+    file = tmp_path / "a.txt"
+    file.write_text("before")
+
+    def cut_off():
+        with replacing(file) as draft:
+            draft.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut_off()
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_folder_in_the_way_of_a_picture_leaves_no_draft(tmp_path):
+    (tmp_path / "a.png").mkdir()
+    for save in (
+        lambda: figures.save_figure(Figure(figsize=(1, 1)), tmp_path / "a.png"),
+        lambda: picture._write(tmp_path / "a.png", b"content"),
+    ):
+        with pytest.raises(InputError, match=r"a\.png: cannot be written"):
+            save()
+        assert [each.name for each in tmp_path.iterdir()] == ["a.png"]

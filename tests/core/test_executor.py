@@ -1,0 +1,408 @@
+"""Independent tasks: the same outcomes wherever they run, failures that stay where they are, clusters not to be had.
+
+Ray and submitit are extras; tests that need one are skipped without it. ``slurm`` is tested with submitit's processes
+of this machine, which it treats like Slurm's but for who starts them.
+"""
+
+import importlib.util
+import itertools
+import json
+import os
+import shutil
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpav.core.errors import InputError, OptionError
+from warpav.core.executor import Outcome, run_tasks
+
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
+needs_submitit = pytest.mark.skipif(importlib.util.find_spec("submitit") is None, reason="submitit is not installed")
+
+
+@pytest.fixture(scope="module")
+def importable_tests():
+    """Processes that do not descend from this one by multiprocessing find this module as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_ray_stays():
+    yield
+    if "ray" in sys.modules:
+        sys.modules["ray"].shutdown()
+
+
+@pytest.fixture
+def ray_here(importable_tests):
+    """A Ray of this machine that ``run_tasks`` finds started, as in a notebook; it outlives the test."""
+    import ray
+
+    if not ray.is_initialized():
+        os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    yield ray.get_runtime_context().gcs_address
+    assert ray.is_initialized(), "run_tasks ended a Ray that it had not started"
+
+
+@pytest.fixture
+def no_ray_here(importable_tests):
+    """This process has no Ray."""
+    import ray
+
+    ray.shutdown()
+
+
+@pytest.fixture
+def slurm_here(importable_tests, monkeypatch, tmp_path):
+    """Options for Slurm jobs as processes of this machine."""
+    from submitit.core.core import Job
+
+    monkeypatch.setattr(Job, "_results_timeout_s", 0.5)  # this file system is not a slow one
+    return {"executor": "slurm", "address": "local", "folder": tmp_path / "jobs"}
+
+
+@pytest.fixture(
+    params=[
+        "process",
+        pytest.param("ray", marks=needs_ray),
+        pytest.param("slurm", marks=needs_submitit),
+    ]
+)
+def elsewhere(request):
+    """Options for every executor that runs tasks in other processes."""
+    if request.param == "slurm":
+        return request.getfixturevalue("slurm_here")
+    if request.param == "ray":
+        request.getfixturevalue("ray_here")
+    return {"executor": request.param}
+
+
+def square(number):
+    if number == 2:
+        raise InputError("two.png: expected three, got two")
+    if number == 3:
+        raise ValueError("three\n  is odd")
+    return number * number
+
+
+def process_of(_):
+    time.sleep(0.2)
+    return os.getpid()
+
+
+def square_or_die(task):
+    number, deadly = task
+    if number == deadly:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.05)
+    return number * number
+
+
+def die_once(file):
+    """Kill the first process that comes by."""
+    if not file.exists():
+        file.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "survived"
+
+
+EXPECTED = [
+    Outcome(0, 0),
+    Outcome(1, 1),
+    Outcome(2, error="two.png: expected three, got two"),
+    Outcome(3, error="ValueError: three is odd"),
+    Outcome(4, 16),
+]
+
+
+def test_serial_keeps_the_order_and_goes_on_after_failures():
+    assert list(run_tasks(square, range(5))) == EXPECTED
+
+
+def test_other_processes_give_the_same_outcomes(elsewhere):
+    found = list(run_tasks(square, range(5), **elsewhere, worker_count=2))
+    assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
+
+
+def bits_of(seed):
+    """Numbers whose last bits depend on the order of their sums."""
+    values = np.random.default_rng(seed).normal(size=1000)
+    return np.array([np.exp(values).sum(), np.linalg.norm(values), values.std(), *np.sin(values)]).tobytes()
+
+
+def test_numbers_travel_bit_for_bit(elsewhere):
+    found = {outcome.task: outcome.result for outcome in run_tasks(bits_of, range(3), **elsewhere)}
+    assert found == {outcome.task: outcome.result for outcome in run_tasks(bits_of, range(3))}
+
+
+def test_serial_runs_a_task_only_when_its_outcome_is_asked_for():
+    seen = []
+    outcomes = run_tasks(seen.append, [1, 2, 3])
+    next(outcomes)
+    assert seen == [1]
+
+
+@pytest.mark.parametrize("name", ["process", "ray", "slurm"])
+def test_no_tasks_start_no_process(name):
+    assert list(run_tasks(process_of, [], executor=name)) == []
+
+
+def test_there_are_as_many_processes_as_asked_for():
+    found = {outcome.result for outcome in run_tasks(process_of, range(6), executor="process", worker_count=2)}
+    assert len(found) == 2
+    assert os.getpid() not in found
+
+
+def wait_turn(task):
+    """Note when a task began and ended."""
+    began = time.time()
+    time.sleep(0.3)
+    return began, time.time()
+
+
+def test_no_more_tasks_run_at_a_time_than_asked_for(elsewhere):
+    outcomes = list(run_tasks(wait_turn, range(3), **elsewhere, worker_count=1))
+    spans = sorted(outcome.result for outcome in outcomes)
+    assert all(ended <= began for (_, ended), (began, _) in itertools.pairwise(spans))
+
+
+def sleep_or_go(task):
+    """The first task ends once the outcome of the second is known."""
+    number, file = task
+    while number == 0 and not file.exists():
+        time.sleep(0.02)
+    return number
+
+
+def test_outcomes_come_as_tasks_finish(elsewhere, tmp_path):
+    file = tmp_path / "go"
+    found = []
+    for outcome in run_tasks(sleep_or_go, [(0, file), (1, file)], **elsewhere, worker_count=2):
+        found.append(outcome.result)
+        file.touch()
+    assert found == [1, 0]
+
+
+def test_a_task_that_kills_its_process_fails_alone(elsewhere):
+    # the deadly task comes while others run and wait: they must not be blamed
+    tasks = [(number, 1) for number in range(3)]
+    found = {outcome.task[0]: outcome for outcome in run_tasks(square_or_die, tasks, **elsewhere, worker_count=2)}
+    assert sorted(found) == list(range(3))
+    assert found.pop(1).error == "its process was killed; is there enough memory?"
+    assert all(outcome.error is None and outcome.result == number**2 for number, outcome in found.items())
+
+
+def test_a_task_whose_process_is_killed_once_succeeds(elsewhere, tmp_path):
+    tasks = [tmp_path / "mark"]
+    assert list(run_tasks(die_once, tasks, **elsewhere, worker_count=1)) == [Outcome(tasks[0], "survived")]
+
+
+def mark(task):
+    """Leave a file for every attempt, and kill the process at the first one."""
+    number, folder = task
+    attempt = sum(1 for _ in folder.glob(f"{number}_*"))
+    began = time.time()
+    (folder / f"{number}_{attempt}").touch()
+    if attempt == 0 and number == 0:
+        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.2)
+    return began, time.time()
+
+
+def test_what_was_killed_is_tried_again_alone_and_last(elsewhere, tmp_path):
+    outcomes = list(run_tasks(mark, [(number, tmp_path) for number in range(3)], **elsewhere, worker_count=2))
+    assert all(outcome.error is None for outcome in outcomes)
+    assert 0 in [outcome.task[0] for outcome in outcomes[-2:]]  # with 'process', the task beside it is under suspicion
+    again = next(outcome.result for outcome in outcomes if outcome.task[0] == 0)
+    spans = [outcome.result for outcome in outcomes if outcome.task[0] > 0]
+    assert all(ended <= again[0] or again[1] <= began for began, ended in spans)
+
+
+def test_leaving_early_waits_for_no_further_task(elsewhere):
+    began = time.perf_counter()
+    for outcome in run_tasks(time.sleep, [0.01, *[3.0] * 20], **elsewhere, worker_count=1):
+        assert outcome.error is None
+        break
+    assert time.perf_counter() - began < 20.0  # worst seen 6 s; all tasks together take a minute
+
+
+def test_ctrl_c_is_no_failure_of_a_task():
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        next(run_tasks(interrupted, [1]))
+
+
+@pytest.mark.parametrize("name", ["serial", "process", "ray", "slurm"])
+def test_no_workers_are_refused(name):
+    with pytest.raises(OptionError, match=r"^executor\.workers: expected 1 or more, .* got 0$"):
+        list(run_tasks(square, [1], executor=name, worker_count=0))
+
+
+@pytest.mark.parametrize(("name", "package", "extra"), [("ray", "ray", "ray"), ("slurm", "submitit", "slurm")])
+def test_a_missing_package_says_how_to_get_it(name, package, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(OptionError, match=rf"^executor\.name: .*package {package} .*pip install 'warpav\[{extra}\]'$"):
+        list(run_tasks(square, [1], executor=name))
+
+
+@needs_ray
+@pytest.mark.parametrize("address", ["somewhere", "host:", ":6379", "host:99999", "http://host"])
+def test_a_ray_address_without_host_and_port_is_refused(address, no_ray_here):
+    with pytest.raises(
+        OptionError, match=r"^executor\.address: expected host:port, ray://host:port, auto or local, got"
+    ):
+        list(run_tasks(square, [1], executor="ray", address=address))
+
+
+@needs_ray
+@pytest.mark.parametrize("scheme", ["", "ray://"])
+def test_a_ray_address_where_nobody_listens_is_refused_at_once(scheme, no_ray_here):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    began = time.perf_counter()
+    with pytest.raises(
+        OptionError, match=rf"^executor\.address: .* got '{scheme}127.0.0.1:{port}': Connection refused; "
+    ):
+        list(run_tasks(square, [1], executor="ray", address=f"{scheme}127.0.0.1:{port}"))
+    assert time.perf_counter() - began < 5.0  # worst seen 0.1 s
+
+
+@needs_ray
+def test_the_address_of_the_environment_counts(no_ray_here, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "nowhere")
+    with pytest.raises(OptionError, match="got 'nowhere'"):
+        list(run_tasks(square, [1], executor="ray"))
+
+
+@needs_ray
+def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_here, monkeypatch):
+    monkeypatch.setattr("warpav.core.executor.ray_cluster.ANSWER_S", 3.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        began = time.perf_counter()
+        with pytest.raises(OptionError, match=r"^executor\.address: .*: no answer within 3 s; start one with"):
+            list(run_tasks(square, [1], executor="ray", address=address))
+    assert time.perf_counter() - began < 10.0  # worst seen 3.1 s; Ray's own patience is above 90 s
+
+
+@needs_ray
+def test_another_address_than_that_of_the_ray_in_use_is_refused(ray_here):
+    assert [outcome.result for outcome in run_tasks(square, [4], executor="ray", address=ray_here)] == [16]
+    with pytest.raises(OptionError, match=rf"^executor\.address: expected {ray_here}, .* got '127.0.0.1:1'; leave"):
+        list(run_tasks(square, [1], executor="ray", address="127.0.0.1:1"))
+
+
+@needs_ray
+def test_a_wrong_option_of_ray_is_refused(ray_here):
+    with pytest.raises(OptionError, match=r"^executor\.options: expected options of ray\.remote, got: .*num_gpu\b"):
+        list(run_tasks(square, [1], executor="ray", options={"num_gpu": 1}))
+
+
+@needs_submitit
+@pytest.mark.parametrize("options", [{"part": "fast"}, {"slurm_part": "fast"}, {"timeout_min": "long"}])
+def test_a_wrong_option_of_slurm_is_refused(options, slurm_here):
+    with pytest.raises(OptionError, match=r"^executor\.options: expected parameters of submitit, got: [^\n]+$"):
+        list(run_tasks(square, [1], **slurm_here, options=options))
+
+
+@needs_submitit
+def test_slurm_takes_no_other_address(tmp_path):
+    with pytest.raises(OptionError, match=r"^executor\.address: expected local, .* got 'host:1'$"):
+        list(run_tasks(square, [1], executor="slurm", address="host:1", folder=tmp_path))
+
+
+@needs_submitit
+@pytest.mark.skipif(shutil.which("srun") is not None, reason="Slurm is here")
+def test_slurm_that_is_not_here_is_refused(tmp_path):
+    with pytest.raises(OptionError, match=r"^executor\.name: expected Slurm's commands on this machine"):
+        list(run_tasks(square, [1], executor="slurm", folder=tmp_path))
+
+
+@needs_submitit
+def test_a_folder_for_jobs_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="expected a folder to write jobs to"):
+        list(run_tasks(square, [1], executor="slurm", address="local", folder=tmp_path / "file" / "jobs"))
+
+
+@needs_ray
+@pytest.mark.slow
+def test_a_ray_of_this_machine_starts_and_ends_with_the_tasks(no_ray_here):
+    import ray
+
+    found = list(run_tasks(square, range(5), executor="ray", worker_count=2))
+    assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
+    assert not ray.is_initialized()
+    with pytest.raises(OptionError, match=r"^executor\.options: expected num_cpus of at most 2, .*, got 3;"):
+        list(run_tasks(square, [1], executor="ray", worker_count=2, options={"num_cpus": 3}))
+    assert not ray.is_initialized()
+
+
+@needs_ray
+@pytest.mark.slow
+def test_a_running_ray_cluster_is_found_by_its_address(no_ray_here):
+    import ray
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    try:
+        for _ in range(2):
+            found = list(run_tasks(square, range(5), executor="ray", address=cluster.address))
+            assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
+            assert not ray.is_initialized()
+    finally:
+        cluster.shutdown()
+
+
+def optimise(task):
+    """A whole small run; all its numbers but the clock's."""
+    from warpav.cli.app import main
+
+    seed, folder = task
+    small = {
+        "run.seed": seed,
+        "run.out": folder,
+        "run.iterations": 2,
+        "run.batch_size": 2,
+        "scenes.train_seeds": "0..1",
+        "scenes.test_seeds": "1000..1001",
+        "camera.width_px": 96,
+        "camera.height_px": 96,
+        "baselines.random_samples": 2,
+    }
+    assert main(["optimise", *(f"{name}={value}" for name, value in small.items())]) == 0
+    evaluation = json.loads((Path(folder) / "evaluation.json").read_text())
+    events = [json.loads(line) for line in (Path(folder) / "events.jsonl").read_text().splitlines()]
+    timeless = [{name: value for name, value in event.items() if name != "seconds"} for event in events]
+    return evaluation["arms"], evaluation["paired"], timeless, (Path(folder) / "rig_best.yaml").read_text()
+
+
+def runs(where, **options):
+    """Two runs, by their seeds."""
+    outcomes = list(run_tasks(optimise, [(seed, str(where / str(seed))) for seed in range(2)], **options))
+    assert [outcome.error for outcome in outcomes] == [None, None]
+    return {outcome.task[0]: outcome.result for outcome in outcomes}
+
+
+@pytest.fixture(scope="module")
+def serial_runs(tmp_path_factory):
+    """The runs in this process."""
+    found = runs(tmp_path_factory.mktemp("serial"))
+    assert found[0] != found[1]
+    return found
+
+
+@pytest.mark.slow
+def test_whole_runs_give_the_same_numbers_bit_for_bit(serial_runs, elsewhere, tmp_path):
+    assert runs(tmp_path, **elsewhere) == serial_runs

@@ -1,0 +1,226 @@
+"""Recall of the rig, false alarms and AP by size in worlds whose answers can be told by hand."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import SKY, ConstantDetector, car, ego_mesh, vehicle
+from tests.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
+from tests.raster.test_renderer import FAR_AWAY
+from warpav.detection.observe import observe
+from warpav.evaluation.metrics import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig
+from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.mount import views_of_rig
+from warpav.optimisation.objective import AssignedScene
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import Occlusion, Renderer
+from warpav.rig.rig import Rig
+from warpav.scene.scene import ROAD_USERS, Scene
+
+AHEAD, ASIDE, TINY = (9.0, 0.0, 0.4), (0.0, 9.0, 0.4), (45.0, -6.0, 0.0)
+BOTH_AHEAD = (0.0, 0.2)  # yaws of two cameras that see the same
+NOTHING = ([[], []], [[], []])
+
+
+def world(*places, categories=None, ego=FAR_AWAY):
+    """Cars at the places, on the device; they are of other categories if ``categories`` says so."""
+    prototype = car(np.random.default_rng(1), subdivisions=2)
+    users = [vehicle(k + 1, prototype, *place) for k, place in enumerate(places)]
+    for k, category in enumerate(categories or ()):
+        users[k] = dataclasses.replace(users[k], category=category)
+    scene = Scene("case", FAR_AWAY, ego, tuple(users), SKY).targeting(ROAD_USERS)
+    return AssignedScene(DeviceScene.pack(scene), np.full(len(places), -1, np.int32))
+
+
+def measured(rig, scenes, *answers):
+    """Metrics where a detector says ``answers`` (boxes, confidences[, road users] by camera), one for each scene."""
+    return evaluate_rig(rig, scenes, objective_of(ScriptedDetector(ConstantDetector(*each) for each in answers)))
+
+
+def group(objects, visible, detected):
+    return GroupRecall(
+        objects, visible, detected, detected / objects if objects else None, detected / visible if visible else None
+    )
+
+
+def test_an_object_that_two_cameras_see_counts_once():
+    rig, scene = rig_of(yaw=BOTH_AHEAD), world(AHEAD, ASIDE, categories=["lorry", "van"])
+    boxes = truth_boxes(rig, scene.scene)
+    assert np.isfinite(boxes[:, 0]).all()
+    assert np.isnan(boxes[:, 1]).all()
+    both = measured(rig, [scene], ([boxes[0, :1], boxes[1, :1]], [[0.5], [0.7]]))
+    one = measured(rig, [scene], ([boxes[0, :1], []], [[0.5], []]))
+    for metrics in (both, one):
+        assert (metrics.objects, metrics.frames) == (2, 2)
+        assert (metrics.rig_recall, metrics.tp_detection_rate) == (0.5, 0.5)
+        assert (metrics.visible_rate, metrics.rig_recall_visible) == (0.5, 1.0)
+        assert metrics.false_alarms_per_frame == 0.0
+        assert metrics.recall_by["category"] == {"lorry": group(1, 1, 1), "van": group(1, 0, 0)}
+        assert metrics.recall_by["sector"]["front"] == group(1, 1, 1)
+        assert metrics.recall_by["sector"]["left"] == group(1, 0, 0)
+        assert metrics.recall_by["road_user"] == {"vehicle": group(2, 1, 1)}
+    # image by image the second camera's miss shows
+    assert both.ap50_pooled == 1.0
+    assert one.ap50_pooled == pytest.approx(51 / 101)
+
+
+def test_recall_is_the_visible_share_times_the_recall_of_the_visible():
+    rig = rig_of(yaw=BOTH_AHEAD)
+    scenes = [world(AHEAD, ASIDE), world(AHEAD), world(ASIDE), world()]
+    box = truth_boxes(rig, scenes[0].scene)[0, :1]
+    metrics = measured(rig, scenes, ([box, []], [[0.5], []]), NOTHING, NOTHING, NOTHING)
+    assert metrics.rig_recall == pytest.approx(1 / 4)
+    assert (metrics.visible_rate, metrics.rig_recall_visible) == (0.5, 0.5)
+    assert metrics.per_scene["rig_recall"] == [0.5, 0.0, 0.0, None]
+    assert metrics.per_scene["rig_recall_visible"] == [1.0, 0.0, None, None]
+    assert metrics.per_scene["false_alarms_per_frame"] == [0.0] * 4
+    blind = measured(rig, scenes, *[NOTHING] * 4)
+    difference = paired_differences(metrics, blind)
+    assert difference["rig_recall"] == difference["tp_detection_rate"]
+    assert (difference["rig_recall"]["mean"], difference["rig_recall"]["scenes"]) == (pytest.approx(1 / 6), 3)
+    assert (difference["rig_recall_visible"]["mean"], difference["rig_recall_visible"]["scenes"]) == (0.5, 2)
+
+
+@pytest.fixture(scope="module")
+def groups_of():
+    """Tells the groups that an object is counted in, by where it is from the ego vehicle [m]."""
+    assigned = world(AHEAD)
+
+    def tell(from_ego_m):
+        scene = dataclasses.replace(assigned.scene, from_ego_m=np.array([from_ego_m], float))
+        silent = objective_of(ConstantDetector(*NOTHING))
+        table = evaluate_rig(rig_of(), [AssignedScene(scene, assigned.assigned_camera)], silent).recall_by
+        assert len(table["distance_m"]) == len(DISTANCE_EDGES_M) - 1
+        assert list(table["sector"]) == list(SECTORS)
+        found = {by: [name for name, each in groups.items() if each.objects] for by, groups in table.items()}
+        assert all(len(names) == 1 for names in found.values())
+        return {by: names[0] for by, names in found.items()}
+
+    return tell
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "name"),
+    [(0.0, "0-10"), (9.999, "0-10"), (10.0, "10-20"), (29.999, "20-30"), (39.999, "30-40"), (40.0, "40+")],
+)
+def test_bins_of_distance_hold_their_lower_edge(groups_of, distance_m, name):
+    assert groups_of([distance_m, 0.0])["distance_m"] == name
+
+
+@pytest.mark.parametrize("turn", range(8))
+def test_sectors_hold_their_edge_to_the_right(groups_of, turn):
+    # 22.5 degrees to the right of a sector's middle is its own, to the left its neighbour's
+    for offset, sector in ((-0.5 + 1e-9, turn), (0.0, turn), (0.5 - 1e-9, turn), (0.5 + 1e-9, turn + 1)):
+        angle = (turn + offset) * math.pi / 4
+        assert groups_of([20.0 * math.cos(angle), 20.0 * math.sin(angle)])["sector"] == SECTORS[sector % 8]
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [([5, 0], "front"), ([0, 5], "left"), ([-5, 0.0], "rear"), ([-5, -0.0], "rear"), ([0, -5], "right")],
+)
+def test_straight_ahead_left_behind_and_right(groups_of, place, name):
+    assert groups_of(place)["sector"] == name
+
+
+def test_every_object_is_in_one_group_of_each_kind(groups_of):
+    assert groups_of([7.0, 7.0]) == {
+        "distance_m": "0-10", "sector": "front left", "category": "hatchback", "road_user": "vehicle"
+    }  # fmt: skip
+
+
+def test_places_are_measured_from_the_middle_of_the_ego_vehicle():
+    # the middle is 1.35 m ahead of the rear axle
+    scene = world((11.0, 0.0, 0.0), (-9.0, 0.0, 0.0), ego=ego_mesh(np.random.default_rng(0)))
+    table = evaluate_rig(rig_of(), [scene], objective_of(ConstantDetector(*NOTHING))).recall_by["distance_m"]
+    assert [table[name].objects for name in ("0-10", "10-20")] == [1, 1]
+    assert scene.scene.from_ego_m[:, 0] == pytest.approx([9.65, -10.35], abs=0.2)  # a car's box is not quite centred
+
+
+def test_a_false_alarm_on_the_ego_vehicle_and_a_second_box_count():
+    rig, scene = rig_of(yaw=BOTH_AHEAD), world(AHEAD)
+    boxes = truth_boxes(rig, scene.scene)
+    bonnet = [20.0, 70.0, 110.0, 96.0]
+    metrics = measured(rig, [scene], ([[bonnet, boxes[0, 0], boxes[0, 0]], [boxes[1, 0]]], [[0.4, 0.9, 0.3], [0.8]]))
+    assert metrics.false_alarms_per_frame == 2 / 2
+    assert metrics.rig_recall == 1.0
+    assert metrics.ap50_pooled == 1.0  # both come after every hit
+    # a confidence that is too low for a true positive is too low for a false alarm
+    weak = measured(rig, [scene], ([[bonnet, boxes[0, 0]], []], [[0.05, 0.9], []]))
+    assert weak.false_alarms_per_frame == 0.0
+
+
+def test_the_least_iou_of_a_match_is_that_of_a_false_alarm():
+    rig, scene = rig_of(yaw=BOTH_AHEAD), world(AHEAD)
+    box = truth_boxes(rig, scene.scene)[0, 0]
+    half = box.copy()
+    half[2] = box[0] + 0.4 * (box[2] - box[0])
+    answer = ([[half], []], [[0.9], []])
+    strict = measured(rig, [scene], answer)
+    assert (strict.rig_recall, strict.false_alarms_per_frame) == (0.0, 0.5)
+    objective = objective_of(ScriptedDetector([ConstantDetector(*answer)]))
+    objective.iou_min = 0.3
+    lax = evaluate_rig(rig, [scene], objective)
+    assert (lax.rig_recall, lax.false_alarms_per_frame) == (1.0, 0.0)
+    assert lax.ap50_pooled == strict.ap50_pooled == 0.0  # which is at 0.5 whatever a match needs
+
+
+def too_small_box(rig, scene):
+    camera = Rig.create(rig.cameras[:1])
+    renderer = Renderer([MODEL], occlusion=Occlusion.EXACT)
+    views = views_of_rig(camera, rotation_count=1, rotation_step_rad=0.0)
+    renderer.render(scene, views.position_ego_m, views.camera_from_ego)
+    seen = observe(renderer, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+    assert np.isnan(seen.truth_box_px).all()
+    return seen.too_small_box_px[0, 0]
+
+
+def test_what_is_too_small_need_not_be_found_and_is_no_false_alarm():
+    rig, scene = rig_of(yaw=(0.0, math.pi)), world(TINY)
+    box = too_small_box(rig, scene.scene)
+    assert 0.0 < np.prod(box[2:] - box[:2]) < 16.0
+    metrics = measured(rig, [scene], ([[box], []], [[0.9], []]))
+    assert (metrics.rig_recall, metrics.visible_rate, metrics.tp_in_frame_rate) == (0.0, 0.0, 1.0)
+    assert metrics.rig_recall_visible is None
+    assert metrics.ap50_pooled is None
+    assert metrics.false_alarms_per_frame == 0.0
+    # one box only, and only one that fits
+    wide = box + np.array([-20.0, 0.0, 0.0, 0.0], np.float32)
+    metrics = measured(rig, [scene], ([[box, box, wide], []], [[0.9, 0.8, 0.7], []]))
+    assert metrics.false_alarms_per_frame == 2 / 2
+
+
+def test_a_detection_of_another_kind_finds_nothing():
+    rig = rig_of(yaw=BOTH_AHEAD)
+    scene = world(AHEAD, (8.0, 3.5, 0.2), categories=["pedestrian", "saloon"])
+    boxes = truth_boxes(rig, scene.scene)[0]
+    pedestrian = ROAD_USERS.index("pedestrian")
+    right = measured(rig, [scene], ([boxes, []], [[0.9, 0.8], []], [[pedestrian, 0], []]))
+    assert right.recall_by["road_user"] == {"vehicle": group(1, 1, 1), "pedestrian": group(1, 1, 1)}
+    assert right.false_alarms_per_frame == 0.0
+    wrong = measured(rig, [scene], ([boxes, []], [[0.9, 0.8], []], [[0, 0], []]))
+    assert wrong.recall_by["road_user"] == {"vehicle": group(1, 1, 1), "pedestrian": group(1, 1, 0)}
+    assert wrong.recall_by["category"] == {"pedestrian": group(1, 1, 0), "saloon": group(1, 1, 1)}
+    assert wrong.false_alarms_per_frame == 1 / 2
+    # the mean over both kinds, as COCO's over classes: the pedestrian is missed by both cameras; the car is seen by
+    # both and found by one, after the false alarm
+    assert wrong.ap50_pooled == pytest.approx((0.0 + 51 / 101 * 0.5) / 2)
+    assert right.ap50_pooled == pytest.approx(51 / 101)
+
+
+def test_ap_by_size_goes_by_the_true_box():
+    rig, scene = rig_of(yaw=BOTH_AHEAD), world((3.7, 0.0, 1.5), (12.0, -7.0, 1.5))
+    boxes = truth_boxes(rig, scene.scene)
+    size_px = np.sqrt(np.prod(boxes[..., 2:] - boxes[..., :2], axis=2))
+    assert (size_px[:, 0] > 32).all()
+    assert (size_px[:, 1] < 32).all()
+    found = measured(rig, [scene], ([boxes[0, :1], boxes[1, :1]], [[0.9], [0.9]]))
+    assert (found.ap50_medium, found.ap50_95_medium) == (1.0, 1.0)
+    assert found.ap50_large is None
+    assert (found.ap50_small, found.ap50_95_small) == (0.0, 0.0)
+    shrunk = boxes[:, 0].copy()
+    shrunk[:, 2] -= 0.32 * (shrunk[:, 2] - shrunk[:, 0])  # IoU 0.68: right at .50, .55, .60, .65
+    partly = measured(rig, [scene], ([shrunk[:1], shrunk[1:]], [[0.9], [0.9]]))
+    assert (partly.ap50_medium, partly.ap50_95_medium) == (1.0, pytest.approx(0.4))

@@ -1,0 +1,256 @@
+"""Figures of rigs: what they tell against the rigs and scenes that they show, and their words on the command line."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.experiments import small_experiment
+from tests.view.stand_ins import rig
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.evaluation.metrics import evaluate_rig
+from warpav.experiments import method_figures
+from warpav.experiments.method_figures import covered_rad, draw_method_figure
+from warpav.rig.rig import Rig
+from warpav.runs.problem import load_problem
+from warpav.runs.progress import RunDisplay
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.sources import find_rig, load_scenes
+from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+
+WIDE_STEPS = "optimiser.learning_rate_position_m=4"  # the surface is 2 m wide
+# large enough, and asking for little enough, that something is found
+SEEN = ("camera.width_px=160", "camera.height_px=160", "detector.confidence_min=0.02", "detector.iou_min=0.2")
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Matplotlib's figures of what was drawn, to read their texts."""
+    figures = []
+
+    def save(figure, path, real=method_figures.save_figure):
+        figures.append(figure)
+        return real(figure, path)
+
+    monkeypatch.setattr(method_figures, "save_figure", save)
+    return figures
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("figures") / "scenes"
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    """A run whose steps lead off the vehicle, and back."""
+    out = folder.parent / "run"
+    words = small_experiment.overrides(folder, *SEEN, WIDE_STEPS, "run.iterations=3", f"run.out={out}")
+    assert main(["optimise", "thesis", *words]) == 0
+    return RunFolder.open(out)
+
+
+def draw(number, path, config, run=None):
+    with RunDisplay() as display:
+        return draw_method_figure(number, path, config, run=run, display=display)
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(float)
+
+
+def count(image, rgb, tolerance=12.0):
+    return int((np.linalg.norm(image - np.asarray(rgb, float), axis=-1) < tolerance).sum())
+
+
+def lines(axis, colour_index):
+    """x and y of the lines in a camera's colour, those of more than one point."""
+    from warpav.view.palette import hex_colour
+
+    colour = hex_colour(camera_rgb(colour_index))
+    return [line.get_xydata() for line in axis.lines if line.get_color() == colour and len(line.get_xydata()) > 1]
+
+
+# -------------------------------------------------------------------------------------------- without constraints: 10
+
+
+def test_without_constraints_cameras_leave_the_surface_and_with_them_they_do_not(folder, tmp_path, drawn):
+    draw(10, tmp_path / "10.png", small_experiment.config(folder, WIDE_STEPS, "run.iterations=3"))
+    free, kept = drawn[0].axes[:2]
+    assert free.get_title("left") == "Without constraints"
+    told = re.fullmatch(r"([12]) of 2 cameras end outside, by up to ([0-9.]+) m", free.get_title("right"))
+    assert told
+    assert float(told[2]) > 1.0  # steps of metres
+    assert kept.get_title("right") == "0 of 2 cameras end outside"
+    for index in range(2):
+        ways = [lines(axis, index) for axis in (free, kept)]
+        assert all(len(way[0]) == 4 for way in ways)  # three steps
+        assert ways[0][0][0] == pytest.approx(ways[1][0][0])  # from one start
+
+
+def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
+    draw(10, tmp_path / "10.png", run.config(), run)
+    kept = drawn[0].axes[1]
+    for index in range(2):
+        expected = [event["positions_m"][index][:2] for event in run.events()]
+        assert lines(kept, index)[0] == pytest.approx(np.array(expected))
+        assert lines(drawn[0].axes[0], index)[0][0] == pytest.approx(np.array(expected[0]), abs=1e-5)
+
+
+@pytest.mark.parametrize("number", [10, 11])
+def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
+    started = []
+
+    def begin(problem, *given, real=method_figures.begin_descent):
+        beginning = real(problem, *given)
+        started.append(problem.objective.mount.rig(beginning.descent.start))
+        return beginning
+
+    monkeypatch.setattr(method_figures, "begin_descent", begin)
+    config = small_experiment.config(
+        folder, "run.iterations=1", f"rig.start={run.path / 'rig_initial.yaml'}", "run.seed=5"
+    )
+    draw(number, tmp_path / "figure.png", config)
+    for found, expected in zip(started[0].cameras, run.rig("initial").cameras, strict=True):
+        assert found.position_m == pytest.approx(expected.position_m, abs=1e-5)
+
+
+def test_a_run_of_one_step_shows_no_way(run, tmp_path):
+    short = tmp_path / "short"
+    short.mkdir()
+    (short / "config.yaml").write_bytes((run.path / "config.yaml").read_bytes())
+    (short / "rig_initial.yaml").write_bytes((run.path / "rig_initial.yaml").read_bytes())
+    first = (run.path / "events.jsonl").read_text().splitlines()[0]
+    (short / "events.jsonl").write_text(first + "\n")
+    with pytest.raises(InputError, match="expected at least two iterations"):
+        draw(10, tmp_path / "10.png", run.config(), RunFolder.open(short))
+
+
+# ------------------------------------------------------------------------------------- before and after 11, highest 12
+
+
+def found_of(config, rig_shown, scenes):
+    """How many road users the evaluation says that a rig finds."""
+    with RunDisplay() as display:
+        problem = load_problem(config, display)
+    chosen = problem.train if scenes == "train" else problem.test
+    metrics = evaluate_rig(rig_shown, chosen, problem.objective)
+    return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"
+
+
+def test_views_before_and_after_count_what_the_evaluation_counts(run, tmp_path, drawn):
+    config = run.config()
+    image = pixels(draw(11, tmp_path / "11.png", config, run))
+    axes = drawn[0].axes
+    rows = [axes[3 * k : 3 * k + 3] for k in range(3)]  # a plan and two cameras
+    assert [row[0].get_ylabel() for row in rows] == ["Start", "Optimised", "On test scenes"]
+    shown = [row[0].get_title("left") for row in rows]
+    started, ended = (
+        find_rig(str(run.path / f"rig_{role}.yaml"), config, next(load_scenes(config, (0,))).ego)
+        for role in ("initial", "final")
+    )
+    assert shown == [
+        found_of(config, started, "train"),
+        found_of(config, ended, "train"),
+        found_of(config, ended, "test"),
+    ]
+    assert count(image, MISS_RGB, 30.0) > 50  # six of ten are found at the start
+    for index in range(2):
+        assert count(image, camera_rgb(index)) > 1000  # the frames of its images
+
+
+def test_the_highest_rig_covers_all_round_and_finds_what_the_evaluation_counts(folder, tmp_path, drawn):
+    config = small_experiment.config(folder, *SEEN, "rig.cameras=5", "camera.fov_deg=80")
+    image = pixels(draw(12, tmp_path / "12.png", config))
+    near, around, *views = drawn[0].axes
+    assert near.get_title("left") == "Cameras around the highest point"
+    highest = find_rig("highest", config, next(load_scenes(config, (2,))).ego)
+    assert around.get_title("left") == found_of(config, highest, "test")
+    assert [bool(axis.get_title("left")) for axis in views] == [True] * 5 + [False] * 3  # two rows
+    (legend,) = drawn[0].legends
+    assert "cover 360 of 360 degrees" in legend.get_title().get_text()
+    assert count(image, TRUE_POSITIVE_RGB, 30.0) > 50
+
+
+def test_cameras_of_several_models_keep_their_places(folder):
+    config = small_experiment.config(folder, *SEEN)
+    scene = next(load_scenes(config, (2,)))
+    plain = find_rig("highest", config, scene.ego).cameras
+    wide = dataclasses.replace(plain[0].model, fov_rad=2.0)
+    both = Rig.create(
+        [plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]]
+    )
+    with RunDisplay() as display:
+        looker = method_figures._Looker(config, display)
+        (mixed,), (alone,) = looker.look(both, [scene], "mixed"), looker.look(Rig.create(plain), [scene], "alone")
+    assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
+    for here, there in ((0, 0), (3, 1)):
+        assert np.array_equal(mixed.panels[here].image_rgb, alone.panels[there].image_rgb)
+    assert np.array_equal(mixed.panels[1].image_rgb, mixed.panels[2].image_rgb)
+    assert not np.array_equal(mixed.panels[0].image_rgb, mixed.panels[1].image_rgb)
+    assert (mixed.is_found >= alone.is_found).all()
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "turn_deg", "expected_deg"),
+    [
+        (90.0, (0, 90, 180, 270), 360.0),
+        (80.0, (0, 90, 180, 270), 320.0),
+        (90.0, (0, 0), 90.0),
+        (90.0, (350, 80), 180.0),
+        (120.0, (170, 200, 10), 270.0),
+        (60.0, (-180, 180), 60.0),
+    ],
+)
+def test_covered_angle_is_that_of_the_union(fov_deg, turn_deg, expected_deg):
+    sample = rig(1, fov_deg=fov_deg).cameras[0]
+    cameras = [
+        type(sample)(f"c{k}", sample.position_m, math.radians(t), 0.0, 0.0, sample.model)
+        for k, t in enumerate(turn_deg)
+    ]
+    # worst seen 6e-14 degrees
+    assert math.degrees(covered_rad(Rig.create(cameras))) == pytest.approx(expected_deg, abs=1e-9)
+
+
+# -------------------------------------------------------------------------------------------------- the command line
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["10", "--out", "10.jpg"], r"10.jpg: --out: expected a name that ends in .png, got '.jpg'"),
+        (["11", "--out", "11.png", "--run", "nowhere"], "nowhere: run folder: expected an existing folder"),
+        (["12", "--out", "12.png", "--seed", "1"], "figure 12: expected --run, --config or key=value, got --seed"),
+        (["12", "--out", "12.png", "--config", "quik"], "did you mean quick?"),
+        (["12", "--out", "12.png", "rig.cameras=none"], "rig.cameras"),
+        (["4", "--out", "4.png", "rig.cameras=6"], "figure 4: expected no --run, --config or key=value"),
+        (["13", "--out", "13.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, got 13"),
+    ],
+)
+def test_wrong_words_are_told_in_one_line(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["scenes", "figure", *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_highest_rig_takes_no_run(run, tmp_path, capsys):
+    out = tmp_path / "12.png"
+    assert main(["scenes", "figure", "12", "--out", str(out), "--run", str(run.path)]) == 2
+    assert "the highest rig needs no run" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_figure_of_a_run_is_drawn_by_the_command(run, tmp_path, capsys):
+    out = tmp_path / "new" / "11.png"
+    assert main(["scenes", "figure", "11", "--out", str(out), "--run", str(run.path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {out}"
+    assert [file.name for file in out.parent.iterdir()] == ["11.png"]

@@ -1,0 +1,321 @@
+"""Small worlds whose best rig is known, because all rigs were tried.
+
+Vehicles are painted in colours of their own and everything else is grey, so that a detector that knows the colours
+gives the true boxes from the images. ``value`` is the share of the vehicles, each alone and all round, that does not
+lie in a detection: 0 where all of them are found whole. The regret of a rig is how far its value lies above the
+optimum, as a share of the world's spread, from the best to the worst rig.
+
+To test a method: ``world.optimum.regret(world.value(mount_pose))``; searches take ``world.budget(renders)``, the
+gradient ``world.objective`` with ``world.scenes``.
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from warpav.detection.detector import Detections
+from warpav.detection.ground_truth import largest_component_box
+from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.losses import LossSettings, Reference
+from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.search import BudgetedValue, SearchSpace
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.mesh import Mesh, merge
+from warpav.raster.renderer import Occlusion
+from warpav.rig.mount_surface import MountSurface
+from warpav.scene.scene import Box, Scene, Sky, Vehicle
+
+PAINT = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8)
+GREY = (120, 120, 120)
+MODEL = CameraModel(64, 64, math.pi / 2)
+HEIGHT_OFFSET_M = 0.25
+
+
+class PaintDetector:
+    """Finds every vehicle by its paint; its boxes are the true ones, a pixel wider on every side.
+
+    The margin keeps the corners of the image of a vehicle inside its box, so that what counts is what is seen.
+    """
+
+    names = ("car",)
+
+    def detect(self, images_rgb):
+        """A box around the largest part of every paint, for every image."""
+        return [self._found(image_rgb.astype(int)) for image_rgb in images_rgb]
+
+    def _found(self, image_rgb):
+        found = [largest_component_box(np.abs(image_rgb - paint).max(axis=2) <= 2) for paint in PAINT.astype(int)]
+        boxes = [box + np.array([-1.0, -1.0, 1.0, 1.0]) for box in found if box is not None]
+        count = len(boxes)
+        return Detections(
+            np.array(boxes, np.float32).reshape(-1, 4),
+            np.full(count, 0.9, np.float32),
+            np.zeros(count, np.int32),
+            self.names,
+            np.zeros(count, np.int32),
+        )
+
+
+def large_and_whole():
+    """A detector that is the surer the larger, the more visible and the more inside the image a vehicle is."""
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
+    step = np.array([2.0, 0.25, 0.25, 0.75, 0.9, 0.15])
+    rise = np.array([2.0, 6.0, 4.0, 0.0, 0.0, 0.0])
+    return DetectionProbability(start, step, rise[:, None] * np.linspace(-0.5, 0.5, 5), -4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene, where the cameras may stand, and how rigs are judged.
+
+    ``best`` is the first camera's x, y [m] and yaw [rad] of the best rig, ``surest`` those of the rig that is expected
+    to miss least, and ``rig_of`` makes the rig of them; slow tests try all rigs and find none better.
+    """
+
+    name: str
+    scene: Scene
+    surface: MountSurface
+    best: tuple[float, float, float]
+    surest: tuple[float, float, float]
+    rig_of: Callable
+    camera_count: int = 1
+    supersampling: int = 4
+
+    @functools.cached_property
+    def objective(self):
+        """Each vehicle's share that is not found, mean over vehicles."""
+        mount = CameraMount(self.surface, camera=MODEL, height_offset_m=HEIGHT_OFFSET_M)
+        settings = LossSettings(
+            in_frame_rotation=0.0, detected_area=1.0, min_detected_area=1.0, reference=Reference.ALONE
+        )
+        return RigObjective(
+            mount,
+            PaintDetector(),
+            camera_count=self.camera_count,
+            settings=settings,
+            iou_min=0.2,
+            occlusion=Occlusion.EXACT,
+            supersampling=self.supersampling,
+        )
+
+    @functools.cached_property
+    def expected(self):
+        """The default method's: the share of vehicles that the rig is expected to miss, inequalities for places."""
+        return RigObjective(
+            self.objective.mount,
+            PaintDetector(),
+            camera_count=self.camera_count,
+            settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0, multiplier_damping=10.0),
+            constraints=ZoneAndSpacing(self.surface, camera_count=self.camera_count),
+            occlusion=Occlusion.EXACT,
+            supersampling=self.supersampling,
+            probability=large_and_whole(),
+        )
+
+    @functools.cached_property
+    def expected_optimum(self):
+        """The rig that is expected to miss least, with its value; the worst finds nothing."""
+        pose = self.space.feasible(self.rig_of(np.array(self.surest)))
+        return Optimum(pose, self.expected_missed(pose), 1.0)
+
+    def expected_missed(self, mount_pose):
+        """Share of vehicles that a rig is expected to miss."""
+        return self.expected.evaluate(mount_pose, self.scenes).objective
+
+    @functools.cached_property
+    def scenes(self):
+        """The scene; vehicle k belongs to camera k."""
+        packed = DeviceScene.pack(self.scene)
+        return [AssignedScene(packed, np.arange(packed.vehicle_count, dtype=np.int32))]
+
+    @functools.cached_property
+    def space(self):
+        """All rigs: level cameras anywhere on the surface, looking anywhere."""
+        return SearchSpace.over(
+            self.objective.mount,
+            self.camera_count,
+            constraints=self.objective.constraints,
+        )
+
+    @functools.cached_property
+    def optimum(self):
+        """The best rig; the worst sees nothing."""
+        pose = self.space.feasible(self.rig_of(np.array(self.best)))
+        return Optimum(pose, self.value(pose), 1.0)
+
+    def value(self, mount_pose):
+        """Value of a rig."""
+        return self.objective.evaluate(mount_pose, self.scenes).objective
+
+    def budget(self, renders):
+        """The value at the price of a render."""
+        return BudgetedValue(self.value, self.space, renders_per_value=1, render_budget=renders)
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best rig, its value, and the worst one's."""
+
+    mount_pose: np.ndarray
+    value: float
+    worst: float
+
+    def regret(self, value):
+        """How far a value lies above the optimum, as a share of the spread; below 0 where it is better."""
+        return (value - self.value) / (self.worst - self.value)
+
+
+def exhaustive(value, space, rig_of, *, counts=(13, 7, 24), kept=6, halvings=4):
+    """Try every camera of a grid, then ever finer neighbourhoods of the best.
+
+    Args:
+        value: Of a rig.
+        space: Gives the bounds.
+        rig_of: The rig of the first camera's x, y and yaw; the others follow from it.
+        counts: Grid points of x, y and yaw.
+        kept: How many places go on to the next neighbourhood.
+        halvings: How often the grid is halved.
+    """
+    low_m, high_m = space.mount.surface.bounds_m
+    known = {}
+
+    def look(point):
+        key = tuple(np.round(point, 9))
+        if key not in known:
+            known[key] = value(space.feasible(rig_of(np.array(key))))
+        return known[key]
+
+    x, y = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, counts[:2], strict=True))
+    yaw = 2.0 * math.pi * np.arange(counts[2]) / counts[2]
+    for point in itertools.product(x, y, yaw):
+        look(point)
+    worst = max(known.values())
+    step = np.array([np.diff(x)[0], np.diff(y)[0], yaw[1]])
+    for _ in range(halvings):
+        step *= 0.5
+        for point in sorted(known, key=known.get)[:kept]:
+            for shift in itertools.product((-1, 0, 1), repeat=3):
+                near = np.array(point) + shift * step
+                near[:2] = np.clip(near[:2], low_m, high_m)
+                look(near)
+    best = min(known, key=known.get)
+    return Optimum(space.feasible(rig_of(np.array(best))), known[best], worst)
+
+
+def single(point):
+    """The rig of one camera at x, y [m], yaw [rad]."""
+    return np.array([[*point, 0.0, 0.0, 0.0, 0.0]])
+
+
+def turned(point):
+    """Four cameras, each a quarter turn about the origin from the one before; the first at x, y [m], yaw [rad]."""
+    turn = 0.5 * math.pi * np.arange(4)
+    x, y, yaw = point
+    rig = np.zeros((4, 7))
+    rig[:, X_M] = np.cos(turn) * x - np.sin(turn) * y
+    rig[:, Y_M] = np.sin(turn) * x + np.cos(turn) * y
+    rig[:, YAW_RAD] = yaw + turn
+    return rig
+
+
+def _block(size_m, centre_m, rgb=GREY, *, roll_rad=0.0):
+    box = trimesh.creation.box(extents=size_m)
+    box.apply_transform(trimesh.transformations.rotation_matrix(roll_rad, [1.0, 0.0, 0.0]))
+    box.apply_translation(centre_m)
+    return Mesh.create(box.vertices, box.faces, rgb)
+
+
+def _vehicle(k, size_m, centre_m):
+    mesh = _block(size_m, centre_m, PAINT[k])
+    return Vehicle(k + 1, "van", mesh, Box(np.array(centre_m, float), np.array(size_m, float), 0.0))
+
+
+def _ground():
+    return _block([80.0, 80.0, 0.2], [0.0, 0.0, -0.1], (90, 90, 90))
+
+
+def _scene(name, blocks, ego, vehicles):
+    sky = Sky(np.array([200, 200, 200], np.uint8), np.array([180, 180, 180], np.uint8))
+    return Scene(name, merge([_ground(), *blocks]), ego, tuple(vehicles), sky)
+
+
+def _surface(low_m, high_m, height_of, cell_m=0.05):
+    size = np.round((np.asarray(high_m) - low_m) / cell_m).astype(int) + 1
+    x, y = (low + cell_m * np.arange(n) for low, n in zip(low_m, size, strict=True))
+    height_m = np.broadcast_to(height_of(x[:, None], y[None, :]), tuple(size))
+    return MountSurface(np.array(height_m, np.float32), np.asarray(low_m, float), cell_m)
+
+
+def _body(surface, every=4):
+    """An ego vehicle under a mount surface: its top, and a block below."""
+    rows, columns = (np.unique(np.r_[np.arange(0, n, every), n - 1]) for n in surface.height_m.shape)
+    x = surface.origin_m[0] + surface.cell_m * rows
+    y = surface.origin_m[1] + surface.cell_m * columns
+    vertex = np.stack([*np.meshgrid(x, y, indexing="ij"), surface.height_m[np.ix_(rows, columns)]], axis=-1).reshape(
+        -1, 3
+    )
+    i = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)).ravel()
+    faces = np.r_[np.c_[i, i + len(y), i + len(y) + 1], np.c_[i, i + len(y) + 1, i + 1]]
+    low, high = surface.bounds_m
+    top = float(surface.height_m.min()) - 0.05
+    block = _block([*(high - low), top], [*(0.5 * (low + high)), 0.5 * top])
+    return merge([Mesh.create(vertex, faces, GREY), block])
+
+
+@functools.cache
+def behind_a_wall():
+    """One camera and one van; a wall hides most of it from most of the roof."""
+    surface = _surface([-1.2, -0.7], [1.2, 0.7], lambda x, y: 1.5 + 0.0 * (x + y))
+    wall = _block([0.4, 12.0, 6.0], [3.2, -5.6, 3.0])  # its end stands at y = 0.4
+    van = _vehicle(0, [2.4, 6.0, 3.0], [9.0, 1.2, 1.5])
+    return World(
+        "behind a wall",
+        _scene("wall", [wall], _body(surface), [van]),
+        surface,
+        (1.2, 0.685, -0.295),
+        (1.1504146, 0.7, 0.6509182),
+        single,
+    )
+
+
+@functools.cache
+def square():
+    """Four cameras and four vans, one on each side, each half hidden by a post; the same after a quarter turn."""
+    surface = _surface([-0.9, -0.9], [0.9, 0.9], lambda x, y: 1.5 + 0.0 * (x + y))
+    blocks, vans = [], []
+    for k in range(4):
+        c, s = round(math.cos(0.5 * math.pi * k)), round(math.sin(0.5 * math.pi * k))
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], float)
+        blocks.append(_block(np.abs(turn @ [0.3, 0.9, 6.0]), turn @ [3.0, 0.2, 3.0]))
+        vans.append(_vehicle(k, np.abs(turn @ [2.4, 5.0, 3.0]), turn @ [8.0, 0.0, 1.5]))
+    scene = _scene("square", blocks, _body(surface), vans)
+    return World("square", scene, surface, (0.9, -0.9, 0.515), (0.7272, -0.9, -0.5223), turned, 4, 2)
+
+
+@functools.cache
+def bump():
+    """One camera on a roof with a bump, and a van behind a fence; who stands higher sees more of it."""
+
+    def height(x, y):
+        return 1.5 + 0.7 * np.exp(-((x - 0.5) ** 2 + (y + 0.2) ** 2) / 0.18)
+
+    surface = _surface([-1.2, -0.7], [1.2, 0.7], height)
+    # its top slopes, so that what is seen does not change by whole rows of the image
+    fence = _block([0.2, 30.0, 3.2], [5.0, 0.0, 0.0], roll_rad=0.06)
+    van = _vehicle(0, [2.4, 5.0, 2.6], [9.0, 0.0, 1.3])
+    return World(
+        "bump",
+        _scene("bump", [fence], _body(surface, 2), [van]),
+        surface,
+        (0.525, -0.204, 0.458),
+        (0.4982, -0.2011, 0.4748),
+        single,
+    )

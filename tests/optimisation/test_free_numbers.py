@@ -1,0 +1,272 @@
+"""Pitch, height and field of view: their bounds, their steps, and a world in which the best of them are known."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.driving_scene import ConstantDetector, flat_surface, roof
+from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
+from tests.optimisation.test_gradient import START, Slope, street_scenes
+from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.constraints import BoundsAndSpacing
+from warpav.optimisation.gradient import Descent, OptimiserSettings
+from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.search import SearchSpace
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.lens import Lens
+from warpav.raster.renderer import Occlusion
+from warpav.rig.rig import Rig
+
+MODEL = CameraModel(64, 64, math.pi / 2)
+OFFSET_M = 0.25
+FREE = FreeRanges(
+    pitch_rad=(math.radians(-20.0), math.radians(20.0)),
+    height_m=(0.05, 0.6),
+    fov_rad=(math.radians(60.0), math.radians(110.0)),
+)
+
+
+def mount_of(free=FREE, surface=None, model=MODEL):
+    return CameraMount(surface or roof(), camera=model, height_offset_m=OFFSET_M, free=free)
+
+
+def assert_within(mount, mount_pose):
+    """Exactly, as the numbers that are kept; to rounding, as the rig's."""
+    assert (mount.low <= mount_pose).all()
+    assert (mount_pose <= mount.high).all()
+    for camera in mount.rig(mount_pose).cameras:
+        height_m = camera.position_m[2] - mount.surface.height_at_m(camera.position_m[:2])
+        for value, (low, high) in zip(
+            (camera.pitch_rad, height_m, camera.model.fov_rad), vars(mount.free).values(), strict=True
+        ):
+            assert low - 1e-6 <= value <= high + 1e-6
+
+
+# --- the mount -------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_free_unless_asked_for():
+    mount = mount_of(free=None)
+    assert not mount.is_free.any()
+    pose = np.random.default_rng(0).normal(0.0, 10.0, (3, 7))
+    np.testing.assert_array_equal(mount.within(pose), pose)
+    space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
+    assert space.size == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "low", "high"),
+    [
+        ("pitch_rad", PITCH_RAD, math.radians(-20.0), math.radians(20.0)),
+        ("height_m", RISE_M, -0.2, 0.35),
+        ("fov_rad", LOG_ZOOM, -math.log(math.tan(math.radians(55.0))), -math.log(math.tan(math.radians(30.0)))),
+    ],
+)
+def test_each_number_is_freed_alone(name, number, low, high):
+    mount = mount_of(FreeRanges(**{name: getattr(FREE, name)}))
+    assert np.flatnonzero(mount.is_free).tolist() == [number]
+    assert (mount.low[number], mount.high[number]) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
+    # a camera that turns sees all round without gaps at its narrowest
+    assert mount.rotation_count == (6 if name == "fov_rad" else 4)
+
+
+@pytest.mark.parametrize(
+    ("free", "message"),
+    [
+        (lambda: FreeRanges(pitch_rad=(0.2, -0.2)), "pitch_rad must be a range"),
+        (lambda: FreeRanges(height_m=(0.1, math.nan)), "height_m must be a range"),
+        (lambda: mount_of(FreeRanges(height_m=(0.3, 0.4))), "must hold what is configured"),
+        (lambda: mount_of(FreeRanges(fov_rad=(1.0, 1.5))), "must hold what is configured"),
+        (lambda: mount_of(FREE, model=CameraModel(64, 64, lens=Lens.FISHEYE)), "of a fisheye lens cannot be free"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused(free, message):
+    with pytest.raises(ValueError, match=message):
+        free()
+
+
+def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
+    pose = np.array([[1.6, 0.3, 0.15, 0.1, 0.02, 0.2, 0.3], [0.4, -0.3, 3.0, -0.6, 0.0, 0.9, -0.9]], np.float32)
+    rig = mount_of().rig(pose)
+    assert isinstance(rig, Rig)
+    kept = mount_of().start_pose_of_rig(rig)
+    np.testing.assert_allclose(kept[0], pose[0], atol=1e-6)
+    assert_within(mount_of(), kept)
+    fixed = mount_of(free=None).start_pose_of_rig(rig)
+    np.testing.assert_array_equal(fixed[:, [RISE_M, LOG_ZOOM]], 0.0)
+    np.testing.assert_allclose(fixed[:, :5], pose[:, :5], atol=1e-6)
+
+
+def test_windows_of_level_cameras_are_those_of_the_model():
+    mount = mount_of()
+    pose = START.astype(np.float32)
+    views = mount.place(wp.array(pose, dtype=float))
+    half_height = math.atan(math.tan(0.5 * MODEL.fov_rad) * MODEL.height_px / MODEL.width_px)
+    turn = -mount.rotation_step_rad * np.arange(mount.rotation_count)
+    still = np.tile([[a, 0.0, 0.5 * MODEL.fov_rad, half_height] for a in turn], (2, 1))
+    difference = mount.windows(views).numpy() - still
+    np.testing.assert_allclose(np.exp(1j * difference), 1.0, atol=2e-6)
+    pose[:, PITCH_RAD], pose[:, LOG_ZOOM] = 0.1, 0.2
+    window = mount.windows(mount.place(wp.array(pose, dtype=float))).numpy().reshape(2, mount.rotation_count, 4)
+    np.testing.assert_allclose(window[:, 0, :2], 0.0, atol=1e-6)
+    # a view to the rear looks down as well: in its axes the camera's axis points down by twice as much
+    np.testing.assert_allclose(window[:, 3, 1], -0.2, atol=1e-6)
+    np.testing.assert_allclose(window[:, :, 2], 0.5 * MODEL.zoomed(0.2).fov_rad, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "half_width_deg", "half_height_deg"),
+    [
+        (CameraModel(64, 64, math.pi / 2), 45.0, 45.0),
+        (CameraModel(64, 32, math.pi / 2), 45.0, math.degrees(math.atan(0.5))),
+        (CameraModel(64, 32, math.radians(200.0), lens="fisheye"), 100.0, 50.0),
+        (CameraModel(64, 64, math.radians(200.0), lens="fisheye"), 100.0, 100.0),
+        (
+            CameraModel(64, 32, math.radians(170.0), lens="panorama"),
+            85.0,
+            math.degrees(math.atan(math.radians(42.5))),
+        ),
+    ],
+)
+def test_windows_are_as_wide_and_high_as_the_image_of_any_lens(model, half_width_deg, half_height_deg):
+    mount = mount_of(free=None, model=model)
+    window = mount.windows(mount.place(wp.array(START.astype(np.float32), dtype=float))).numpy()
+    np.testing.assert_allclose(np.degrees(window[:, 2:]), [[half_width_deg, half_height_deg]] * len(window), atol=1e-3)
+
+
+# --- steps and samples stay within -----------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.floats(-1e3, 1e3, width=32), min_size=14, max_size=14),
+    st.floats(1e-3, 3.0),
+    st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
+)
+@settings(max_examples=25, deadline=None)
+def test_no_step_leaves_the_bounds(slope, rate, first):
+    objective = Slope()
+    objective.mount = mount_of()
+    evaluate = objective.evaluate
+
+    def steep(mount_pose, scenes, **options):
+        assert_within(objective.mount, mount_pose)
+        result = evaluate(mount_pose, scenes, **options)
+        if result.gradient is not None:
+            result.gradient[:] = np.reshape(slope, (2, 7))
+        return result
+
+    objective.evaluate = steep
+    start = START.copy()
+    start[:, [PITCH_RAD, RISE_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
+    steps = OptimiserSettings(
+        iterations=4,
+        batch_size=1,
+        learning_rate_position_m=0.01,
+        learning_rate_pitch_rad=rate,
+        learning_rate_height_m=rate,
+        learning_rate_zoom=rate,
+        keep="best",
+        check_every=2,
+    )
+    descent = Descent(objective, street_scenes(), steps, start, np.random.default_rng(0))
+    records = [descent.step() for _ in range(4)]
+    assert_within(objective.mount, descent.finish().mount_pose)
+    assert set(records[0].free) == {"pitch_deg", "height_m", "fov_deg"}
+    for record in records:
+        for value in record.free["fov_deg"]:
+            assert 60.0 - 1e-4 <= value <= 110.0 + 1e-4
+        for value in record.free["height_m"]:
+            assert 0.05 <= value <= 0.6
+    moved = descent.state()["pose_value"] != objective.mount.within(start).astype(np.float32)
+    assert not moved[:, 4].any()  # the roll
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=25, deadline=None)
+def test_searches_try_all_that_is_free_and_nothing_else(seed):
+    mount, rng = mount_of(), np.random.default_rng(seed)
+    space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
+    assert space.size == 12
+    for unit in (rng.uniform(-0.5, 1.5, 12), np.zeros(12), np.ones(12)):
+        assert_within(mount, space.pose_of(unit))
+    random = space.random(rng)
+    assert_within(mount, random.astype(np.float32))
+    assert (np.ptp(random[:, [PITCH_RAD, RISE_M, LOG_ZOOM]], axis=0) > 0.0).all()
+    np.testing.assert_allclose(space.pose_of(space.unit_of(random))[:, 3:], random[:, 3:], atol=1e-6)
+
+
+def test_records_hold_only_what_is_free():
+    objective = Slope()
+    objective.mount = mount_of(FreeRanges(pitch_rad=FREE.pitch_rad))
+    steps = OptimiserSettings(iterations=1, batch_size=1)
+    record = Descent(objective, street_scenes(), steps, START, np.random.default_rng(0)).step()
+    assert record.free == {"pitch_deg": [0.0, 0.0]}
+    assert set(record.gradient_norm) == {"position", "rotation"}
+
+
+# --- a world with a known answer -------------------------------------------------------------------------------------
+
+
+def fenced_objective(free):
+    """A camera that sees a far van over a fence: higher and narrower is better; it starts by looking up."""
+    surface = flat_surface([-0.5, -0.5], [0.5, 0.5], height_m=1.5)
+    fence = _block([0.2, 30.0, 2.0], [5.0, 0.0, 1.0])
+    scene = _scene("fence", [fence], _body(surface), [_vehicle(0, [2.4, 4.0, 2.6], [14.0, 0.0, 1.3])])
+    objective = RigObjective(
+        mount_of(free, surface),
+        ConstantDetector.silent(1),
+        camera_count=1,
+        settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0),
+        occlusion=Occlusion.EXACT,
+        supersampling=2,
+        # more of it, less of it hidden, less of it cut off, farther from the border
+        probability=DetectionProbability(
+            np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0]),
+            np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / 6.0,
+            np.array([[8.0], [6.0], [3.0], [0.0], [6.0], [0.0]]) * np.linspace(-0.5, 0.5, 7),
+            -0.5,
+        ),
+    )
+    return objective, [AssignedScene(DeviceScene.pack(scene), np.full(1, -1, np.int32))]
+
+
+def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
+    steps = OptimiserSettings(
+        iterations=60,
+        batch_size=1,
+        learning_rate_position_m=0.01,
+        learning_rate_yaw_rad=0.01,
+        schedule="cosine",
+        keep="best",
+        check_every=5,
+        weight_decay=0.0,
+    )
+    start = np.array([[0.0, 0.0, 0.0, -0.3, 0.0, 0.0, 0.0]])
+    found = {}
+    for name, free in (("free", FREE), ("fixed", None)):
+        objective, scenes = fenced_objective(free)
+        descent = Descent(objective, scenes, steps, start, np.random.default_rng(0))
+        for _ in range(steps.iterations):
+            descent.step()
+        found[name] = descent.finish()
+    objective, scenes = fenced_objective(FREE)
+    best, low, high = found["free"].mount_pose, objective.mount.low, objective.mount.high
+    assert best[0, RISE_M] > high[RISE_M] - 0.02
+    assert best[0, LOG_ZOOM] > high[LOG_ZOOM] - 0.02
+    pitches = np.linspace(low[PITCH_RAD], high[PITCH_RAD], 41)
+    values = []
+    for pitch in pitches:
+        pose = best.copy()
+        pose[:, PITCH_RAD] = pitch
+        values.append(objective.evaluate(pose, scenes).objective)
+    # 6.2 and 6.0 degrees, .432 and .431; level at the configured height with the configured lens .98
+    assert best[0, PITCH_RAD] == pytest.approx(pitches[np.argmin(values)], abs=math.radians(1.0))
+    assert found["free"].training_objective < min(values) + 0.01
+    assert found["free"].training_objective < 0.6 * found["fixed"].training_objective

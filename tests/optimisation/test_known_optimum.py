@@ -1,0 +1,215 @@
+"""Regret in worlds whose best rig is known. Spread is 1 - optimum: the worst rig sees nothing and has the value 1."""
+
+import functools
+import importlib.util
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
+from warpav.optimisation.gradient import Descent, OptimiserSettings
+from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.rivals import (
+    GradientStage,
+    cma_es,
+    cma_then_gradient,
+    differential_evolution,
+    gradient_search,
+    highest,
+    random_search,
+    sobol_search,
+)
+from warpav.optimisation.search import SearchSpace, run_search
+from warpav.optimisation.starts import look_at_starts
+
+WORLDS = [behind_a_wall, bump, square]
+needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
+STEPS = OptimiserSettings(
+    batch_size=1,
+    learning_rate_position_m=0.04,
+    learning_rate_yaw_rad=0.06,
+    schedule="cosine",
+    keep="best",
+    check_every=5,
+)
+
+
+def regret(world, method, renders, seed=0):
+    result = run_search(method, world.budget(renders), np.random.default_rng(seed))
+    assert result.error is None
+    assert result.renders <= renders
+    assert world.space.violation_m(result.mount_pose) == 0.0
+    return world.optimum.regret(result.value)
+
+
+@pytest.mark.parametrize(("make", "value"), [(behind_a_wall, 0.1896), (bump, 0.4124), (square, 0.1983)])
+def test_optimum_is_feasible_and_far_better_than_the_middle(make, value):
+    world = make()
+    assert world.space.violation_m(world.optimum.mount_pose) == 0.0
+    assert world.optimum.value == pytest.approx(value, abs=0.002)
+    middle = world.space.feasible(0.5 * (world.space.low + world.space.high) + 0.0)
+    assert world.optimum.regret(world.value(middle)) > 0.02
+    assert world.optimum.regret(world.optimum.value) == 0.0
+    assert world.optimum.regret(1.0) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", WORLDS)
+def test_no_rig_of_all_that_were_tried_is_better(make):
+    world = make()
+    counts = (13, 7, 16) if world.camera_count == 1 else (9, 9, 16)
+    found = exhaustive(world.value, world.space, world.rig_of, counts=counts)
+    assert found.worst == 1.0
+    assert abs(world.optimum.regret(found.value)) <= 0.002
+    assert found.regret(world.optimum.value) <= 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", WORLDS)
+def test_no_rig_of_all_that_were_tried_is_expected_to_miss_less(make):
+    """All rigs of a grid, then Nelder and Mead's descents from the best of them that lie apart."""
+    world = make()
+    counts = (9, 7, 64) if world.camera_count == 1 else (7, 7, 48)
+
+    def value(point):
+        return world.expected_missed(world.space.feasible(world.rig_of(np.asarray(point))))
+
+    low_m, high_m = world.space.mount.surface.bounds_m
+    x, y = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, counts[:2], strict=True))
+    grid = list(itertools.product(x, y, 2.0 * np.pi * np.arange(counts[2]) / counts[2]))
+    values = np.array([value(point) for point in grid])
+    apart: list[np.ndarray] = []
+    for k in np.argsort(values):
+        point = np.array(grid[k])
+        if all(np.linalg.norm((point - other) / [0.5, 0.5, 0.3]) > 1.0 for other in apart):
+            apart.append(point)
+    first = np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
+    found = [
+        minimize(
+            value, point, method="Nelder-Mead", options={"initial_simplex": point + first * np.where(point > 0, -1, 1)}
+        ).fun
+        for point in apart[:10]
+    ]
+    assert values.max() > 0.99
+    assert world.expected_optimum.regret(min(found)) >= -0.002
+    assert world.expected_optimum.regret(min(found)) <= 0.02  # or the optimum is beyond what a search finds
+
+
+def default_method(world, seed, *, starts, descents, iterations):
+    """The rig that the default method finds: many starts, their mixture, descents with a panorama early in each."""
+    settings = OptimiserSettings(
+        iterations=iterations,
+        batch_size=1,
+        learning_rate_position_m=0.04,
+        learning_rate_yaw_rad=0.04,
+        schedule="cosine",
+        weight_decay=0.0,
+        multiplier_learning_rate=1.0,
+        keep="best",
+        check_every=4,
+        panorama_until=0.3,
+        starts=starts,
+        descents=descents,
+    )
+    objective, rng = world.expected, np.random.default_rng(seed)
+    space = SearchSpace.over(objective.mount, world.camera_count, constraints=objective.constraints)
+    looked = look_at_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
+    first, *others = [each.mount_pose for each in looked[:descents]]
+    descent = Descent(objective, world.scenes, settings, first, rng, further_starts=others)
+    for _ in range(iterations):
+        descent.step()
+    result = descent.finish()
+    assert space.violation_m(result.mount_pose) == 0.0
+    return world.expected_optimum.regret(result.training_objective)
+
+
+def test_regret_of_the_default_method_is_small_on_a_bump():
+    assert -0.005 <= default_method(bump(), 0, starts=32, descents=2, iterations=160) <= 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "starts", "descents", "iterations"),
+    [(behind_a_wall, 256, 6, 900), (bump, 256, 6, 900), (square, 1024, 8, 1600)],
+)
+def test_regret_of_the_default_method_is_at_most_a_hundredth(make, starts, descents, iterations):
+    options = {"starts": starts, "descents": descents, "iterations": iterations}
+    regrets = [default_method(make(), seed, **options) for seed in range(3)]
+    assert min(regrets) >= -0.005, regrets
+    assert np.median(regrets) <= 0.01, regrets
+    assert max(regrets) <= 0.015, regrets  # seen .006 behind the wall, .001 on the bump, .0113 in the square
+
+
+def test_cameras_of_the_square_are_alone_with_their_vans():
+    """What one camera does is no other's business, so that the best rig is the best camera four times."""
+    world, rng = square(), np.random.default_rng(0)
+    best = world.optimum.mount_pose
+    for _ in range(3):
+        one, other = world.space.feasible(world.space.random(rng)), best.copy()
+        alone = []
+        for camera in range(4):
+            other[:] = best
+            other[camera] = one[camera]
+            alone.append(world.value(other) - world.optimum.value)
+        assert world.value(one) - world.optimum.value == pytest.approx(sum(alone), abs=1e-5)
+
+
+def test_the_square_is_the_same_after_a_quarter_turn():
+    world, rng = square(), np.random.default_rng(1)
+    pose = world.space.random(rng)[0, :3]
+    alone = list(_shares(world, world.rig_of(pose)))
+    np.testing.assert_allclose(alone, alone[0], atol=0.01)  # samples lie elsewhere after a turn
+
+
+def _shares(world, pose):
+    """Each vehicle's value through its own camera."""
+    packed = world.scenes[0].scene
+    for camera in range(4):
+        assigned = np.where(np.arange(4) == camera, camera, -1).astype(np.int32)
+        yield world.objective.evaluate(world.space.feasible(pose), [AssignedScene(packed, assigned)]).objective
+
+
+@needs_cma
+def test_cma_finds_the_optimum_behind_the_wall():
+    assert -0.005 <= regret(behind_a_wall(), cma_es, 150) <= 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "most"),
+    [
+        pytest.param(cma_es, 0.01, marks=needs_cma, id="cma"),
+        pytest.param(cma_then_gradient, 0.01, marks=needs_cma, id="cma_then_gradient"),
+        pytest.param(differential_evolution, 0.05, id="differential_evolution"),
+        pytest.param(sobol_search, 0.15, id="sobol"),
+        pytest.param(random_search, 0.2, id="random"),
+    ],
+)
+@pytest.mark.parametrize("make", [behind_a_wall, bump])
+def test_regret_of_rivals_is_small_with_one_camera(make, method, most):
+    # median of 3 seeds, 400 looks. Seen: CMA-ES .000, CMA-ES then gradient .002, evolution .025, Sobol .09
+    world = make()
+    if method is cma_then_gradient:
+        method = functools.partial(method, stage=GradientStage(world.objective, world.scenes, STEPS))
+    regrets = [regret(world, method, 400, seed) for seed in range(3)]
+    assert min(regrets) >= -0.005
+    assert np.median(regrets) <= most
+
+
+def test_highest_is_nearly_best_on_a_bump_and_bad_behind_a_wall():
+    assert regret(bump(), highest, 1) <= 0.03  # seen .013
+    assert regret(behind_a_wall(), highest, 1) >= 0.3  # seen .38
+
+
+@pytest.mark.slow
+@needs_cma
+def test_the_gradient_improves_on_what_cma_found_in_the_square():
+    world = square()
+    stage = GradientStage(world.objective, world.scenes, STEPS)
+    both = [regret(world, functools.partial(cma_then_gradient, stage=stage), 300, seed) for seed in range(3)]
+    alone = [regret(world, cma_es, 300, seed) for seed in range(3)]
+    gradient = [regret(world, functools.partial(gradient_search, stage=stage), 300, seed) for seed in range(3)]
+    assert np.mean(both) < np.mean(alone)
+    assert np.mean(both) < np.mean(gradient)

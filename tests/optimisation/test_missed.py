@@ -1,0 +1,279 @@
+"""The expected share of missed road users: its value from probabilities, its gradient against finer renders."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
+from warpav.detection.probability import (
+    CONTRAST,
+    FEATURE_COUNT,
+    IN_FRAME_SHARE,
+    VISIBLE_SHARE,
+    Appearance,
+    DetectionProbability,
+)
+from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.missed import Stage
+from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.raster.camera import CameraModel
+from warpav.raster.renderer import Occlusion, Renderer
+
+MODEL = CameraModel(128, 128)
+POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0, 0.0, 0.0]], np.float32)
+KNOTS = 7
+TRUTH_SAMPLES, JITTERS = 4, 8
+FREE = FreeRanges(
+    pitch_rad=(math.radians(-20.0), math.radians(20.0)),
+    height_m=(0.05, 0.6),
+    fov_rad=(math.radians(60.0), math.radians(110.0)),
+)
+
+
+def probability_model(rng):
+    """Curves that rise with what helps: what shows a pixel is never found.
+
+    Colours do not matter, for their differences are no part of the gradient.
+    """
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
+    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / (KNOTS - 1)
+    rise = np.array([12.0, 4.0, 3.0, 1.5, 0.5, 0.0])
+    coefficient = rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + rng.normal(0.0, 0.1, (FEATURE_COUNT, KNOTS))
+    coefficient[CONTRAST] = 0.0
+    return DetectionProbability(start, step, coefficient, -0.5)
+
+
+def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
+    scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
+    return RigObjective(
+        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
+        detector or ConstantDetector.silent(cameras),
+        camera_count=cameras,
+        settings=LossSettings(**scales),
+        occlusion=Occlusion.EXACT,
+        supersampling=supersampling,
+        probability=model or probability_model(np.random.default_rng(3)),
+    )
+
+
+def scenes_of(device="cpu", *counts):
+    return [
+        AssignedScene(packed_street(device, count, seed), np.full(count, -1, np.int32))
+        for seed, count in enumerate(counts or (10,))
+    ]
+
+
+def probabilities(objective, pose, scene, model):
+    """Of every camera and vehicle where the camera really looks, from features as they are."""
+    poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
+    renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
+    position, rotation = on_device(poses, objective.device)
+    renderer.render(scene, position, rotation)
+    return model.on_tape(Appearance.of(renderer, scene), position, rotation).probability.numpy().astype(float)
+
+
+def test_value_is_the_mean_of_products_over_all_objects_of_all_scenes(device, rng):
+    model = probability_model(rng)
+    objective, scenes = objective_of(device, model=model), scenes_of(device, 10, 4)
+    missed = [np.prod(1.0 - probabilities(objective, POSE, each.scene, model), axis=0) for each in scenes]
+    result = objective.evaluate(POSE, scenes)
+    assert result.terms["missed"] == pytest.approx(np.concatenate(missed).mean(), rel=1e-5)
+    assert result.objective == pytest.approx(result.terms["missed"], rel=1e-6)
+    assert set(result.terms) == {"missed", "out_of_bounds", "camera_spacing"}
+    # whatever the scale, and whoever answers for a vehicle
+    double = objective_of(device, model=model, missed=2.0)
+    assigned = [AssignedScene(each.scene, np.zeros_like(each.assigned_camera)) for each in scenes]
+    assert double.evaluate(POSE, assigned).objective == pytest.approx(2.0 * result.objective, rel=1e-6)
+
+
+def test_the_detector_corrects_the_probabilities(device, rng):
+    model = probability_model(rng)
+    boxes = [np.array([[0.0, 0.0, 128.0, 128.0]])] * 2
+    detector = ConstantDetector(boxes, [np.array([0.9])] * 2)
+    objective = objective_of(device, model=model, detector=detector, detector_share=0.5)
+    [scene] = scenes_of(device, 10)
+    observation, _, _ = objective.observe_rig(objective.mount.rig(POSE), scene)
+    found = (observation.match >= 0).astype(float)
+    p = 0.5 * probabilities(objective, POSE, scene.scene, model) + 0.5 * found
+    assert objective.evaluate(POSE, [scene]).terms["missed"] == pytest.approx(np.prod(1.0 - p, axis=0).mean(), rel=1e-5)
+    without = objective.evaluate(POSE, [scene], stage=Stage()).terms["missed"]
+    assert without == pytest.approx(
+        np.prod(1.0 - probabilities(objective, POSE, scene.scene, model), axis=0).mean(), rel=1e-5
+    )
+
+
+def features(objective, pose, scene, model):
+    """Of every camera and vehicle where the camera really looks."""
+    poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
+    renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
+    position, rotation = on_device(poses, objective.device)
+    renderer.render(scene, position, rotation)
+    return model.on_tape(Appearance.of(renderer, scene), position, rotation).feature.numpy().astype(float)
+
+
+def test_the_surest_camera_alone_may_count(device, rng):
+    model = probability_model(rng)
+    objective, [scene] = objective_of(device, model=model, combine="best"), scenes_of(device, 10)
+    pose = POSE.copy()
+    pose[1, YAW_RAD] = 0.7  # so that both see some
+    p = probabilities(objective, pose, scene.scene, model)
+    assert ((p > 0.0).sum(axis=0) > 1).any()
+    result = objective.evaluate(pose, [scene], gradient=True)
+    assert result.terms["missed"] == pytest.approx((1.0 - p.max(axis=0)).mean(), rel=1e-5)
+    # a camera that is the surest of none has no gradient
+    same = np.repeat(POSE[:1], 2, axis=0)
+    gradient = objective.evaluate(same, [scene], gradient=True).gradient
+    assert np.abs(gradient[0]).max() > 1e-4
+    assert not gradient[1].any()
+
+
+@pytest.mark.parametrize("name", ["visible_share", "in_frame_share"])
+def test_a_share_of_the_box_may_stand_for_the_probability(device, rng, name):
+    model = probability_model(rng)
+    objective, [scene] = objective_of(device, model=model, probability=name), scenes_of(device, 10)
+    feature = features(objective, POSE, scene.scene, model)
+    hiding = feature[:, :, VISIBLE_SHARE]
+    assert ((hiding > 0.0) & (hiding < 0.9)).any()  # so that the two differ
+    share = np.minimum(feature[:, :, IN_FRAME_SHARE] * (hiding if name == "visible_share" else 1.0), 0.9999)
+    assert share.max() > 0.5
+    result = objective.evaluate(POSE, [scene], gradient=True)
+    assert result.terms["missed"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)
+    assert np.abs(result.gradient).max() > 1e-4
+
+
+# Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.
+def mean_gradients(rng, stage, device, *, numbers, spread, pose=POSE, free=None):
+    """Our gradient and that of finer renders to some numbers with their steps, mean over jittered poses."""
+    scenes = scenes_of(device, 10)
+    objective, fine = (objective_of(device, supersampling=n, free=free) for n in (2, TRUTH_SAMPLES))
+    ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
+    for _ in range(JITTERS):
+        at = pose + rng.uniform(-1.0, 1.0, pose.shape).astype(np.float32) * spread
+        gradient = objective.evaluate(at, scenes, gradient=True, stage=stage).gradient
+        ours += gradient[:, [number for number, _ in numbers]] / JITTERS
+        for camera in range(2):
+            for column, (number, step) in enumerate(numbers):
+                values = []
+                for sign in (1.0, -1.0):
+                    moved = at.copy()
+                    moved[camera, number] += sign * step
+                    values.append(fine.evaluate(moved, scenes, stage=stage).terms["missed"])
+                truth[camera, column] += (values[0] - values[1]) / (2.0 * step) / JITTERS
+    return ours, truth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
+def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
+    numbers, spread = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006)), [0.05, 0.05, 0.01, 0.01, 0.0, 0.0, 0.0]
+    ours, truth = mean_gradients(rng, stage, device, numbers=numbers, spread=spread)
+    ours, truth = ours * [1.0, 1.0, 0.2], truth * [1.0, 1.0, 0.2]
+    # seen .994, .999, .998
+    assert (ours * truth).sum() > 0.99 * np.linalg.norm(ours) * np.linalg.norm(truth)
+
+
+# Cameras that look up, so that the lower border of the image cuts cars; near the roof, which hides some from low ones.
+@pytest.mark.slow
+@pytest.mark.parametrize(("stage", "rise_m"), [(Stage(), -0.1), (Stage(1.0), -0.05)], ids=["end", "panorama"])
+def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, stage, rise_m):
+    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, rise_m, 0.3], np.float32)
+    numbers, spread = ((PITCH_RAD, 0.01), (RISE_M, 0.02), (LOG_ZOOM, 0.03)), [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1]
+    ours, truth = mean_gradients(rng, stage, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
+    error = np.linalg.norm(ours - truth, axis=0) / np.linalg.norm(truth, axis=0)
+    # seen .04, .11, .03 at the end, .002, .04, .003 over the panorama
+    assert (error < [0.1, 0.25, 0.1]).all()
+    assert (np.linalg.norm(truth, axis=0) > 0.02).all()
+
+
+def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):
+    objective = objective_of(device, cameras=1)
+    [scene] = scenes_of(device, 1)
+    middle = np.asarray(scene.scene.upright_box.centre_ego_m.numpy()[0][:2], float)
+    place = np.array([1.0, 0.0])
+    bearing = math.atan2(*(middle - place)[::-1])
+    pose = np.array([[*place, bearing + math.radians(75.0), 0.0, 0.0]], np.float32)
+    end = objective.evaluate(pose, [scene], gradient=True, stage=Stage())
+    assert end.terms["missed"] == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(end.gradient).max() < 1e-3
+    early = objective.evaluate(pose, [scene], gradient=True, stage=Stage(1.0))
+    assert early.terms["missed"] < 1.0
+    assert early.gradient[0, YAW_RAD] > 0.02  # a turn to the right finds it
+    turned = pose.copy()
+    turned[0, YAW_RAD] = bearing
+    seen = objective.evaluate(turned, [scene], stage=Stage())
+    assert seen.terms["missed"] < 0.5
+
+
+def test_repeats_bit_by_bit_and_gradient_is_optional(device):
+    objective, scenes = objective_of(device), scenes_of(device, 10, 4, 7)
+    for stage in (Stage(), Stage(0.7)):
+        first = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
+        again = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
+        np.testing.assert_array_equal(again.gradient, first.gradient)
+        assert objective.evaluate(POSE, scenes, stage=stage).terms == first.terms == again.terms
+
+
+@pytest.mark.parametrize("free", [None, FREE], ids=["fixed", "free"])
+def test_a_rig_from_elsewhere_has_the_same_value(device, free):
+    objective, [scene] = objective_of(device, free=free), scenes_of(device, 10)
+    pose = POSE if free is None else POSE + np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.2, -0.2], np.float32)
+    _, _, value = objective.observe_rig(objective.mount.rig(pose), scene)
+    assert value == pytest.approx(objective.evaluate(pose, [scene]).objective, rel=1e-4)
+    assert (free is None) == (objective.evaluate(POSE, [scene]).objective == pytest.approx(value, rel=1e-3))
+
+
+def test_what_is_free_changes_nothing_while_it_is_as_configured(device):
+    scenes = scenes_of(device, 10, 4)
+    fixed, free = objective_of(device), objective_of(device, free=FREE)
+    one, other = (each.evaluate(POSE, scenes, gradient=True, stage=Stage()) for each in (fixed, free))
+    assert one.terms == other.terms
+    np.testing.assert_array_equal(one.gradient, other.gradient)
+
+
+def test_the_losses_of_the_thesis_refuse_a_free_field_of_view():
+    with pytest.raises(ValueError, match="need one field of view for all cameras"):
+        objective_of(free=FREE, in_frame_rotation=1.0)
+    pitch_alone = FreeRanges(pitch_rad=(-0.1, 0.1))
+    assert objective_of(free=pitch_alone, in_frame_rotation=1.0).settings.needs_panorama
+
+
+def test_a_scene_without_road_users_misses_none(device):
+    objective, scenes = objective_of(device), scenes_of(device, 10, 0)
+    both = objective.evaluate(POSE, scenes, gradient=True)
+    alone = objective.evaluate(POSE, scenes[:1], gradient=True)
+    assert both.terms["missed"] == pytest.approx(alone.terms["missed"])
+    np.testing.assert_allclose(both.gradient, alone.gradient, rtol=1e-5, atol=1e-7)
+    assert objective.evaluate(POSE, scenes[1:]).terms["missed"] == 0.0
+
+
+def test_a_model_is_needed():
+    with pytest.raises(ValueError, match="needs the probability of detection"):
+        RigObjective(
+            CameraMount(roof(), camera=MODEL, height_offset_m=0.25),
+            ConstantDetector.silent(2),
+            camera_count=2,
+            settings=LossSettings(missed=1.0),
+        )
+
+
+def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
+    scenes = scenes_of("cpu", 10, 4)
+    change = np.zeros((3, *POSE.shape), np.float32)
+    change[:, :, [PITCH_RAD, RISE_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
+
+    def results():
+        objective = objective_of(free=FREE)
+        return [
+            objective.evaluate(POSE + each, scenes, gradient=True, stage=stage)
+            for each in change
+            for stage in (Stage(), Stage(0.6))
+        ]
+
+    launched = results()
+    monkeypatch.setattr("warpav.raster.renderer.available_cores", lambda: 1)  # one thread records
+    for one, other in zip(launched, results(), strict=True):
+        assert one.terms == other.terms
+        np.testing.assert_array_equal(one.gradient, other.gradient)
+    assert len({each.total for each in launched}) == len(launched)

@@ -1,0 +1,525 @@
+"""Searches on functions with a known minimum: within budget, feasible, repeatable, and better than chance."""
+
+import dataclasses
+import functools
+import importlib.util
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.driving_scene import flat_surface, roof
+from tests.optimisation.test_gradient import SETTINGS, street_objective, street_scenes
+from warpav.core.errors import InputError
+from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
+from warpav.optimisation.gradient import Descent
+from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.rivals import (
+    GradientStage,
+    _candidates,
+    cma_es,
+    cma_then_gradient,
+    detections_of,
+    differential_evolution,
+    gradient_search,
+    greedy_cover,
+    highest,
+    random_search,
+    sobol_search,
+)
+from warpav.optimisation.search import BudgetedValue, BudgetSpentError, Progress, SearchSpace, run_search
+from warpav.raster.camera import CameraModel
+
+SPACING_M = 0.2
+MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
+CONSTRAINTS = BoundsAndSpacing(MOUNT.surface, min_spacing_m=SPACING_M)
+needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
+SEARCHES = [
+    pytest.param(highest, id="highest"),
+    pytest.param(random_search, id="random"),
+    pytest.param(sobol_search, id="sobol"),
+    pytest.param(differential_evolution, id="differential_evolution"),
+    pytest.param(cma_es, id="cma", marks=needs_cma),
+]
+
+
+def space_of(camera_count, **options):
+    return SearchSpace.over(MOUNT, camera_count, constraints=CONSTRAINTS, **options)
+
+
+def bowl(camera_count):
+    """A quadratic with its minimum of 0 inside the space: places 0.3 m and more apart, yaws all round."""
+    place = np.array([[0.4, -0.35], [1.7, 0.4], [1.1, 0.1]])[:camera_count]
+    yaw = np.array([0.9, -2.4, 3.1])[:camera_count]
+
+    def value(pose):
+        turn = np.angle(np.exp(1j * (pose[:, YAW_RAD] - yaw)))
+        return float(((pose[:, [X_M, Y_M]] - place) ** 2).sum() + 0.1 * (turn**2).sum())
+
+    return value
+
+
+def search(method, camera_count=2, *, seed=0, renders=600, each=4, value=None, **options):
+    budget = BudgetedValue(
+        value or bowl(camera_count), space_of(camera_count, **options), renders_per_value=each, render_budget=renders
+    )
+    return run_search(method, budget, np.random.default_rng(seed))
+
+
+def sights_near(place):
+    """Cameras see the objects towards which they look, from places close enough: objects stand at ``place``."""
+
+    def sights(pose):
+        towards = place[None, :, :] - pose[:, None, [X_M, Y_M]]
+        bearing = np.arctan2(towards[..., 1], towards[..., 0]) - pose[:, None, YAW_RAD]
+        return np.abs(np.angle(np.exp(1j * bearing))) < math.pi / 4
+
+    return sights
+
+
+RING = 8.0 * np.stack([np.cos(np.arange(12) * math.pi / 6), np.sin(np.arange(12) * math.pi / 6)], axis=1)
+GREEDY = functools.partial(greedy_cover, sights=sights_near(RING))
+
+
+@pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])
+@pytest.mark.parametrize("renders", [24, 163, 400])
+def test_budget_is_kept_and_the_best_rig_is_feasible(method, renders):
+    asked = []
+
+    def value(pose):
+        assert space_of(3).violation_m(pose) == 0.0
+        asked.append(pose)
+        return bowl(3)(pose)
+
+    result = search(method, 3, renders=renders, each=4, value=value)
+    assert result.error is None
+    assert result.renders <= renders
+    if method in (highest, GREEDY):
+        assert len(asked) == 1
+    if method is GREEDY:
+        assert renders - result.renders < 0.3 * renders + 16  # the grid's cells are nearly square
+    elif method is not highest:
+        assert renders - result.renders < 4  # too little for a look
+    if method is not GREEDY:
+        assert result.renders == 4 * len(asked)
+    assert result.mount_pose.dtype == np.float32
+    assert space_of(3).violation_m(result.mount_pose) == 0.0
+    # what is claimed is the value of that very rig, and the least of all
+    assert result.value == bowl(3)(result.mount_pose) == min(map(bowl(3), asked))
+    best = [each.best_value for each in result.history]
+    np.testing.assert_array_equal(best, np.minimum.accumulate(list(map(bowl(3), asked))))
+    assert [each.renders for each in result.history] == sorted({each.renders for each in result.history})
+    assert result.history[-1] == Progress(result.renders, result.value, 0.0)
+
+
+@pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])
+def test_same_seed_same_rigs_and_no_global_random_numbers(method):
+    np.random.seed(1)  # noqa: NPY002
+    first = search(method, seed=5)
+    state = np.random.get_state()  # noqa: NPY002
+    np.random.seed(2)  # noqa: NPY002
+    again, other = search(method, seed=5), search(method, seed=6)
+    np.testing.assert_array_equal(first.mount_pose, again.mount_pose)
+    assert first.history == again.history
+    if method not in (highest, GREEDY):
+        assert first.history != other.history
+    np.random.seed(1)  # noqa: NPY002
+    np.testing.assert_array_equal(state[1], np.random.get_state()[1])  # noqa: NPY002
+
+
+@functools.cache
+def chance(camera_count):
+    return np.median([search(random_search, camera_count, seed=seed, renders=512, each=1).value for seed in range(7)])
+
+
+@pytest.mark.parametrize("camera_count", [1, 3])
+@pytest.mark.parametrize(
+    ("method", "most"),
+    [
+        (sobol_search, 1.0),
+        (differential_evolution, 0.5),
+        pytest.param(cma_es, 0.01, marks=needs_cma),
+    ],
+)
+def test_searches_beat_chance_on_a_bowl(method, most, camera_count):
+    found = np.median([search(method, camera_count, seed=seed, renders=512, each=1).value for seed in range(7)])
+    assert found <= most * chance(camera_count)
+
+
+@needs_cma
+def test_cma_starts_where_it_is_told():
+    good = np.array([[0.4, -0.35, 0.9, 0, 0, 0, 0], [1.7, 0.4, -2.4, 0, 0, 0, 0]])
+    near = search(functools.partial(cma_es, start=good), renders=40)
+    assert near.value < search(cma_es, renders=40).value
+
+
+@needs_cma
+def test_cma_restarts_when_it_has_settled():
+    # a well at a random place far from which everything is flat: the first search settles at once
+    def value(pose):
+        return min(0.0, float(np.linalg.norm(pose[:, :2] - [1.9, 0.5])) - 0.3)
+
+    result = search(cma_es, 1, renders=1500, each=1, value=value, seed=3)
+    assert result.renders == 1500
+    assert result.value < -0.29
+
+
+@needs_cma
+def test_cma_stays_at_an_edge_without_drifting_beyond():
+    corner = roof().bounds_m[1]
+
+    def value(pose):  # falls towards a corner, and would go on falling
+        return float(-pose[:, :2].sum())
+
+    result = search(cma_es, 1, renders=400, each=1, value=value)
+    np.testing.assert_allclose(result.mount_pose[0, :2], corner, atol=2e-3)
+
+
+@pytest.mark.parametrize("method", SEARCHES[1:])
+@pytest.mark.parametrize("first_bad", [3, 30])
+def test_a_search_that_fails_keeps_its_best(method, first_bad):
+    calls = []
+
+    def value(pose):
+        calls.append(bowl(2)(pose))
+        if len(calls) > first_bad:
+            raise InputError("the detector is gone")
+        return calls[-1]
+
+    result = search(method, value=value)
+    assert result.error == "InputError: the detector is gone"
+    assert result.value == min(calls[:first_bad])
+    assert result.renders == 4 * len(calls)
+    assert space_of(2).violation_m(result.mount_pose) == 0.0
+
+
+@pytest.mark.parametrize("method", SEARCHES)
+def test_a_value_that_always_fails_says_so(method):
+    def value(pose):
+        raise InputError("the detector is gone")
+
+    with pytest.raises(InputError, match="the detector is gone"):
+        search(method, value=value)
+    with pytest.raises(ValueError, match=r"none of \d+ rigs had a finite value"):
+        search(method, renders=200, value=lambda pose: math.nan)
+
+
+@pytest.mark.parametrize("method", SEARCHES[1:])
+def test_values_that_are_not_finite_are_never_best(method):
+    def value(pose):
+        return [math.nan, math.inf, -math.inf][int(1e6 * pose[0, X_M]) % 3] if pose[0, X_M] < 1.0 else bowl(2)(pose)
+
+    result = search(method, value=value)
+    assert result.error is None
+    assert math.isfinite(result.value)
+    assert result.mount_pose[0, X_M] >= 1.0
+    assert result.renders == 600
+
+
+@pytest.mark.parametrize(("renders", "each"), [(0, 4), (3, 4), (4, 0), (-1, -1)])
+def test_a_budget_too_small_for_one_value_is_refused(renders, each):
+    with pytest.raises(ValueError, match=r"render_budget must be at least one value's \d+ renders"):
+        search(random_search, renders=renders, each=each)
+
+
+def test_within_ends_the_block_and_not_the_search():
+    budget = BudgetedValue(bowl(2), space_of(2), renders_per_value=2, render_budget=10)
+    rng = np.random.default_rng(0)
+    reached = False
+    with budget.within(5):
+        while True:
+            budget(budget.space.random(rng))
+    assert budget.renders == 4
+    with budget.within(100):
+        reached = True
+    assert reached
+    assert budget.values_left == 3
+    budget.spend(6)
+    with pytest.raises(BudgetSpentError):
+        budget(budget.space.random(rng))
+    assert budget.renders == 10
+    assert len(budget.history) == 2
+
+
+def test_only_feasible_rigs_are_recorded():
+    budget = BudgetedValue(bowl(2), space_of(2), renders_per_value=2, render_budget=10)
+    with pytest.raises(ValueError, match="only rigs that satisfy the constraints"):
+        budget.record(np.zeros((2, 7)), 0.0)
+
+
+# the space
+
+
+wild = st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=9, max_size=9).map(np.array)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(unit=wild)
+def test_every_point_becomes_a_feasible_rig(unit):
+    space = space_of(3)
+    pose = space.pose_of(unit)
+    assert space.violation_m(pose) == 0.0
+    assert not pose[:, 3:].any()
+    assert (np.abs(pose[:, YAW_RAD]) <= np.float32(math.pi)).all()
+    # a whole turn changes nothing, and what is feasible stays: seen 2e-6, the margin of the projection
+    turned = np.where(space.goes_round, unit + 1.0, unit)
+    difference = space.pose_of(turned) - pose
+    difference[:, YAW_RAD] = np.angle(np.exp(1j * difference[:, YAW_RAD]))
+    np.testing.assert_allclose(difference, 0.0, atol=1e-5)
+    again = space.feasible(pose)
+    np.testing.assert_allclose(again[:, :2], pose[:, :2], atol=2e-5)
+    np.testing.assert_allclose(np.exp(1j * again[:, YAW_RAD]), np.exp(1j * pose[:, YAW_RAD]), atol=1e-6)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(unit=st.lists(st.floats(0.01, 0.99), min_size=9, max_size=9).map(np.array))
+def test_feasible_points_and_rigs_are_inverse(unit):
+    space = space_of(3)
+    pose = space.pose_of(unit)
+    again = space.pose_of(space.unit_of(pose))
+    np.testing.assert_allclose(again[:, :2], pose[:, :2], atol=2e-5)
+    np.testing.assert_allclose(np.exp(1j * again[:, YAW_RAD]), np.exp(1j * pose[:, YAW_RAD]), atol=1e-5)
+    spread = np.linalg.norm(pose[:, None, :2] - pose[None, :, :2], axis=2)[np.triu_indices(3, 1)]
+    if spread.min() > SPACING_M + 1e-3:
+        np.testing.assert_allclose(space.unit_of(pose), unit, atol=1e-5)
+
+
+def test_random_rigs_are_those_of_the_baseline_where_yaws_are_fixed():
+    yaw = np.array([0.2, 2.0, 4.0])
+    space = space_of(3, yaw_rad=yaw, yaw_reach_rad=0.0)
+    assert space.size == 6
+    ours, expected = (np.random.default_rng(8) for _ in range(2))
+    for _ in range(5):
+        pose = random_mount_pose(CONSTRAINTS, yaw, rng=expected)
+        np.testing.assert_allclose(space.random(ours), pose, atol=1e-15)
+        np.testing.assert_array_equal(space.feasible(pose), pose.astype(np.float32))
+
+
+def test_random_yaws_fill_their_ranges(rng):
+    space = space_of(2, yaw_rad=np.array([0.5, 2.5]), yaw_reach_rad=0.3)
+    assert not space.goes_round.any()
+    yaw = np.stack([space.random(rng)[:, YAW_RAD] for _ in range(200)])
+    np.testing.assert_allclose(yaw.min(axis=0), [0.2, 2.2], atol=0.02)
+    np.testing.assert_allclose(yaw.max(axis=0), [0.8, 2.8], atol=0.02)
+    assert space.goes_round.shape == (6,)
+    assert space_of(2).goes_round.tolist() == [False, False, True] * 2
+
+
+def test_other_numbers_are_searched_where_they_are_free(rng):
+    plain = space_of(2)
+    low, high = plain.low.copy(), plain.high.copy()
+    low[:, 3], high[:, 3] = -0.1, 0.3  # pitch
+    low[:, 4] = high[:, 4] = 0.05  # roll
+    space = SearchSpace(MOUNT, CONSTRAINTS, low, high)
+    assert space.size == 8
+    for pose in (space.random(rng), space.pose_of(rng.uniform(size=8))):
+        assert (pose[:, 3] > -0.1).all()
+        assert (pose[:, 3] < 0.3).all()
+        assert pose[0, 3] != pose[1, 3]
+        np.testing.assert_allclose(pose[:, 4], 0.05, rtol=1e-6)
+
+
+def test_nonsense_ranges_are_refused():
+    space = space_of(2)
+    with pytest.raises(ValueError, match="low must not exceed high"):
+        SearchSpace(MOUNT, CONSTRAINTS, space.high, space.low)
+    with pytest.raises(ValueError, match=r"low and high must be \[camera, 7\]"):
+        SearchSpace(MOUNT, CONSTRAINTS, space.low[:1], space.high)
+
+
+def test_cameras_are_put_in_the_order_of_their_ranges(rng):
+    space = space_of(4)
+    pose = highest_mount_pose(CONSTRAINTS, 4)
+    pose[:, YAW_RAD] += rng.uniform(-0.5, 0.5, 4)
+    np.testing.assert_array_equal(space.in_order(pose[rng.permutation(4)]), pose)
+
+
+# greedy
+
+
+def test_greedy_covers_what_single_cameras_see():
+    # three of the four quarters hold objects; three cameras cover all of them, wherever they stand
+    objects = RING[:9]
+    rigs = []
+
+    def value(pose):
+        rigs.append(pose)
+        return float(np.count_nonzero(~sights_near(objects)(pose).any(axis=0)))
+
+    method = functools.partial(greedy_cover, sights=sights_near(objects))
+    result = search(method, 3, renders=60, each=1, value=value)
+    assert result.value == 0.0
+    assert len(rigs) == 1
+
+
+def test_greedy_never_chooses_worse_than_the_bound():
+    # 1 - 1/e of the best cover, which is at most everything
+    for seed in range(5):
+        objects = np.random.default_rng(seed).normal(0.0, 8.0, (40, 2))
+        sees = sights_near(objects)
+        result = search(
+            functools.partial(greedy_cover, sights=sees),
+            2,
+            seed=seed,
+            renders=50,
+            each=1,
+            value=lambda pose, sees=sees: -float(sees(pose).any(axis=0).sum()),
+        )
+        singles = _candidates(BudgetedValue(bowl(2), space_of(2), renders_per_value=1, render_budget=50), 12, 8)
+        seen = np.concatenate([sees(singles[k : k + 2]) for k in range(0, len(singles), 2)])
+        best = max((seen[i] | seen[j]).sum() for i in range(len(seen)) for j in range(i))
+        assert -result.value >= (1.0 - 1.0 / math.e) * best - 1  # the projection may lose one
+
+
+@pytest.mark.parametrize("place_count", [1, 2, 7, 40])
+def test_candidates_fill_the_surface_evenly(place_count):
+    for surface in (roof(), flat_surface([0.0, 0.0], [0.4, 4.0])):
+        mount = CameraMount(surface, camera=MOUNT.camera, height_offset_m=0.25)
+        space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
+        budget = BudgetedValue(bowl(2), space, renders_per_value=1, render_budget=100)
+        candidate = _candidates(budget, place_count, 8)
+        places = np.unique(candidate[:, :2], axis=0)
+        assert len(candidate) == 8 * len(places)
+        assert 0.5 * place_count <= len(places) <= place_count
+        low, high = surface.bounds_m
+        np.testing.assert_allclose(places.mean(axis=0), 0.5 * (low + high), atol=1e-9)
+        assert ((places > low) & (places < high)).all()
+
+
+def test_greedy_refuses_what_it_cannot_do():
+    with pytest.raises(ValueError, match="greedy_cover needs at least 5 values, got 4"):
+        search(GREEDY, 2, renders=4, each=1)
+    assert search(GREEDY, 2, renders=5, each=1).renders == 5
+    with pytest.raises(ValueError, match="yaws that are free"):
+        search(GREEDY, 2, yaw_reach_rad=1.0)
+
+
+# on rendered scenes
+
+
+def street_budget(objective, scenes, renders):
+    space = SearchSpace.over(objective.mount, 2, constraints=objective.constraints)
+    return BudgetedValue.of(objective, scenes, space, render_budget=renders)
+
+
+class Counted:
+    """An objective that counts the scenes it renders."""
+
+    def __init__(self):
+        self.objective, self.renders = street_objective(), 0
+
+    def __getattr__(self, name):
+        return getattr(self.objective, name)
+
+    def evaluate(self, mount_pose, scenes, **options):
+        self.renders += len(scenes)
+        return self.objective.evaluate(mount_pose, scenes, **options)
+
+    def observe_rig(self, rig, scene):
+        self.renders += 1
+        return self.objective.observe_rig(rig, scene)
+
+
+@pytest.mark.parametrize("renders", [13, 40])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(random_search, id="random"),
+        pytest.param(gradient_search, id="gradient"),
+        pytest.param(cma_then_gradient, id="cma_then_gradient", marks=needs_cma),
+        pytest.param(greedy_cover, id="greedy"),
+    ],
+)
+def test_renders_are_counted_as_they_are_made(method, renders):
+    objective, scenes = Counted(), street_scenes()
+    budget = street_budget(objective, scenes, renders)
+    options = {}
+    if method in (gradient_search, cma_then_gradient):
+        options["stage"] = GradientStage(objective, scenes, SETTINGS)
+    if method is greedy_cover:
+        options |= {"sights": detections_of(objective, scenes), "yaw_count": 4}
+    result = run_search(functools.partial(method, **options), budget, np.random.default_rng(0))
+    assert result.error is None
+    assert result.renders == objective.renders <= renders
+    assert budget.space.violation_m(result.mount_pose) == 0.0
+    again = objective.evaluate(result.mount_pose, scenes).objective
+    assert again == pytest.approx(result.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("keep", ["best", "last"])
+@pytest.mark.parametrize("renders", [7, 8, 30, 31, 60])
+def test_gradient_stage_takes_all_the_steps_that_the_budget_pays_for(keep, renders):
+    stage = GradientStage(None, street_scenes(), dataclasses.replace(SETTINGS, keep=keep))
+    count = stage.iterations(renders)
+    assert (count == 0) == (renders < 2 + 2 * 3)
+    looks = 1 + (1 + (count - 1) // 5 if keep == "best" else 1)
+    assert 2 * count + 3 * looks <= renders or count == 0
+    more = 2 * (count + 1) + 3 * (1 + (1 + count // 5 if keep == "best" else 1))
+    assert more > renders
+
+
+@needs_cma
+def test_the_gradient_goes_on_from_where_cma_stopped():
+    objective, scenes = street_objective(), street_scenes()
+    stage = GradientStage(objective, scenes, SETTINGS)
+    budget = street_budget(objective, scenes, 120)
+    result = run_search(functools.partial(cma_then_gradient, stage=stage), budget, np.random.default_rng(0))
+    by_cma = [each for each in result.history if each.renders <= 60]
+    after = [each for each in result.history if each.renders > 60]
+    assert len(by_cma) == 20
+    # its first look is at the rig that CMA-ES found
+    assert after[0].best_value == by_cma[-1].best_value
+    assert result.value <= by_cma[-1].best_value
+    assert len(after) >= 4
+
+
+def test_a_descent_that_fails_keeps_its_best(monkeypatch):
+    objective, scenes = street_objective(), street_scenes()
+    steps = []
+
+    def step(self):
+        steps.append(self._look())
+        if len(steps) == 3:
+            raise InputError("no longer finite")
+
+    monkeypatch.setattr(Descent, "step", step)
+    stage = GradientStage(objective, scenes, SETTINGS)
+    result = run_search(
+        functools.partial(gradient_search, stage=stage), street_budget(objective, scenes, 60), np.random.default_rng(0)
+    )
+    assert result.error == "InputError: no longer finite"
+    assert result.value == min(step.training_objective for step in steps)
+    assert len(result.history) == 3
+
+
+@pytest.mark.parametrize("name", ["greedy", "random", "sobol"])
+def test_searches_stay_in_a_zone_in_parts(name):
+    surface = dataclasses.replace(roof(), is_mountable=np.zeros((111, 71), bool))
+    surface.is_mountable[10:30, 10:60] = True
+    surface.is_mountable[80:100, 10:60] = True
+    mount = CameraMount(surface, camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
+    constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.05)
+    asked, looked = [], []
+
+    def sights(pose):
+        asked.extend(pose)
+        return np.abs(pose[:, [X_M]] - [0.4, 1.8]) < 0.1
+
+    def value(pose):
+        looked.append(pose)
+        return float(np.abs(pose[:, X_M] - 1.1).sum())
+
+    search = {
+        "greedy": functools.partial(greedy_cover, sights=sights, yaw_count=2),
+        "random": random_search,
+        "sobol": sobol_search,
+    }[name]
+    space = SearchSpace.over(mount, 2, constraints=constraints)
+    budget = BudgetedValue(value, space, renders_per_value=1, render_budget=60)
+    found = run_search(search, budget, np.random.default_rng(0))
+    assert len(looked) + len(asked) > 50
+    assert all(constraints.contains(pose[[X_M, Y_M]]) for pose in asked)
+    assert all(space.violation_m(pose) == 0.0 for pose in [*looked, found.mount_pose])

@@ -1,0 +1,307 @@
+"""Images of the rasteriser against embree rays through the sample centres."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+
+from tests.driving_scene import (
+    EGO_TOP_M,
+    camera_pose,
+    car,
+    coloured,
+    on_device,
+    packed_street,
+    random_poses,
+    street,
+    vehicle,
+)
+from tests.oracle.ray_cast import RayCaster, cast_scene
+from warpav.detection.images import render_images
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.mesh import Mesh
+from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA, Content, Renderer
+from warpav.rig.rig import RigCamera
+from warpav.scene.scene import Scene
+
+MODEL = CameraModel(128, 128, math.pi / 2, 0.1)
+FAR_AWAY = Mesh.create([[0, 0, -500], [1, 0, -500], [0, 1, -500]], [[0, 1, 2]], [0, 0, 0])
+
+
+@pytest.fixture(scope="module")
+def street_rays():
+    return cast_scene(street())
+
+
+def images_of(renderer, scene, poses):
+    """Depth, object and colour images."""
+    renderer.render(scene, *on_device(poses, renderer.device))
+    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(scene))
+    return depth_m, object_index, renderer.rgb(scene).numpy()
+
+
+def poses_on_ego(rng, count):
+    return np.stack(
+        [
+            camera_pose(
+                [rng.uniform(0.1, 2.1), rng.uniform(-0.7, 0.7), rng.uniform(EGO_TOP_M + 0.02, EGO_TOP_M + 0.5)],
+                rng.uniform(-math.pi, math.pi),
+                rng.uniform(-0.2, 0.4),
+                rng.uniform(-0.1, 0.1),
+            )
+            for _ in range(count)
+        ]
+    )
+
+
+def assert_agrees(images, rays, poses, model, *, least=0.9999):
+    """Objects, depths and colours equal the rays' on nearly all pixels."""
+    same, pixels, depth_error, rgb_error = 0, 0, [], []
+    for pose, depth_m, object_index, rgb in zip(poses, *images, strict=True):
+        truth = rays.look(pose, model)
+        equal = object_index == truth.object_index
+        same += equal.sum()
+        pixels += equal.size
+        hit = equal & (object_index >= 0)
+        assert np.isinf(depth_m[object_index < 0]).all()
+        depth_error.append(np.abs(depth_m[hit] / truth.depth_m[hit] - 1.0))
+        rgb_error.append(np.abs(rgb[equal] - truth.rgb[equal]).max(axis=-1))
+    assert same >= least * pixels, f"{pixels - same} of {pixels} pixels differ"
+    # worst seen 8e-5: float32 planes of 15 m triangles cut at 0.1 m
+    assert np.concatenate(depth_error).max() < 5e-4
+    # worst seen 1.5e-3: a neighbour's colour across an edge
+    assert np.quantile(np.concatenate(rgb_error), 0.9999) < 2e-3
+    return pixels - same
+
+
+def test_views_on_ego_agree_with_rays(device, rng, street_rays):
+    scene, poses = packed_street(device), poses_on_ego(rng, 16)
+    images = images_of(Renderer([MODEL] * 16, device=device), scene, poses)
+    assert assert_agrees(images, street_rays, poses, MODEL) <= 3  # worst seen 0 of 262144
+
+
+def test_any_view_agrees_with_rays_though_triangles_cross_the_near_plane(device, rng, street_rays):
+    scene, poses = packed_street(device), random_poses(rng, 64, near_ground=True)
+    # the oracle needs something to bite on: triangles that reach behind the camera and still show in the image
+    near_cut = 0
+    corner_m = street_rays.vertex_m[street_rays.triangle]
+    for pose in poses:
+        depth = (corner_m - pose[:3, 3]) @ pose[:3, 2]
+        near_cut += np.count_nonzero((depth.min(axis=1) < MODEL.near_m) & (depth.max(axis=1) > MODEL.near_m))
+    assert near_cut > 1000
+    images = images_of(Renderer([MODEL] * 64, device=device), scene, poses)
+    assert assert_agrees(images, street_rays, poses, MODEL) <= 20  # worst seen 1 of 1048576
+
+
+@pytest.mark.parametrize(
+    ("width_px", "height_px", "fov_deg", "near_m"), [(160, 96, 40, 0.05), (96, 120, 120, 0.3), (130, 64, 60, 5.0)]
+)
+def test_lenses_agree_with_rays(device, rng, street_rays, width_px, height_px, fov_deg, near_m):
+    model = CameraModel(width_px, height_px, math.radians(fov_deg), near_m)
+    poses = np.r_[poses_on_ego(rng, 4), random_poses(rng, 4)]
+    assert_agrees(
+        images_of(Renderer([model] * 8, device=device), packed_street(device), poses), street_rays, poses, model
+    )
+
+
+def test_one_renderer_holds_views_of_different_lenses(device, rng, street_rays):
+    models = [CameraModel(64, 64, math.radians(f), n) for f, n in ((40, 0.1), (90, 2.0), (120, 0.5))]
+    poses = poses_on_ego(rng, 3)
+    images = images_of(Renderer(models, device=device), packed_street(device), poses)
+    for k, model in enumerate(models):
+        assert_agrees([image[k : k + 1] for image in images], street_rays, poses[k : k + 1], model)
+
+
+def test_grazing_surfaces_do_not_break_depth(device):
+    # looking along a plane from a hair above and below it: slivers whose plane equation is ill conditioned
+    rng = np.random.default_rng(5)
+    line = np.linspace(-30.0, 30.0, 40)
+    x, y = np.meshgrid(line, line, indexing="ij")
+    i = (np.arange(39)[:, None] * 40 + np.arange(39)).ravel()
+    faces = np.r_[np.c_[i, i + 40, i + 41], np.c_[i, i + 41, i + 1]]
+    bumpy = trimesh.Trimesh(np.c_[x.ravel(), y.ravel(), rng.normal(0, 1e-4, x.size)], faces, process=False)
+    scene = Scene("graze", coloured(bumpy, rng), FAR_AWAY, ())
+    poses = [camera_pose([0, 0, z], yaw) for z in (1e-3, 1e-2, -1e-3, 0.3) for yaw in (0.0, 1.0, 2.5)]
+    depth_m, object_index, _ = images_of(
+        Renderer([MODEL] * len(poses), device=device), DeviceScene.pack(scene, device=device), poses
+    )
+    rays = RayCaster([scene.environment])
+    wrong = 0
+    for k, pose in enumerate(poses):
+        truth = rays.look(pose, MODEL)
+        both = (object_index[k] == 0) & (truth.object_index == 0)
+        wrong += np.count_nonzero((object_index[k] == 0) != (truth.object_index == 0))
+        wrong += np.count_nonzero(np.abs(depth_m[k][both] / truth.depth_m[both] - 1.0) > 1e-2)
+    assert wrong <= 1e-4 * object_index.size
+
+
+def test_colours_are_averaged_over_samples(device, rng):
+    poses = poses_on_ego(rng, 3)
+    scene = packed_street(device)
+    twice = Renderer([MODEL] * 3, supersampling=2, device=device)
+    _, _, averaged = images_of(twice, scene, poses)
+    fine = CameraModel(256, 256, MODEL.fov_rad, MODEL.near_m)
+    _, _, samples = images_of(Renderer([fine] * 3, device=device), scene, poses)
+    mean = samples.reshape(3, 128, 2, 128, 2, 3).mean(axis=(2, 4))
+    # one colour step of 255 only where a sample falls on an edge; worst seen 2e-7
+    assert np.quantile(np.abs(averaged - mean), 0.9999) < 1e-4
+
+
+def test_sky_is_graded_by_elevation(device):
+    pose = camera_pose([0.0, 0.0, 50.0], 0.3, -math.pi / 4)
+    empty = Scene("empty", FAR_AWAY, FAR_AWAY, (), street().sky)
+    _, object_index, rgb = images_of(Renderer([MODEL], device=device), DeviceScene.pack(empty, device=device), [pose])
+    assert (object_index == -1).all()
+    truth = RayCaster([FAR_AWAY], sky=street().sky).look(pose, MODEL)
+    np.testing.assert_allclose(rgb[0], truth.rgb, atol=1e-5)
+    # the top of the image looks at the zenith, the bottom at the horizon
+    np.testing.assert_allclose(rgb[0, 0, 64] * 255.0, street().sky.zenith_rgb, atol=2.0)
+    np.testing.assert_allclose(rgb[0, -1, 64] * 255.0, street().sky.horizon_rgb, atol=2.0)
+
+
+def test_vehicles_alone_have_no_images(device, rng):
+    poses = poses_on_ego(rng, 8)
+    scene = packed_street(device)
+    renderer = Renderer([MODEL] * 8, device=device)
+    renderer.render(scene, *on_device(poses, device), content=Content.VEHICLES)
+    value = renderer.measure(scene).value.numpy()
+    for images in (renderer.rgb, renderer.depth_and_object):
+        with pytest.raises(ValueError, match="holds vehicles only"):
+            images(scene)
+    assert ((value[..., AMODAL_AREA] > 0).sum(axis=0) > 0).sum() >= 5
+    np.testing.assert_array_equal(value[..., VISIBLE_AREA], value[..., AMODAL_AREA])
+    renderer.render(scene, *on_device(poses, device))
+    np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[..., AMODAL_AREA], value[..., AMODAL_AREA])
+
+
+def test_scene_without_vehicles(device, rng):
+    scene = dataclasses.replace(street(), vehicles=())
+    poses = poses_on_ego(rng, 2)
+    packed = DeviceScene.pack(scene, device=device)
+    renderer = Renderer([MODEL] * 2, device=device)
+    assert_agrees(images_of(renderer, packed, poses), cast_scene(scene), poses, MODEL)
+    assert renderer.measure(packed).value.shape[:2] == (2, 0)
+    assert renderer.visible_masks(packed, [0, 1]) == [[], []]
+
+
+def test_vehicle_behind_the_camera_is_not_seen(device):
+    scene = dataclasses.replace(street(), vehicles=street().vehicles[:1])  # ahead of the ego vehicle
+    packed = DeviceScene.pack(scene, device=device)
+    renderer = Renderer([MODEL], device=device)
+    renderer.render(packed, *on_device([camera_pose([0.0, 0.0, 1.8], math.pi)], device))
+    measures = renderer.measure(packed)
+    value = measures.value.numpy()[0, 0]
+    np.testing.assert_array_equal(value, [0.0, 0.0, 0.0, 128.0, 0.0, 128.0, 0.0])
+    assert not measures.per_shift.numpy().any()
+    assert not measures.per_spin.numpy().any()
+    assert not renderer.visible_masks(packed, [0])[0][0][2].any()
+
+
+def test_more_vehicles_than_bits_in_a_mask(device, rng):
+    prototype = car(rng, subdivisions=2)
+    places = [(4.0 + 5.0 * (k // 8), -14.0 + 4.0 * (k % 8)) for k in range(40)]
+    vehicles = tuple(vehicle(k + 1, prototype, x, y, 0.1 * k) for k, (x, y) in enumerate(places))
+    scene = Scene("crowd", FAR_AWAY, FAR_AWAY, vehicles)
+    poses = [camera_pose([-6.0, 0.0, 4.0], 0.0, 0.2), camera_pose([14.0, -20.0, 3.0], 1.5, 0.1)]
+    packed = DeviceScene.pack(scene, device=device)
+    renderer = Renderer([MODEL] * 2, device=device)
+    _, object_index, _ = images = images_of(renderer, packed, poses)
+    assert_agrees(images, cast_scene(scene), poses, MODEL)
+    area = renderer.measure(packed).value.numpy()[..., VISIBLE_AREA]
+    for k in range(40):
+        np.testing.assert_array_equal(area[:, k], (object_index == 2 + k).sum(axis=(1, 2)))
+    assert len(np.unique(object_index)) > 33
+
+
+def test_every_output_is_written(device, rng, monkeypatch):
+    # fresh arrays are poisoned: what a kernel forgets to write stays NaN
+    scene, poses = packed_street(device), np.r_[poses_on_ego(rng, 3), random_poses(rng, 3)]
+    clean = Renderer([MODEL] * 6, device=device)
+    expected = images_of(clean, scene, poses)
+    expected_measures = clean.measure(scene)
+    empty = wp.empty
+
+    def poisoned(*args, **kwargs):
+        array = empty(*args, **kwargs)
+        host = array.numpy()
+        if np.issubdtype(host.dtype, np.floating):
+            array.assign(np.full_like(host, np.nan))
+        elif host.dtype == np.int32:
+            array.assign(np.full_like(host, 123456))
+        return array
+
+    monkeypatch.setattr(wp, "empty", poisoned)
+    dirty = Renderer([MODEL] * 6, device=device)
+    for one, other in zip(images_of(dirty, scene, poses), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    measures = dirty.measure(scene)
+    for name in ("value", "per_shift", "per_spin"):
+        # on a GPU sums are taken in one thread too, so they are equal bit by bit
+        np.testing.assert_array_equal(getattr(measures, name).numpy(), getattr(expected_measures, name).numpy())
+
+
+def test_threads_do_not_change_a_bit(rng):
+    scene, poses = packed_street(), poses_on_ego(rng, 7)
+    results = []
+    for thread_count in (1, 2, 3):
+        renderer = Renderer([MODEL] * 7, supersampling=2, thread_count=thread_count)
+        images = images_of(renderer, scene, poses)
+        measures = renderer.measure(scene)
+        results.append([*images, *(getattr(measures, n).numpy() for n in ("value", "per_shift", "per_spin"))])
+    for one, *others in zip(*results, strict=True):
+        for other in others:
+            np.testing.assert_array_equal(one, other)
+
+
+def test_renders_do_not_leak_into_each_other(device, rng):
+    poses = poses_on_ego(rng, 3)
+    many, few = packed_street(device), packed_street(device, 7, 1)
+    used = Renderer([MODEL] * 3, device=device)
+    first = images_of(used, many, poses)
+    images_of(used, few, poses)
+    used_measures = used.measure(few).value.numpy()
+    assert np.count_nonzero(used_measures[..., AMODAL_AREA]) >= 3
+    fresh = Renderer([MODEL] * 3, device=device)
+    for one, other in zip(images_of(used, few, poses), images_of(fresh, few, poses), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(used_measures, fresh.measure(few).value.numpy())
+    used.render(few, *on_device(poses, device), content=Content.VEHICLES)
+    for one, other in zip(images_of(used, many, poses), first, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_chosen_views_are_shown_in_order(device, rng):
+    scene, poses = packed_street(device), poses_on_ego(rng, 3)
+    renderer = Renderer([MODEL] * 3, device=device)
+    _, _, rgb = images_of(renderer, scene, poses)
+    np.testing.assert_array_equal(renderer.rgb(scene, [2, 0]).numpy(), rgb[[2, 0]])
+
+
+def test_render_images_takes_cameras_of_any_size(device, street_rays):
+    models = [MODEL, CameraModel(64, 48, 1.0, 0.1), MODEL, CameraModel(64, 48, 2.0, 0.1)]
+    cameras = [
+        RigCamera(f"camera_{k}", np.array([0.5 * k, 0.0, 1.8]), 1.5 * k, 0.05 * k, 0.02 * k, model)
+        for k, model in enumerate(models)
+    ]
+    pictures = render_images(street(), cameras, device=device)
+    for camera, picture in zip(cameras, pictures, strict=True):
+        truth = street_rays.look(camera.ego_from_camera, camera.model)
+        assert picture.rgb.shape == (camera.model.height_px, camera.model.width_px, 3)
+        assert np.mean(picture.object_index == truth.object_index) > 0.9999
+        assert np.quantile(np.abs(picture.rgb / 255.0 - truth.rgb), 0.999) < 0.5 / 255.0 + 1e-3
+        seen = [np.count_nonzero(picture.object_index == 2 + k) for k in range(len(street().vehicles))]
+        np.testing.assert_array_equal(picture.visible_area_px, seen)
+        assert (picture.amodal_area_px >= picture.visible_area_px).all()
+
+
+@pytest.mark.parametrize(
+    ("models", "supersampling", "message"),
+    [([], 1, "at least one view"), ([MODEL, CameraModel(64, 64)], 1, "same size"), ([MODEL], 0, "at least 1, got 0")],
+)
+def test_renderer_refuses(models, supersampling, message):
+    with pytest.raises(ValueError, match=message):
+        Renderer(models, supersampling=supersampling)

@@ -1,0 +1,429 @@
+"""What cannot be used is refused in one line with file and field; what is missing is asked for by its option."""
+
+import importlib
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.rig.formats.known_pose import KALIBR, KITTI, NUSCENES, URDF, write_sample
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.rig.check import side_of_name
+from warpav.rig.formats.convert import FORMAT_NAMES, ImportOptions, export_rig, find_format, import_rig
+from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.runs.config import load_config
+from warpav.runs.run_folder import RunFolder
+
+SIZED = ImportOptions(width_px=640, height_px=480)
+
+
+def refusal(path, name, options=SIZED):
+    with pytest.raises(InputError) as caught:
+        import_rig(path, name, options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith((str(path), str(path.parent), "command line"))
+    return text
+
+
+def spoilt(name, folder, old, new):
+    """The sample of a format with one text replaced in the first of its files that has it."""
+    path = write_sample(name, folder)
+    for file in [path, *sorted(folder.rglob("*"))]:
+        if file.is_file() and old in (text := file.read_text()):
+            file.write_text(text.replace(old, new, 1))
+            return path
+    raise AssertionError(f"{old!r} is not in the sample of {name}")
+
+
+CORRUPT = {
+    "nuscenes": [
+        (
+            '"translation": [1.7',
+            '"translation": [true',
+            "[1].translation: expected a list of 3 finite numbers, got",
+        ),
+        ('"rotation": [0.62', '"rotation": [1.62', "[1].rotation: expected a quaternion of length 1, got [1.62"),
+        ("[[320.0, 0.0,", "[[320.0, 2.0,", "[1].camera_intrinsic: expected a camera matrix [[fx, 0, cx]"),
+        ("[[320.0, 0.0,", "[[", "[1].camera_intrinsic: expected a 3 x 3 matrix"),
+        ('"token": "lidar0", ', '"token": "lidar0", "', "calibrated_sensor.json:1: expected valid JSON"),
+    ],
+    "urdf": [
+        ("<robot", "<robt", "syntax error"),
+        (
+            'xyz="0.7 0.5 0.1"',
+            'xyz="0.7 0.5"',
+            "'camera_joint': xyz: expected three finite numbers, got '0.7 0.5'",
+        ),
+        ('rpy="0.0', 'rpy="nan', "joint 'camera_joint': rpy: expected three finite numbers, got 'nan"),
+        ('name="camera_joint" type="fixed"', 'name="camera_joint" type="revolute"', "expected a fixed joint"),
+        ('<parent link="roof"/><child link="front', '<child link="front', "joint 'camera_joint': expected <parent"),
+        ('<parent link="base_link"/>', '<parent link="front_left/camera_link"/>', "got a circle through"),
+        ("camera_optical_link", "lens", "xx"),
+    ],
+    "autoware": [
+        (
+            "    pitch: ",
+            "    pitched: ",
+            "sensor_kit_base_link.front_left/camera_link.pitch: expected a finite",
+        ),
+        ("base_link:\n", "bass_link:\n", "expected a mapping"),
+        (
+            "distortion_model: plumb_bob",
+            "distortion_model: plum",
+            "distortion_model: expected one of plumb_bob, ratio",
+        ),
+        ("data: [320.,", "data: [-320.,", "camera_matrix.data: expected positive focal lengths"),
+        ("image_width: 640", "image_width: 3", "width_px: expected from 8 to 16384 pixels, got 3"),
+    ],
+    "carla-ros-bridge": [
+        ('"x": 1.7', '"x": "1.7"', "objects[1].sensors[1].spawn_point.x: expected a finite number, got '1.7'"),
+        ('"fov": 90.0', '"fov": 190.0', "sensors[1].fov: expected a field of view between 0 and 180 degrees, got 190"),
+        ("sensor.camera.rgb", "sensor.camera.depth", "expected sensors of type sensor.camera.rgb, got none"),
+        ('"objects"', '"object"', "objects: expected the ros-bridge's list of objects"),
+    ],
+    "carla-python": [
+        ("'x': 1.7", "'x': None", "[0].x: expected a finite number, got nothing"),
+        ("'type'", "'type", "sensors.txt:2: expected valid JSON"),
+        ("'fov': 90", "'fov': 90, 'lens_circle_multiplier': 3", "lens_circle_multiplier: expected 0"),
+    ],
+    "kitti": [
+        (
+            "R0_rect: 1 0 0",
+            "R0_rect: 1.1 0 0",
+            "R0_rect: expected a rotation, whose columns are ortho",
+        ),
+        ("R0_rect: 1 0 0", "R0_rect: -1 0 0", "R0_rect: expected a rotation, got one with a mirror"),
+        ("Tr_velo_to_cam", "Tr", "R0"),
+        ("P2: 320 0", "P2: 320 o", "P2: expected a 3 x 4 matrix of finite numbers"),
+        ("P0: ", "P0 ", "000000.txt:1: expected KEY: NUMBERS, got 'P0 320"),
+    ],
+    "opencv": [
+        ("R: ", "Q: ", "camera_from_ego: expected the camera's place: camera_from_ego (4 x 4), or R and T"),
+        ("camera_matrix", "matrix", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got nothing"),
+        ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
+        ("data: [ 320., ", "data: [ 320.; ", "expected an OpenCV FileStorage file"),
+    ],
+    "kalibr": [
+        (
+            "camera_model: pinhole",
+            "camera_model: omni",
+            "yaml:8: cam0.camera_model: expected pinhole, got 'omni'",
+        ),
+        (
+            "distortion_model: radtan",
+            "distortion_model: fov",
+            "cam0.distortion_model: expected one of none, radtan",
+        ),
+        ("cam1:", "cam2:", "expected cam0, cam1, ... without gaps, got cam0, cam2"),
+        (
+            "  - [0.0, 0.0, 0.0, 1.0]\n  camera_model",
+            "  - [0.0, 0.0, 1.0, 1.0]\n  camera_model",
+            "last row is 0, 0, 0, 1",
+        ),
+        ("resolution: [640, 480]", "resolution: 640", "cam0.resolution: expected [width, height], got 640"),
+        ("T_cn_cnm1:", "T_cn:", "cam1.T_cn_cnm1: expected a 4 x 4 matrix of finite numbers, got nothing"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"), [(name, *change) for name, changes in CORRUPT.items() for change in changes]
+)
+def test_a_mistake_in_a_file_is_named(tmp_path, name, old, new, message):
+    if (name, new) == ("urdf", "lens"):  # the camera's link itself remains
+        rig, _ = import_rig(spoilt(name, tmp_path, old, new), name)
+        assert rig.cameras[0].name == "front_left"
+        return
+    if (name, new) == ("kitti", "Tr"):  # odometry's files have no rectification
+        assert len(import_rig(spoilt(name, tmp_path, old, new), name, SIZED)[0].cameras) == 2
+        return
+    assert message in refusal(spoilt(name, tmp_path, old, new), name)
+
+
+@pytest.mark.parametrize("name", [name for name in FORMAT_NAMES if name not in ("camera-info", "argoverse2")])
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[[[[", b"{}", b"null", b"<robot/>", b"a: 1\n", b"P0: 1"])
+def test_a_file_of_something_else_is_refused(tmp_path, name, content):
+    file = tmp_path / "file.json"
+    file.write_bytes(content)
+    refusal(file, name)
+    refusal(tmp_path / "nothing.json", name)
+    (tmp_path / "folder").mkdir()
+    refusal(tmp_path / "folder", name)
+
+
+def test_argoverse2_without_its_package_names_the_extra(tmp_path, monkeypatch):
+    import_module = importlib.import_module
+
+    def without(name, *arguments):
+        if name.startswith("pyarrow"):
+            raise ModuleNotFoundError("No module named 'pyarrow'")
+        return import_module(name, *arguments)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    with pytest.raises(InputError, match=r'pip install "warpav\[av2\]"'):
+        import_rig(tmp_path, "argoverse2")
+
+
+def test_argoverse2_refuses_what_is_no_feather(tmp_path):
+    pytest.importorskip("pyarrow")
+    (tmp_path / "intrinsics.feather").write_bytes(b"ARROW1")
+    assert "intrinsics.feather: expected Argoverse 2's feather file" in refusal(tmp_path, "argoverse2")
+
+
+def test_missing_sizes_and_lenses_are_asked_for(tmp_path):
+    kitti = write_sample("kitti", tmp_path / "kitti")
+    assert "give --width-px and --height-px" in refusal(kitti, "kitti", ImportOptions())
+    urdf = write_sample("urdf", tmp_path / "urdf")
+    (tmp_path / "urdf/camera_info/front_left.yaml").rename(tmp_path / "info.yaml")
+    (tmp_path / "urdf/camera_info").rmdir()
+    assert "give --width-px, --height-px and --fov-deg, or --intrinsics" in refusal(urdf, "urdf", ImportOptions())
+    assert "(--fov-deg): expected a number" in refusal(urdf, "urdf", ImportOptions(None, (0, 0, 0), 640, 480, 200.0))
+    given = ImportOptions(width_px=320, height_px=240, fov_deg=70.0)
+    (camera,) = import_rig(urdf, "urdf", given)[0].cameras
+    assert (camera.model.width_px, math.degrees(camera.model.fov_rad)) == (320, pytest.approx(70.0))
+    (camera,) = import_rig(urdf, "urdf", ImportOptions(intrinsics=tmp_path / "info.yaml"))[0].cameras
+    assert camera.model.width_px == 640
+    assert "import the file that has them" in refusal(tmp_path / "info.yaml", "camera-info")
+
+
+def test_nuscenes_with_many_calibrations_asks_for_a_scene(tmp_path):
+    rows = NUSCENES["calibrated_sensor.json"]
+    other = {**rows[1], "token": "other", "translation": [1.5, 0.5, 1.6]}
+    file = write_sample("nuscenes", tmp_path)
+    file.write_text(json.dumps([*rows, other]))
+    assert "got 2 of front_left; --part SCENE" in refusal(file, "nuscenes")
+    (tmp_path / "scene.json").write_text(json.dumps([{"token": "t", "name": "scene-0061"}]))
+    (tmp_path / "sample.json").write_text(json.dumps([{"token": "s", "scene_token": "t"}]))
+    (camera,) = import_rig(file, "nuscenes", ImportOptions(part="scene-0061"))[0].cameras
+    assert camera.position_m[0] == 1.7
+    assert "expected a scene named 'scene-1'" in refusal(file, "nuscenes", ImportOptions(part="scene-1"))
+    assert "kitti files hold one rig" in refusal(write_sample("kitti", tmp_path), "kitti", ImportOptions(part="a"))
+
+
+def test_large_tables_of_nuscenes_are_read_row_by_row(tmp_path):
+    file = write_sample("nuscenes", tmp_path)
+    other = {"token": "o", "sample_token": "o", "calibrated_sensor_token": "o", "width": 8, "height": 8}
+    rows = [other] * 30_000 + NUSCENES["sample_data.json"]
+    (tmp_path / "sample_data.json").write_text(json.dumps(rows, indent=0))  # 3 MB, in several parts
+    (camera,) = import_rig(file, "nuscenes")[0].cameras
+    assert (camera.model.width_px, camera.model.height_px) == (640, 480)
+    text = json.dumps(rows)
+    for spoilt_text, message in (
+        (text[:2000], "sample_data.json: expected valid JSON, got a mistake in or behind row"),
+        ("{}", "sample_data.json: expected nuScenes's sample_data.json, a list of rows"),
+        ("[3]", "sample_data.json: [0]: expected a row, got 3"),
+    ):
+        (tmp_path / "sample_data.json").write_text(spoilt_text)
+        assert message in refusal(file, "nuscenes", ImportOptions())
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("CAM_FRONT_RIGHT", "right"),
+        ("ring_side_left", "left"),
+        ("rearRight", "right"),
+        ("LeftMirror", "left"),
+        ("upright", None),
+        ("left_right", None),
+        ("CAM_FRONT", None),
+    ],
+)
+def test_sides_are_found_in_names(name, side):
+    assert side_of_name(name) == side
+
+
+def mirrored_file(folder):
+    """A left-handed file read as a right-handed one."""
+    file = write_sample("carla-python", folder)
+    sensors = [{"type": "sensor.camera.rgb", "id": "front_left", "x": 1.0, "y": -0.5, "z": 1.5, "yaw": -55.0}]
+    objects = {"objects": [{"type": "vehicle.a", "id": "ego", "sensors": []}]}
+    for sensor in sensors:
+        place = {key: sensor.pop(key) for key in ("x", "y", "z", "yaw")}
+        objects["objects"][0]["sensors"].append({**sensor, "spawn_point": place})
+    file = folder / "objects.json"
+    file.write_text(json.dumps(objects))
+    return file
+
+
+def test_a_mirrored_rig_is_refused_with_the_dialect_to_try(tmp_path):
+    file = mirrored_file(tmp_path)
+    text = refusal(file, "carla-ros-bridge")
+    assert "camera 'front_left': expected it on the left (y > 0) and looking there, got y = -0.500 m" in text
+    assert "--format carla-python" in text
+    assert "--accept-mirrored" in text
+    rig, notes = import_rig(file, "carla-ros-bridge", ImportOptions(accept_mirrored=True))
+    assert rig.cameras[0].position_m[1] == -0.5
+    assert any("800 x 600 px, 90 deg" in note for note in notes)
+
+
+def test_places_in_another_unit_are_refused(tmp_path):
+    file = spoilt("nuscenes", tmp_path, "[1.7, 0.5, 1.6]", "[1700, 500, 1600]")
+    assert "expected a place within 100 m of the rear axle" in refusal(file, "nuscenes")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("carla", "expected carla-ros-bridge .* or carla-python .*, got carla; no file says which"),
+        ("nuscene", "expected one of nuscenes, .*, got 'nuscene'; did you mean nuscenes?"),
+        ("autowear", "did you mean autoware"),
+    ],
+)
+def test_an_unknown_format_is_refused_with_a_suggestion(name, message):
+    with pytest.raises(InputError, match=message):
+        find_format(name)
+
+
+def test_xacro_is_refused_with_the_command_to_run(tmp_path):
+    file = tmp_path / "rig.urdf.xacro"
+    start = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="b"/>'
+    file.write_text(URDF.replace('<robot name="shuttle">', start))
+    assert "run: xacro rig.urdf.xacro > rig.urdf" in refusal(file, "urdf")
+
+
+def test_a_folder_of_files_with_several_cameras_is_refused(tmp_path):
+    write_sample("kitti", tmp_path)
+    assert "000000.txt: expected one camera a file in a folder" in refusal(tmp_path, "kitti")
+    assert KITTI.count("P") == 4
+    assert KALIBR.count("cam") > 2
+
+
+def plain_rig(*names):
+    return Rig.create(
+        RigCamera(name, np.array([1.0, 0.1 * i, 1.5]), 0.0, 0.0, 0.0, CameraModel(64, 48))
+        for i, name in enumerate(names)
+    )
+
+
+def test_exports_replace_nothing_unless_told(tmp_path):
+    file = tmp_path / "calibrated_sensor.json"
+    file.write_text("mine")
+    with pytest.raises(InputError, match=r"calibrated_sensor.json: expected a file that does not exist yet"):
+        export_rig(plain_rig("a"), "nuscenes", tmp_path)
+    assert [each.name for each in tmp_path.iterdir()] == ["calibrated_sensor.json"]
+    assert file.read_text() == "mine"
+    export_rig(plain_rig("a"), "nuscenes", tmp_path, overwrite=True)
+    assert json.loads(file.read_text())
+    (tmp_path / "wall").write_text("")
+    for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
+        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; name another place$"):
+            export_rig(plain_rig("a"), "autoware", target, overwrite=True)
+    with pytest.raises(InputError, match="expected a place to write to, got"):
+        export_rig(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
+    with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
+        export_rig(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
+    with pytest.raises(InputError, match=r"expected one of nuscenes, .*, opencv; kalibr is for import only"):
+        export_rig(plain_rig("a"), "kalibr", tmp_path / "a")
+
+
+# ------------------------------------------------------------------------------------------------ the command line
+
+
+def test_the_command_prints_the_rig_and_nothing_else(tmp_path, capsys):
+    assert main(["rig", "import", str(write_sample("carla-python", tmp_path)), "--format", "carla-python"]) == 0
+    captured = capsys.readouterr()
+    (tmp_path / "rig.yaml").write_text(captured.out)
+    assert read_rig(tmp_path / "rig.yaml").cameras[0].name == "front_left"
+    assert "left-handed" in captured.err
+    assert "warning: the file's origin is" in captured.err
+
+
+def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
+    out = tmp_path / "rig.yaml"
+    words = [
+        "rig",
+        "import",
+        str(write_sample("carla-python", tmp_path)),
+        "--format",
+        "carla-python",
+        "--out",
+        str(out),
+    ]
+    out.write_text("mine")
+    assert main(words) == 2
+    assert "rig.yaml: expected a file that does not exist yet" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert main([*words, "--overwrite"]) == 0
+    assert read_rig(out).cameras
+    capsys.readouterr()
+    for more in ([], ["--overwrite"]):
+        assert main([*words[:-1], str(tmp_path), *more]) == 2
+        assert capsys.readouterr().err == f"{tmp_path}: expected a file to write, got a folder; name a file in it\n"
+
+
+def test_autoware_names_the_files_that_it_looks_for(tmp_path):
+    (tmp_path / "sensors.json").write_text("{}")
+    with pytest.raises(
+        InputError, match=r"sensors.json: expected a folder with sensors_calibration.yaml and sensor_kit"
+    ):
+        import_rig(tmp_path / "sensors.json", "autoware")
+
+
+def test_the_command_takes_origins_behind_the_axle(tmp_path, capsys):
+    out = tmp_path / "objects.json"
+    where = ["--origin-m", "-1.4", "0", "0.3"]
+    assert main(["rig", "export", "nuscenes", "--format", "carla-ros-bridge", "--out", str(out), *where]) == 0
+    (front, *_) = json.loads(out.read_text())["objects"][0]["sensors"]
+    assert front["spawn_point"]["x"] == pytest.approx(1.701 + 1.4)
+    rig = tmp_path / "rig.yaml"
+    assert main(["rig", "import", str(out), "--format", "carla-ros-bridge", "--out", str(rig), *where]) == 0
+    assert read_rig(rig).cameras[0].position_m == pytest.approx([1.701, 0.016, 1.511])
+    assert "it lies at (-1.4, 0, 0.3) m" in capsys.readouterr().out
+
+
+def test_the_command_checks_rigs(tmp_path, capsys):
+    assert main(["rig", "check", "unidrive_6x60"]) == 0
+    output = capsys.readouterr().out
+    assert "FRONT: at 0.000 0.000 1.600 m, yaw 0.0 pitch 0.0 roll 0.0 deg, pinhole 60.0 deg, 1600 x 900 px" in output
+    assert "odd: cameras 'FRONT' and 'FRONT_LEFT' share one place" in output
+    assert "can be exported as nuscenes" in output
+    mirrored = tmp_path / "rig.yaml"
+    write_rig(import_rig(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0], mirrored)
+    assert main(["rig", "check", str(mirrored)]) == 2
+    assert "expected it on the left" in capsys.readouterr().err
+    assert main(["rig", "check", str(mirrored), "--accept-mirrored"]) == 0
+
+
+def test_a_run_may_move_a_camera_to_the_other_side(tmp_path, capsys):
+    """The optimiser knows no names, so nothing is wrong with the rig of a run but the name of the camera."""
+    run = RunFolder.create(load_config("quick", [f"run.out={tmp_path / 'run'}"]), name="quick")
+    run.write_rig(
+        "best", import_rig(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0]
+    )
+    assert main(["rig", "check", str(run.path)]) == 0
+    captured = capsys.readouterr()
+    assert "the run moved it there, so it needs another name" in captured.out
+    assert captured.err == ""
+
+
+def test_the_help_names_every_format(capsys):
+    assert main(["rig", "import", "--help"]) == 0
+    output = capsys.readouterr().out
+    assert [name for name in FORMAT_NAMES if name not in output] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["import", "no.json", "--format", "nuscenes"], "no.json: expected a file or folder of the format nuscenes"),
+        (["import", "no.json", "--format", "carla"], "(--format carla): expected carla-ros-bridge"),
+        (["import", "no.json"], "--format"),
+        (["export", "nuscene", "--format", "kitti", "--out", "o"], "did you mean nuscenes?"),
+        (["export", "nuscenes", "--format", "kitty", "--out", "o"], "did you mean kitti?"),
+        (["check", "no.yaml"], "no.yaml: rig: expected a rig YAML"),
+    ],
+)
+def test_the_command_refuses_in_one_line(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["rig", *words]) == 2
+    captured = capsys.readouterr()
+    assert len(captured.err.splitlines()) == 1
+    assert message in captured.err
+    assert list(tmp_path.iterdir()) == []

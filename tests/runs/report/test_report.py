@@ -1,0 +1,556 @@
+"""The report: its numbers are those of the run folder, for finished, stopped, old, hostile and broken ones."""
+
+import base64
+import json
+import re
+import shlex
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from tests.runs.report.run_parts import ARMS, arm, difference, evaluation, event, fill, folder_at, picture, seen, views
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.runs.config import changed_config, load_config, overrides_from
+from warpav.runs.report.reading import read_run
+from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
+from warpav.runs.report.words import headline, summary
+from warpav.runs.run_figures import _keep_views
+from warpav.runs.run_folder import ARM_ROWS
+from warpav.view.figures import DetectionPanel
+
+
+class Page(HTMLParser):
+    """Collects tags, texts, addresses and tables, and checks that every tag is closed."""
+
+    VOID = frozenset({"meta", "img", "link"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.seen, self.text, self.address, self.named, self.tables, self.alt = [], [], [], [], [], [], []
+        self.rects, self.commands = [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.seen.append(tag)
+        self.address += [attributes[name] for name in ("src", "href") if name in attributes]
+        if "id" in attributes:
+            self.named.append(attributes["id"])
+        if tag == "img":
+            self.alt.append(attributes["alt"])
+        if tag == "pre":
+            self.commands.append("")
+        if tag == "rect":
+            self.rects.append(attributes)
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data.strip())
+        if "pre" in self.open:
+            self.commands[-1] += data
+        if {"td", "th"} & set(self.open):
+            self.tables[-1][-1][-1] += data
+
+    def table(self, *heading):
+        """The rows below a heading that begins so."""
+        return next(table[1:] for table in self.tables if tuple(table[0][: len(heading)]) == heading)
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+def page_of(folder):
+    return Page(write_report(folder).read_text(encoding="utf-8"))
+
+
+def numbers(text):
+    """The numbers in a text, typographic minus signs and all."""
+    return [float(each) for each in re.findall(r"[-+]?\d+\.?\d*", text.replace("\N{MINUS SIGN}", "-"))]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The run folder of a finished run, with a tag in its name."""
+    return fill(folder_at(tmp_path / "<run>"))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The same, to be read only, and the text of its report."""
+    folder = fill(folder_at(tmp_path_factory.mktemp("finished") / "<run>"))
+    return folder, write_report(folder).read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def page(finished):
+    return Page(finished[1])
+
+
+# ------------------------------------------------------------------------------------------------ numbers
+
+
+def test_the_tables_hold_the_numbers_of_the_evaluation(page):
+    content = evaluation()
+    shown = {row[0]: row[1:] for row in page.table("", "optimised", "start", "highest")}
+    for name, heading in ARM_ROWS.items():
+        values = [content["arms"][each][name] for each in ARMS]
+        if values == [None] * 3:
+            assert heading not in shown
+        else:
+            assert [float(cell) for cell in shown[heading]] == pytest.approx(values, abs=5e-5)
+    differences = {row[0]: row[1:] for row in page.table("", "optimised - start", "optimised - highest")}
+    assert numbers(differences["recall of the rig"][0]) == [0.125, 0.03, 0.2]
+    assert numbers(differences["recall of the rig"][1]) == [-0.25, -0.4, -0.1]
+    assert numbers(differences["objective (lower is better)"][1]) == [0.1]
+    recall = page.table("", "objects", "optimised")
+    assert ["0-10 m", "8", "0.625", "0.500", "0.875"] in recall
+    assert ["<bus>", "8", "0.625", "0.500", "0.875"] in recall
+    assert not any(row[0] in ("10-20 m", "vehicle") for row in recall)  # none there; only one kind
+
+
+def test_the_blind_spots_are_those_of_the_evaluation(page):
+    child, adult = (table[1:] for table in page.tables if table[0][0] == "sector")
+    assert [[numbers(cell) for cell in row[1:]] for row in child] == [[[80, 50], [7, 7]], [[25, 5], []]]
+    assert [[numbers(cell) for cell in row[1:]] for row in adult] == [[[10, 0], [0, 0]], [[0, 0], []]]
+    # 125 of 500 cells of a quarter of a square metre in 12 scenes
+    assert "optimised 25.0 % (3 m² a scene)" in page.words.replace("\N{NO-BREAK SPACE}", " ")
+    rows = page.table("scene", "class")
+    assert [row[2] for row in rows] == ["4.2", "21.0", "30.0"]  # the nearest first
+    assert [row[4:7] for row in rows] == [
+        ["right", "missed", "detected"],
+        ["right", "hidden", "detected"],
+        ["right", "out of frame", "missed"],
+    ]
+
+
+def test_cameras_constraints_and_times_are_told(page):
+    cameras = page.table("camera")
+    assert numbers(" ".join(cameras[0][2:6])) == [1.0, 0.5, 1.5, 0.0]
+    assert numbers(" ".join(cameras[1][2:6])) == [1.125, 0.5, 1.5, 30.0]  # the best rig is kept, not the last
+    assert numbers(cameras[1][-1]) == [0.125, 30.0]
+    constraints = page.table("constraint of the optimised rig")
+    assert [numbers(" ".join(row[1:4])) for row in constraints] == [[0.5, 0.02, 0.48], [0.25, 0.2, 0.05]]
+    assert [row[-1] for row in constraints] == ["yes", "yes"]
+    assert {row[0]: float(row[1]) for row in page.table("stage")} == {
+        "descent": 3.5,
+        "total": 12.2,
+        "one iteration: render, mean": 0.25,
+        "one iteration: total, mean": 0.5,
+    }
+
+
+def test_boxes_lie_where_they_were_found(page):
+    one_view = page.rects[:4]
+    assert [rect["class"] for rect in one_view] == ["false", "truth", "found", "missed"]
+    places = [[float(rect[name]) for name in ("x", "y", "width", "height")] for rect in one_view]
+    assert places == [[50, 30, 10, 10], [4, 4, 10, 8], [5, 4, 9, 8], [30, 20, 10, 10]]
+    assert page.words.count("1 of 2 found, 1 false alarm") == 4
+
+
+def test_the_command_makes_the_same_run(finished, page):
+    folder, _ = finished
+    program, verb, *words = shlex.split(page.commands[0])
+    assert (program, verb) == ("warpav", "optimise")
+    base = [word for word in words if "=" not in word] or ["quick"]
+    again = load_config(base[0], [word for word in words if "=" in word])
+    assert again == changed_config(folder.config(), ["run.out=null"])
+
+
+@pytest.mark.parametrize("base", ["quick", "default"])
+def test_overrides_lead_from_one_configuration_to_another(base):
+    changed = ["scenes.targets=[vehicle, cyclist]", "rig.free.pitch_deg=[-5, 10]", "scenes.test_seeds=2000..2003"]
+    wanted = load_config("default", changed)
+    start = load_config(base)
+    assert changed_config(start, overrides_from(start, wanted)) == wanted
+
+
+def test_two_scenes_of_one_name_are_both_shown(tmp_path):
+    folder = folder_at(tmp_path / "run")
+    image_rgb = np.zeros((48, 64, 3), np.uint8)
+    panel = DetectionPanel("left", image_rgb, np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64))
+    _keep_views(folder, [("mine", {"start": [panel], "optimised": [panel]})] * 2)
+    assert len(list(folder.view_path("any").parent.glob("*.webp"))) == 4
+    page = page_of(folder)
+    assert page.words.count("mine: ") == 2
+    assert page.alt.count("left, start: 0 of 0 found") == 2
+
+
+def test_the_page_is_whole_by_itself(finished, page):
+    assert "what follows from it is left out" not in page.words
+    folder, text = finished
+    outside = [address for address in page.address if not address.startswith(("data:", "#"))]
+    assert outside == []
+    assert {address[1:] for address in page.address if address.startswith("#")} <= set(page.named)
+    assert len(set(page.named)) == len(page.named)
+    assert "script" not in page.seen
+    assert all(page.alt)
+    # pictures with a better stand-in on the page are left out, others come
+    assert "another" in page.alt
+    assert not any(caption.startswith(("A test scene through", "Loss, loss terms")) for caption in page.alt)
+    assert write_report(folder).read_text(encoding="utf-8") == text
+
+
+def test_plots_are_svg_without_scripts_or_addresses(page):
+    plots = [address for address in page.address if address.startswith("data:image/svg+xml;base64,")]
+    assert len(plots) == 4 + 1 + 2 + 4  # convergence, differences, recall, ground
+    for plot in plots:
+        svg = base64.b64decode(plot.partition(",")[2]).decode()
+        assert "<script" not in svg
+        assert not re.findall(r'href="(?!#|data:)', svg)
+
+
+# ------------------------------------------------------------------------------------------------ words
+
+
+def words_of(folder, **changed):
+    folder.write_evaluation(evaluation(**changed))
+    run = read_run(folder)
+    told = [headline(run).text, *(statement.text for statement in summary(run))]
+    return "\n".join(told).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_the_summary_says_what_the_numbers_say(folder, page):
+    words = words_of(folder)
+    assert all(line in page.words.replace("\N{NO-BREAK SPACE}", " ") for line in words.split("\n"))
+    for text in (
+        "The optimised rig detects more than the start and detects fewer than the highest rig.",
+        "detects 5 of 8 vehicles (recall 0.625); the start 4 and the highest rig 7. Against the start it has won 3 and "
+        "lost 2.",
+        "the interval leaves 0 out: better",
+        "the interval leaves 0 out: worse",
+        "fell by 25.0 % (2.0000 to 1.5000) on the training scenes",
+        "the gain holds on new scenes",
+        "left by 12 cm (turned 30° to the left); 1 camera stayed.",
+        "3 vehicles: 1 in plain sight of a camera, and missed by the detector, 1 hidden behind something and 1 in no "
+        "camera's image. The nearest is 4 m away.",
+        "no camera sees 25.0 % of the ground for someone 1.1 m tall (start 15.0 %, highest 0.0 %)",
+        "That is more than at the start",
+        "worst in the sector front, 0 to 5 m from its middle: no camera sees a child on 80 % of it.",
+        "All 2 hold; the tightest is the distance of left and right, with 50 mm to spare.",
+        "No better rig in 2 looks, after 2 of 5 iterations; the rig after 1 is kept.",
+        "12 test scenes are few, and the intervals of so few tend to be too short.",
+    ):
+        assert text in words
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        (difference(0.1, -0.1, 0.3), "the interval holds 0: no difference is proven"),
+        (difference(0.0, 0.0, 0.0), "the same in every scene"),
+        (difference(0.1, 0.05, 0.3, scenes=5), "leaves 0 out, but 5 scenes cannot prove a difference"),
+        (difference(0.1, None, None, scenes=1), "one scene has no interval"),
+        (difference(0.1, 0.0, 0.3), "the interval holds 0: no difference is proven"),
+    ],
+)
+def test_no_difference_is_claimed_that_is_not_proven(folder, found, told):
+    words = words_of(folder, paired={"start": {"tp_detection_rate": found}})
+    assert told in words
+    assert "The optimised rig cannot be told from the start by what it detects." in words
+
+
+def test_what_is_proven_besides_recall_is_told(folder):
+    paired = {
+        "start": {
+            "tp_detection_rate": difference(0.0, -0.1, 0.1),
+            "ap50_pooled": difference(0.1, 0.05, 0.2),
+            "false_alarms_per_frame": difference(0.5, 0.25, 0.75),
+            "tp_in_frame_rate": difference(0.1, 0.05, 0.2, scenes=5),
+        }
+    }
+    words = words_of(folder, paired=paired)
+    told = "leaves 0 out for AP50 against the start (better) and false alarms against the start (worse)."
+    assert told in words
+
+
+def test_a_gain_of_the_search_alone_is_called_that(folder):
+    worse = {"optimised": arm(0.5, objective=0.2), "start": arm(0.5, objective=0.1), "highest": arm(0.5)}
+    words = words_of(folder, arms=worse, paired={"start": {"objective": difference(0.1, -0.1, 0.3)}})
+    assert "on the test scenes it rose by 100.0 % (0.1000 to 0.2000)" in words
+    assert "of the gain nothing is seen on new scenes" in words
+    words = words_of(folder, arms=worse, paired={"start": {"objective": difference(0.1, 0.05, 0.3)}})
+    assert "on new scenes the rig is worse by it" in words
+
+
+def test_broken_constraints_are_told_in_red(folder):
+    content = evaluation()
+    content["constraints"]["optimised"] = content["constraints"]["start"]
+    content["arms"]["optimised"]["constraint_violation"] = 0.025
+    folder.write_evaluation(content)
+    page = page_of(folder)
+    assert "1 of 2 are broken; the distance of left and right lacks 25 mm." in page.words
+    assert page.table("constraint of the optimised rig")[1][-1] == "no"
+    assert "0.0250 m" in page.text
+
+
+def test_many_lost_vehicles_are_all_there(folder):
+    folder.write_evaluation(evaluation(outcomes=[seen(float(k), "missed") for k in range(50)]))
+    page = page_of(folder)
+    assert "20 more, farther away" in page.words
+    assert sum(row[:2] == ["town_7", "<bus>"] for table in page.tables for row in table) == 50
+
+
+def test_very_many_lost_vehicles_are_counted(folder):
+    """A test over very many scenes must not make the report too large to be written."""
+    folder.write_evaluation(evaluation(outcomes=[seen(float(k), "missed") for k in range(30_000)]))
+    page = page_of(folder)
+    assert f"{MOST_ROWS - 30} more, farther away" in page.words
+    assert f"{30_000 - MOST_ROWS} farther ones are listed in evaluation.json alone." in page.words
+    assert sum(row[:2] == ["town_7", "<bus>"] for table in page.tables for row in table) == MOST_ROWS
+
+
+# ------------------------------------------------------------------------------------------------ stopped, old, hostile
+
+
+def test_a_stopped_run_is_told_as_far_as_it_came(tmp_path):
+    page = page_of(folder_at(tmp_path / "run"))
+    assert "(stopped before the evaluation)" in page.words
+    assert "Stopped after 3 iterations, before any rig was compared." in page.words
+    assert "1.0000" in page.text
+    assert "warpav evaluate" in page.text
+
+
+def test_a_run_without_iterations_is_refused(tmp_path):
+    folder = folder_at(tmp_path / "run", events=0)
+    with pytest.raises(InputError, match="expected at least one iteration to report on, got none"):
+        write_report(folder)
+    assert not (folder.path / "report.html").exists()
+
+
+def test_an_old_folder_says_what_it_lacks_and_how_to_get_it(tmp_path):
+    folder = folder_at(tmp_path / "run", events=0)
+    folder.append_event({"iteration": 0, "loss": 2.0, "positions_m": [[0.0, 0.0, 1.0]], "yaw_deg": [0.0]})
+    numbers_alone = dict.fromkeys(ARM_ROWS, 0.5)
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": {"optimised": numbers_alone, "highest": numbers_alone}})
+    picture(folder.figure_path("detections"))
+    picture(folder.figure_path("loss_curves"))
+    (folder.path / "env.json").unlink()
+    page = page_of(folder)
+    for lacking in ("the rig", "what every camera sees", "recall by distance and sector", "the ground that no camera"):
+        assert f"Not in this folder: {lacking}" in page.words
+    for lacking in ("what becomes of every single object", "every single constraint", "the versions"):
+        assert f"Not in this folder: {lacking}" in page.words
+    assert "#again" in page.address
+    assert len([caption for caption in page.alt if caption.startswith(("A test scene through", "Loss, loss"))]) == 2
+    assert [float(cell) for cell in page.table("", "optimised", "highest")[0][1:]] == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("start", "optimised", "shown", "tone"),
+    [
+        (2.0, 2.0, "0.0 %", "open"),
+        (-2.0, -2.5, "\N{MINUS SIGN}25.0 %", "good"),
+        (-2.0, -1.5, "+25.0 %", "bad"),
+        (2.0, 1.9999, "0.0 %", "open"),
+    ],
+)
+def test_the_change_of_the_objective_has_its_sign_and_tone(folder, start, optimised, shown, tone):
+    folder.write_evaluation(evaluation(training_objective={"start": start, "optimised": optimised}))
+    (card,) = [card for card in _cards(read_run(folder)) if card.about.startswith("objective")]
+    assert (card.text.replace("\N{NO-BREAK SPACE}", " "), card.tone) == (shown, tone)
+
+
+def test_no_gain_is_not_missed_on_new_scenes(folder):
+    content = evaluation(training_objective={"start": 2.0, "optimised": 2.0}, paired={})
+    content["arms"]["optimised"]["objective"] = content["arms"]["start"]["objective"]
+    folder.write_evaluation(content)
+    (text,) = [each.text for each in summary(read_run(folder)) if each.about == "Objective"]
+    assert "stayed at 2.0000" in text
+    assert text.endswith(": there was no gain.")
+
+
+def test_options_of_another_version_do_not_matter(folder):
+    config = folder.path / "config.yaml"
+    config.write_text(config.read_text() + "gone:\n  option: '<b>'\n")
+    page = page_of(folder)
+    assert ["gone.option", "<b>"] in [row for table in page.tables for row in table]
+    assert "warpav optimise config.yaml run.out=again" in page.text
+    assert "what follows from it is left out: config.yaml:" in page.words
+    assert "gone" in page.words.partition("what follows from it is left out")[2][:60]
+
+
+def test_names_are_text_and_nothing_else(tmp_path):
+    evil = '<script>alert("x")</script>'
+    content = evaluation()
+    for part in ("arms", "paired", "constraints"):
+        content[part] = {evil if name == "highest" else name: each for name, each in content[part].items()}
+    content["ground"]["blind"][evil] = content["ground"]["blind"].pop("highest")
+    for each in content["outcomes"]:
+        each["outcome"][evil] = each["outcome"].pop("highest")
+    content["outcomes"][0] |= {"scene": evil, "category": evil}
+    content["constraints"]["optimised"][0]["cameras"] = [evil]
+    content["descent"]["ended"] = evil
+    content["seconds"][evil] = 1.0
+    folder = fill(folder_at(tmp_path / "<script>"), content)
+    (folder.path / "figures" / "ground.npz").unlink()
+    folder.write_views([{**view, "scene": evil, "camera": evil} for view in views()], {})
+    environment = folder.environment()
+    (folder.path / "env.json").write_text(json.dumps({**environment, "command": evil, "packages": {evil: evil}}))
+    picture(folder.figure_path("<img src=x onerror=alert(1)>"))
+    text = write_report(folder).read_text()
+    page = Page(text)
+    assert "script" not in page.seen
+    assert "<script" not in text
+    assert "onerror=alert(1)>" not in text
+    assert page.words.count(evil) >= 8
+    assert any(evil in caption for caption in page.alt)
+
+
+def test_the_report_stays_small(folder):
+    for index in range(12):
+        picture(folder.figure_path(f"large_{index}"), (1600, 900), seed=index)
+    report = write_report(folder)
+    assert report.stat().st_size <= MAX_BYTES
+    assert sum(caption.startswith("large") for caption in Page(report.read_text()).alt) == 12
+
+
+# ------------------------------------------------------------------------------------------------ broken folders
+
+
+def _replace(name, content):
+    def apply(folder):
+        file = folder.path / name
+        (file.write_bytes if isinstance(content, bytes) else file.write_text)(content)
+
+    return apply
+
+
+def _evaluation(**changed):
+    return lambda folder: folder.write_evaluation(evaluation(**changed))
+
+
+def _ground_of_another_shape(folder):
+    arrays = folder.ground()
+    folder.write_ground({**arrays, "blind_count_start": np.zeros((1, 2, 3), np.uint16)})
+
+
+def _recall_by(change):
+    def apply(folder):
+        content = json.loads(json.dumps(evaluation()))
+        change(content["arms"]["start"]["recall_by"])
+        folder.write_evaluation(content)
+
+    return apply
+
+
+def _event(**changed):
+    return _replace("events.jsonl", json.dumps({**event(0), **changed}) + "\n")
+
+
+def _garbled_ground(folder):
+    """Bytes that are no compressed data, where a whole archive says that compressed data are."""
+    file = folder.path / "figures/ground.npz"
+    content = bytearray(file.read_bytes())
+    content[60:120] = b"\xff" * 60
+    file.write_bytes(bytes(content))
+
+
+def _ground_of_text(folder):
+    folder.write_ground({**folder.ground(), "cell_m": np.array("half")})
+
+
+BROKEN = {
+    "evaluation cut off": (_replace("evaluation.json", '{"schema": 1, "arms"'), "evaluation.json: expected JSON"),
+    "evaluation is a list": (_replace("evaluation.json", "[]"), "evaluation.json: expected what warpav optimise"),
+    "no arms": (_evaluation(arms={}), "evaluation.json: arms: expected what"),
+    "text for a number": (_evaluation(scenes={"test": "many"}), "evaluation.json: scenes.test: expected what"),
+    "not a number": (_replace("evaluation.json", json.dumps(evaluation(seconds={"a": float("nan")}))), "seconds.a"),
+    "another schema": (_evaluation(schema=2), "evaluation.json: schema: expected what"),
+    "ground too small": (
+        _evaluation(ground={**evaluation()["ground"], "cells": [[[1]]]}),
+        "evaluation.json: ground: expected what",
+    ),
+    "arm without ground": (
+        _evaluation(ground={**evaluation()["ground"], "blind": {}}),
+        "outcomes, ground and constraints must be of all arms, highest is missing",
+    ),
+    "unknown outcome": (_evaluation(outcomes=[seen(1.0, "vanished")]), "outcomes.0.outcome.optimised: expected what"),
+    "iteration is a list": (_replace("events.jsonl", "[]\n"), "events.jsonl:1: expected one JSON object"),
+    "iteration cut off": (_replace("events.jsonl", '{"iter\n{}\n'), "events.jsonl:1: expected one JSON object"),
+    "iteration without number": (
+        _replace("events.jsonl", '{"loss": 1}\n'),
+        "events.jsonl:1: expected an iteration of a run",
+    ),
+    "configuration is a list": (_replace("config.yaml", "[1]\n"), "config.yaml: expected sections of options"),
+    "configuration is no YAML": (_replace("config.yaml", "a: [\n"), "config.yaml:"),
+    "environment is a list": (_replace("env.json", "[1]"), "env.json: expected what"),
+    "rig is none": (_replace("rig_best.yaml", "frame: ego\n"), "rig_best.yaml"),
+    "picture is none": (_replace("figures/rig.png", b"\x89PNG nothing"), "rig.png: expected a picture, got"),
+    "picture cut off": (
+        lambda folder: _replace("figures/rig.png", (folder.path / "figures/rig.png").read_bytes()[:200])(folder),
+        "rig.png: expected a picture, got",
+    ),
+    "view outside of the folder": (
+        lambda folder: folder.write_views([{**views()[0], "image": "../../env.json"}], {}),
+        "views.json: 0.image: expected what",
+    ),
+    "view is gone": (
+        lambda folder: folder.view_path(views()[0]["image"]).unlink(),
+        "0_start_left.webp: expected a picture, got",
+    ),
+    "ground is none": (_replace("figures/ground.npz", b"PK nothing"), "ground.npz: expected arrays"),
+    "ground of another shape": (_ground_of_another_shape, "ground.npz: expected counts of one shape"),
+    "evaluation is a folder": (
+        lambda folder: [(folder.path / "evaluation.json").unlink(), (folder.path / "evaluation.json").mkdir()],
+        "evaluation.json: expected a readable file, got",
+    ),
+    "evaluation is too deep": (_replace("evaluation.json", "[" * 200_000), "evaluation.json: expected JSON"),
+    "no number of scenes": (_evaluation(scenes={}), "evaluation.json: scenes: expected what"),
+    "group without recall": (
+        _recall_by(lambda table: table["sector"]["rear left"].update(recall=None)),
+        "evaluation.json: arms.start.recall_by.sector.rear left: expected what",
+    ),
+    "group of one arm only": (
+        _recall_by(lambda table: table["sector"].clear()),
+        "recall_by must have the same groups for all arms",
+    ),
+    "grouping of one arm only": (_recall_by(lambda table: table.pop("sector")), "must have the same groups"),
+    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected values by name, got 5"),
+    "loss is a text": (_event(loss="a"), "events.jsonl:1: loss: expected a number or null, got 'a'"),
+    "ground is garbled": (_garbled_ground, "ground.npz: expected arrays"),
+    "ground is one array": (
+        lambda folder: np.save((folder.path / "figures/ground.npz").open("wb"), np.zeros(3)),
+        "ground.npz: expected arrays",
+    ),
+    "ground is empty": (lambda folder: folder.write_ground({}), "ground.npz: expected numbers open_count"),
+    "ground is text": (_ground_of_text, "ground.npz: expected numbers cell_m with 0 dimensions"),
+}
+
+
+def test_an_iteration_without_terms_and_an_arm_without_groups_are_reported_on(folder):
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write(json.dumps({**event(3), "terms": {}, "multipliers": {}}) + "\n")
+    content = json.loads(json.dumps(evaluation()))
+    content["arms"]["start"]["recall_by"] = None
+    folder.write_evaluation(content)
+    assert "4 iterations" in page_of(folder).words
+
+
+@pytest.mark.parametrize(("damage", "told"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_folder_is_one_line_with_status_2(folder, capsys, damage, told):
+    damage(folder)
+    assert main(["report", str(folder.path)]) == 2
+    message = capsys.readouterr().err
+    assert told in message
+    assert message.count("\n") == 1
+    assert str(folder.path) in message
+    assert not (folder.path / "report.html").exists()

@@ -1,0 +1,115 @@
+"""`warpav detector train` and `warpav detector evaluate`: what they refuse, and what an evaluation holds."""
+
+import importlib.util
+import json
+import os
+
+import numpy as np
+import pytest
+
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.detection.training import data
+
+SIDES_PX = {64: 2, 96: 1}
+
+
+@pytest.fixture(autouse=True)
+def working_directory(tmp_path, monkeypatch):
+    """A working directory of its own, with a file in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def few_pictures(monkeypatch):
+    for name, seed in (("test", 3_000_000), ("test_reconstructed", 3_000_001)):
+        monkeypatch.setitem(data.SUBSETS, name, data.Subset(seed, 1, False, SIDES_PX))
+
+
+def refused(capsys, *words):
+    """The one line with which a command is refused."""
+    assert main(["detector", *words]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--images", "0"], "(--images): expected at least 1, got 0"),
+        (["--processes", "0"], "(--processes): expected at least 1, got 0"),
+        (["--out", "file"], "(--out): expected a folder to write to, got 'file' (File exists)"),
+        (["--out", "/dev/null/out"], "(--out): expected a folder to write to, got '/dev/null/out' (Not a directory)"),
+        (["--pictures", "file"], "(--pictures): expected a folder to write to, got 'file' (File exists)"),
+    ],
+)
+def test_an_evaluation_with_wrong_words_is_refused(capsys, words, expected):
+    out = [] if "--out" in words else ["--out", "out"]
+    assert refused(capsys, "evaluate", *out, *words) == f"command line {expected}"
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs PyTorch")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--steps", "0"], "(--steps): expected at least 1, got 0"),
+        (["--batch-size", "-1"], "(--batch-size): expected at least 1, got -1"),
+        (["--seed", "-1"], "(--seed): expected at least 0, got -1"),
+        (["--stop-after-minutes", "0"], "(--stop-after-minutes): expected more than 0, got 0"),
+        (["--stop-after-minutes", "nan"], "(--stop-after-minutes): expected more than 0, got nan"),
+        (["--device", "cuda:99"], "got 'cuda:99'"),
+        (["--out", "file"], "(--out): expected a folder to write to, got 'file' (File exists)"),
+    ],
+)
+def test_a_training_with_wrong_words_is_refused(capsys, words, expected):
+    out = [] if "--out" in words else ["--out", "out"]
+    line = refused(capsys, "train", *out, *words)
+    assert line.startswith("command line (")
+    assert line.endswith(expected)
+    assert os.listdir() == ["file"]
+
+
+def test_training_without_pytorch_says_what_to_install(capsys, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "torch" else find(name))
+    assert refused(capsys, "train", "--out", "out").endswith("got no such module; pip install 'warpav[train]'")
+
+
+def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_directory):
+    words = ["detector", "evaluate", "--out", "out", "--processes", "1"]
+    assert main([*words]) == 0
+    capsys.readouterr()
+    report = json.loads((working_directory / "out/evaluation.json").read_text())
+    assert {kind: list(sides) for kind, sides in report.items()} == {
+        "direct": ["64", "96"],
+        "reconstructed": ["64", "96"],
+    }
+    assert report["direct"]["64"]["images"] == 2
+    pictures = data.load_pictures(working_directory / "out/pictures/test")
+    labels = pictures[64].labels
+    is_vehicle = (labels.class_index >= 0) & (labels.class_index < 4) & ~labels.ignored
+    assert report["direct"]["64"].get("vehicle", {"objects": 0})["objects"] == is_vehicle.sum()
+    file = working_directory / "out/pictures/test/images_64.npy"
+    written = file.stat().st_mtime_ns
+    assert main([*words, "--images", "1"]) == 0
+    assert file.stat().st_mtime_ns == written
+    report = json.loads((working_directory / "out/evaluation.json").read_text())
+    assert report["direct"]["64"]["images"] == 1
+
+
+def test_damaged_pictures_are_named(capsys, working_directory):
+    folder = working_directory / "out/pictures/test"
+    data.write_pictures(data.SUBSETS["test"], folder, processes=1)
+    for side_px in SIDES_PX:
+        (folder / f"labels_{side_px}.npz").write_text("no labels")
+    line = refused(capsys, "evaluate", "--out", "out")
+    assert "labels_64.npz: expected labels and images that warpav wrote" in line
+    assert line.endswith("remove the folder, and they are made again")
+    # labels and images that do not belong together
+    data.write_pictures(data.SUBSETS["test"], working_directory / "other", processes=1)
+    np.save(working_directory / "other/images_64.npy", np.zeros((3, 64, 64, 3), np.uint8))
+    with pytest.raises(InputError, match=r"images of shape \(3, 64, 64, 3\) for 2 labels"):
+        data.load_pictures(working_directory / "other")

@@ -1,0 +1,110 @@
+"""What a run shows, in a terminal and when piped."""
+
+import dataclasses
+import io
+import time
+
+import pytest
+from rich.console import Console
+
+from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows, show_verdict
+from warpav.runs.run_folder import ARM_ROWS
+
+
+@dataclasses.dataclass
+class Record:
+    loss: float
+    terms: dict
+    multipliers: dict
+    gradient_norm: dict
+    min_camera_distance_m: float | None = 0.75
+    best_training_objective: float | None = None
+
+
+def _records(count):
+    return [
+        Record(10.0 - k, {"detected_area": 0.5}, {"camera_spacing": 0.25}, {"position": 0.125}) for k in range(count)
+    ]
+
+
+def _shown(terminal, act):
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=terminal, width=100, highlight=False, soft_wrap=not terminal)
+    with RunDisplay(console) as display:
+        act(display)
+    return stream.getvalue()
+
+
+def test_steps_pass_through_in_order():
+    with RunDisplay(Console(file=io.StringIO())) as display:
+        assert list(display.steps("scenes", "abc", count=3)) == ["a", "b", "c"]
+        records = _records(4)
+        assert list(display.iterations(records, count=4, min_spacing_m=0.2)) == records
+
+
+def test_piped_output_is_one_line_for_about_every_tenth_iteration():
+    text = _shown(False, lambda display: list(display.iterations(_records(100), count=100, min_spacing_m=0.2)))
+    assert "\x1b" not in text
+    lines = text.splitlines()
+    assert lines[0] == "optimising: 100"
+    assert [line.split()[1] for line in lines[1:]] == ["1/100", *(f"{k}/100" for k in range(10, 101, 10))]
+    assert "loss 10" in lines[1]
+    assert "detected_area 0.5" in lines[1]
+    assert "closest cameras 0.75 m (limit 0.2 m)" in lines[1]
+    assert "s/it" in lines[1]
+
+
+def test_piped_steps_show_some_progress():
+    text = _shown(False, lambda display: list(display.steps("scenes", range(40), count=40)))
+    assert text.splitlines() == ["scenes: 40", *(f"scenes: {k}/40" for k in range(4, 40, 4))]
+
+
+def test_a_terminal_shows_the_table_while_it_runs():
+    def watch(display):
+        for _ in display.iterations(_records(2), count=2, min_spacing_m=0.2):
+            time.sleep(2.0 / REFRESH_PER_SECOND)
+
+    text = _shown(True, watch)
+    for word in ("optimising", "loss", "multiplier camera_spacing", "gradient position", "closest cameras"):
+        assert word in text
+
+
+def test_inequalities_with_room_to_spare_are_left_out():
+    record = Record(1.0, {"detected_area": 0.5, "zone_0": -0.3, "zone_1": -0.1, "spacing_0_1": 0.02}, {}, {})
+    record.multipliers = {"zone_0": 0.0, "zone_1": 0.7, "spacing_0_1": 0.0}
+    rows = iteration_rows(record, min_spacing_m=0.2)
+    assert "zone_0" not in rows
+    assert "multiplier zone_0" not in rows
+    assert {"detected_area", "zone_1", "multiplier zone_1", "spacing_0_1"} <= set(rows)
+
+
+@pytest.mark.parametrize(("violation", "words"), [(0.0, "constraints met"), (0.5, "constraints broken by 0.5 m")])
+def test_the_verdict_says_what_matters(violation, words):
+    stream = io.StringIO()
+    metrics = {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": violation, "objective": None}
+    alone = {"mean": None, "low": None, "high": None}
+    evaluation = {
+        "scenes": {"test": 7},
+        "arms": {"optimised": metrics, "highest": metrics, "random": metrics},
+        "paired": {
+            "highest": {"tp_detection_rate": {"mean": 0.1, "low": -0.05, "high": 0.2}},
+            "random": {"tp_detection_rate": alone},
+        },
+        "training_objective": {"start": 2.0, "optimised": 1.5},
+    }
+    show_verdict(Console(file=stream, width=80, soft_wrap=True), evaluation)
+    text = stream.getvalue()
+    assert words in text
+    assert "7 test scenes" in text
+    assert "2.0000 at the start, 1.5000 at the end (-25.0%)" in text
+    assert "optimised - highest: +0.1000 (95 % of resampled scene sets: -0.0500 to +0.2000)" in text
+    assert "optimised - random" not in text
+    for heading in ARM_ROWS.values():
+        assert heading in text
+
+
+def test_nothing_is_redrawn_where_there_is_no_terminal_whatever_colours_are_asked_for(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as Jupyter does for commands in its cells
+    console = RunDisplay().console
+    assert not console.is_terminal
+    assert not console.is_jupyter

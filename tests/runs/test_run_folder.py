@@ -1,0 +1,278 @@
+"""The run folder: what it holds, that it opens at any moment, and what it refuses."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.rig.presets import preset_rig
+from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.runs.config import load_config
+from warpav.runs.run_folder import RunFolder, check_new_run, write_json
+
+
+@dataclasses.dataclass
+class Record:
+    iteration: int
+    loss: float
+    terms: dict
+    positions_m: list
+    yaw_deg: list
+    training_objective: float | None = None
+
+
+def _record(iteration, loss=1.0):
+    return Record(iteration, loss, {"detected_area": np.float32(0.5)}, [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0]], [0.0, 90.0])
+
+
+def _rig(x_m=1.0):
+    return Rig.create([RigCamera("front", np.array([x_m, 0.0, 1.7]), 0.0, 0.0, 0.0, CameraModel(64, 48))])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A new run folder in an empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return RunFolder.create(load_config("quick"), name="quick")
+
+
+def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
+    assert folder.path.as_posix() == "runs/quick"
+    assert folder.config() == load_config("quick")
+    environment = folder.environment()
+    assert environment["seeds"] == {
+        "run": 0,
+        "train": list(range(30)),
+        "validation": [],
+        "test": list(range(1000, 1010)),
+    }
+    assert environment["packages"]["numpy"] == np.__version__
+    assert {"warpav", "python", "platform", "device", "command", "started", "git_commit"} <= set(environment)
+    assert (folder.path / "checkpoints").is_dir()
+    assert (folder.path / "figures").is_dir()
+
+
+def test_a_run_with_relative_paths_is_used_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("mine.onnx", "mine.obj"):
+        (tmp_path / file).touch()
+    (tmp_path / "mine").mkdir()
+    given = ["scenes.source=folder", "scenes.folder=mine", "scenes.ego=mine.obj"]
+    config = load_config("quick", [*given, "detector.model=mine.onnx"])
+    folder = RunFolder.open(RunFolder.create(config, name="quick").path.absolute())
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    found = folder.config()
+    assert found.detector.model == str(tmp_path / "mine.onnx")
+    assert (found.scenes.folder, found.scenes.ego) == (tmp_path / "mine", tmp_path / "mine.obj")
+
+
+def test_a_run_keeps_the_rig_that_it_started_from(tmp_path, monkeypatch):
+    """Neither the rig's file nor the place of the folder matters afterwards."""
+    monkeypatch.chdir(tmp_path)
+    write_rig(_rig(0.7), "mine.yaml")
+    config = load_config("quick", ["rig.start=mine.yaml"])
+    RunFolder.create(config, name="quick", start=_rig(0.7)).path.rename("moved")
+    (tmp_path / "mine.yaml").unlink()
+    folder = RunFolder.open("moved")
+    assert folder.config().rig.start == str(tmp_path / "moved" / "rig_start.yaml")
+    assert read_rig(folder.config().rig.start).cameras[0].position_m[0] == 0.7
+    preset = load_config("quick", ["rig.start=nuscenes", "rig.cameras=6"])
+    assert RunFolder.create(preset, name="preset", start=preset_rig("nuscenes")).config().rig.start == "nuscenes"
+
+
+def test_runs_without_a_name_are_numbered(folder):
+    names = [RunFolder.create(load_config("quick"), name="quick").path.name for _ in range(2)]
+    assert names == ["quick-2", "quick-3"]
+
+
+def test_events_and_metrics_come_back(folder):
+    for iteration in range(3):
+        folder.append_event(_record(iteration, loss=math.nan if iteration == 1 else 2.5))
+    events = RunFolder.open(folder.path).events()
+    assert [event["iteration"] for event in events] == [0, 1, 2]
+    assert [event["loss"] for event in events] == [2.5, None, 2.5]
+    assert events[0]["terms"] == {"detected_area": 0.5}
+    assert events[0]["positions_m"][1] == [0.0, 1.0, 2.0]
+    lines = (folder.path / "metrics.csv").read_text().splitlines()
+    assert lines[:2] == ["iteration,loss,terms.detected_area,training_objective", "0,2.5,0.5,"]
+    assert len(lines) == 4
+
+
+def test_a_line_cut_off_by_a_crash_is_left_out(folder):
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write('{"iteration": 1, "lo')
+    assert [event["iteration"] for event in folder.events()] == [0]
+
+
+def test_a_broken_line_in_the_middle_is_named(folder):
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write('not json\n{"iteration": 2}\n')
+    with pytest.raises(InputError, match=r"events\.jsonl:2: expected one JSON object per line"):
+        folder.events()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (b"\x00\xff\xfe\n{}\n", r"events\.jsonl:2: expected one JSON object per line, got '\\x00"),
+        (b"[1, 2]\n", r"events\.jsonl:2: expected one JSON object per line, got '\[1, 2\]'"),
+        (b'{"a": 1, "b": 2}\n', r"events\.jsonl:2: expected an iteration of a run with iteration, got a, b"),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3]], "yaw_deg": [0]}\n',
+            r"events\.jsonl:2: positions_m: expected 2 cameras as in the lines before, got 1",
+        ),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, null], [1, 2, 3]], "yaw_deg": [0, 0]}\n',
+            r"events\.jsonl:2: positions_m: expected \[x, y, z\] of every camera",
+        ),
+        (
+            b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3], [1, 2, 3]], "yaw_deg": [0]}\n',
+            r"events\.jsonl:2: yaw_deg: expected a number for each of 2 cameras, got \[0\]",
+        ),
+        *(
+            (json.dumps({**dataclasses.asdict(Record(1, 1.0, {}, [[1, 2, 3]] * 2, [0, 0])), **part}).encode(), message)
+            for part, message in [
+                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a number or null, got 'a'"),
+                ({"training_objective": []}, r"training_objective: expected a number or null"),
+                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a number or null, got 'a'"),
+                ({"multipliers": [1]}, r"multipliers: expected values by name, got \[1\]"),
+                ({"gradient": 5}, "gradient: expected values by name, got 5"),
+                ({"gradient": {"a": 1}}, r"gradient\.position_per_m: expected \[x, y\] of 2 cameras, got None"),
+                (
+                    {"gradient": {"position_per_m": [[0, 1]] * 2, "yaw_per_rad": [0]}},
+                    r"gradient\.yaw_per_rad: expected a number for each of 2 cameras, got \[0\]",
+                ),
+                ({"free": {"pitch_deg": [1]}}, r"free\.pitch_deg: expected a number for each of 2 cameras"),
+            ]
+        ),
+    ],
+)
+def test_a_line_that_is_no_iteration_is_named(folder, line, message):
+    folder.append_event(_record(0))
+    with (folder.path / "events.jsonl").open("ab") as file:
+        file.write(line)
+    with pytest.raises(InputError, match=f"{message}.*; remove the line"):
+        folder.events()
+
+
+def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
+    with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; the run has none yet"):
+        folder.rig()
+    folder.write_rig("initial", _rig(1.0))
+    assert folder.rig().cameras[0].position_m[0] == 1.0  # stopped before the first look
+    folder.write_rig("final", _rig(2.0))
+    folder.write_rig("best", _rig(3.0))
+    assert folder.rig().cameras[0].position_m[0] == 3.0
+    assert folder.rig("final").cameras[0].position_m[0] == 2.0
+    last = RunFolder.create(load_config("quick", ["optimiser.keep=last"]), name="last")
+    last.write_rig("best", _rig(3.0))
+    last.write_rig("final", _rig(2.0))
+    assert last.rig().cameras[0].position_m[0] == 2.0
+
+
+def test_what_a_run_that_has_ended_has_lost_is_missed(folder):
+    for role in ("initial", "best", "final"):
+        folder.write_rig(role, _rig())
+    for iteration in range(3):
+        folder.append_event(_record(iteration))
+    folder.write_evaluation({"descent": {"iterations": 4}})
+    with pytest.raises(InputError, match=r"events.jsonl: expected the 4 iterations of a run that has ended, got 3"):
+        folder.events()
+    folder.append_event(_record(3))
+    assert len(folder.events()) == 4
+    (folder.path / "rig_best.yaml").unlink()  # the last iteration's is another rig
+    with pytest.raises(InputError, match=r"expected rig_best.yaml, got none; was it removed\?"):
+        folder.rig()
+
+
+def test_a_folder_in_the_place_of_the_report_is_one_line(folder):
+    (folder.path / "report.html").mkdir()
+    with pytest.raises(InputError, match=r"report\.html: expected a place to write to, got: Is a directory"):
+        folder.write_report("<html>")
+    assert sorted(file.name for file in folder.path.glob(".draft*")) == []
+
+
+def test_a_view_is_replaced_in_one_step(folder, monkeypatch):
+    folder.write_views([], {"a.webp": b"before"})
+
+    def fail(draft, file):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(InputError, match=r"views: expected a place to write to, got: No space"):
+        folder.write_views([], {"a.webp": b"after"})
+    assert folder.view_path("a.webp").read_bytes() == b"before"
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("events.jsonl", lambda folder: folder.append_event(_record(0))),
+        ("checkpoints/last.npz", lambda folder: folder.write_checkpoint({"iteration": np.array(1)})),
+    ],
+)
+def test_what_cannot_be_written_is_named(folder, name, write):
+    (folder.path / name).unlink(missing_ok=True)
+    (folder.path / name).mkdir()
+    with pytest.raises(InputError, match=f"{name}: expected a place to write to, got: Is a directory"):
+        write(folder)
+
+
+def test_checkpoint_and_evaluation_come_back(folder):
+    folder.write_checkpoint({"pose_value": np.arange(6.0).reshape(2, 3), "iteration": np.array(7)})
+    with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as file:
+        assert file["iteration"] == 7
+        assert file["pose_value"].shape == (2, 3)
+    assert folder.evaluation() is None
+    folder.write_evaluation({"scenes": {"test": 2}, "arms": {"optimised": {"ap50_pooled": math.nan}}})
+    assert folder.evaluation() == {"schema": 1, "scenes": {"test": 2}, "arms": {"optimised": {"ap50_pooled": None}}}
+
+
+def test_a_failed_write_leaves_what_was_there(folder):
+    folder.write_checkpoint({"iteration": np.array(1)})
+    before = sorted(folder.path.rglob("*"))
+    with pytest.raises(ValueError, match="allow_pickle"):
+        folder.write_checkpoint({"iteration": np.array([object()])})
+    assert sorted(folder.path.rglob("*")) == before
+    with np.load(folder.path / "checkpoints" / "last.npz") as file:
+        assert file["iteration"] == 1
+
+
+def test_an_existing_run_is_not_overwritten(folder):
+    config = load_config("quick", [f"run.out={folder.path}"])
+    for refuse in (check_new_run, lambda config: RunFolder.create(config, name="x")):
+        with pytest.raises(
+            InputError, match=r"^run\.out: expected a folder that does not exist yet, got 'runs/quick'; "
+        ):
+            refuse(config)
+
+
+def test_an_empty_folder_is_welcome_and_a_file_is_not(tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert RunFolder.create(load_config("quick", [f"run.out={tmp_path}/empty"]), name="x").path.name == "empty"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"^run\.out: expected a folder to write to, got .* which is a file"):
+        check_new_run(load_config("quick", [f"run.out={tmp_path}/file"]))
+    with pytest.raises(InputError, match=r"^run\.out: expected a folder that can be made, got"):
+        RunFolder.create(load_config("quick", [f"run.out={tmp_path}/file/below"]), name="x")
+
+
+def test_what_is_no_run_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match="run folder: expected an existing folder"):
+        RunFolder.open(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="got one without config"):
+        RunFolder.open(tmp_path)
+
+
+def test_json_goes_to_a_place_that_exists(tmp_path):
+    write_json(tmp_path / "x.json", {"array": np.arange(2), "inf": math.inf})
+    assert json.loads((tmp_path / "x.json").read_text()) == {"array": [0, 1], "inf": None}
+    with pytest.raises(InputError, match=r"expected a place to write to, got: No such file"):
+        write_json(tmp_path / "none" / "x.json", {})

@@ -1,0 +1,299 @@
+"""Commands about scenes: built, captured, checked, reconstructed, and the main job on what went through images."""
+
+import dataclasses
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.scene.test_store import bytes_of, content, remove, shorten
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.runs.config import load_config
+from warpav.runs.problem import load_problem
+from warpav.runs.progress import RunDisplay
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.sources import load_scenes
+from warpav.scene.capture.folder import read_capture
+from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.scene import Box, Scene, Vehicle
+
+CAPTURE = [
+    "capture.width_px=96",
+    "capture.height_px=72",
+    "capture.vehicles=1",
+    "capture.rotations=3",
+    "capture.scene_heights_m=[20]",
+]
+RECONSTRUCTION = [
+    "reconstruction.vehicle_points=2000",
+    "reconstruction.vehicle_cell_m=0.1",
+    "reconstruction.vehicle_triangles=400",
+    "reconstruction.environment_points=4000",
+    "reconstruction.environment_cell_m=1.0",
+    "reconstruction.environment_triangles=800",
+]
+SEEDS = (3, 4)
+
+
+@pytest.fixture(autouse=True)
+def working_directory(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory):
+    """A folder with ``captures`` and ``scenes`` of two situations, from the commands."""
+    folder = tmp_path_factory.mktemp("collection")
+    assert main(["scenes", "capture", *CAPTURE, "--seeds", "3..4", "--out", str(folder / "captures")]) == 0
+    argv = ["scenes", "reconstruct", str(folder / "captures"), *RECONSTRUCTION, "--out", str(folder / "scenes")]
+    assert main(argv) == 0
+    return folder
+
+
+@pytest.fixture
+def captures(collection, working_directory):
+    """A copy of the captures that a test may spoil."""
+    return shutil.copytree(collection / "captures", working_directory / "captures")
+
+
+def small_scene(seed):
+    """A scene of three tetrahedra."""
+
+    def tetrahedron(x_m):
+        corner_m = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) + np.array([x_m, 0.0, 0.0])
+        return Mesh.create(corner_m, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], (seed, 2, 3))
+
+    box = Box(np.array([9.5, 0.5, 0.5]), np.ones(3), 0.0)
+    return Scene(f"small_{seed}", tetrahedron(5.0), tetrahedron(0.0), (Vehicle(1, "van", tetrahedron(9.0), box),))
+
+
+# ------------------------------------------------------------------------------------------------ make
+
+
+def test_made_scenes_stay_and_are_split(working_directory, monkeypatch, capsys):
+    monkeypatch.setattr("warpav.scene.town.town.town_scene", small_scene)
+    assert main(["scenes", "make", "--count", "2", "--out", "scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["building scenes: 2", "scenes/scene_0.glb", "scenes/scene_1.glb"]
+    before = content(working_directory / "scenes")
+    assert main(["scenes", "make", "--count", "10", "--out", "scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:3] == [f"scenes/scene_{seed}.glb is there already" for seed in (0, 1)]
+    assert lines[3] == "scenes/scene_2.glb"
+    assert lines[-1].endswith("scenes.folder=scenes scenes.train_seeds=0..5 scenes.test_seeds=8..9")
+    after = content(working_directory / "scenes")
+    assert all(after[name] == before[name] for name in before if name.endswith(".glb"))
+    assert len(json.loads((working_directory / "scenes" / "collection.json").read_text())["scenes"]) == 10
+
+
+def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys):
+    def failing(seed):
+        if seed == 1:
+            raise RuntimeError("the street\nis closed")
+        return small_scene(seed)
+
+    monkeypatch.setattr("warpav.scene.town.town.town_scene", failing)
+    assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == ["2 of 3 done; refused:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
+    assert sorted(os.listdir("scenes")) == ["collection.json", "scene_0.glb", "scene_2.glb"]
+    # the split is of those that are there
+    assert main(["scenes", "make", "--count", "7", "--out", "scenes"]) == 2
+    assert capsys.readouterr().out.splitlines()[-1].endswith("scenes.train_seeds=[0,2,3,4] scenes.test_seeds=6..6")
+
+
+@pytest.mark.parametrize("count", [5, 6, 9])
+def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, count):
+    monkeypatch.setattr("warpav.scene.town.town.town_scene", small_scene)
+    assert main(["scenes", "make", "--count", str(count), "--out", "scenes"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    if count < 6:
+        assert line == "scenes/scene_4.glb"
+        return
+    overrides = line.partition("warpav optimise ")[2].split()
+    scenes = load_config("quick", overrides).scenes
+    assert set(scenes.train_seeds).isdisjoint(scenes.test_seeds)
+    assert set(scenes.train_seeds) | set(scenes.test_seeds) < set(range(count))  # the others validate
+
+
+# ------------------------------------------------------------------------------------------------ capture, check
+
+
+def test_captures_hold_what_was_asked_for(collection):
+    capture = read_capture(collection / "captures" / "scene_3")
+    assert len(capture.images) == 1 + 1 + 1 + 1 + 3 + 4
+    assert len(capture.vehicles) == 1
+    assert {image.rgb.shape for image in capture.images} == {(72, 96, 3)}
+
+
+def test_capturing_again_leaves_everything_alone(captures, capsys):
+    before = content(captures)
+    assert main(["scenes", "capture", *CAPTURE, "--seeds", "[3, 4]", "--out", "captures"]) == 0
+    assert content(captures) == before
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["recording: 2", *(f"captures/scene_{seed} is there already" for seed in SEEDS)]
+
+
+def test_check_names_every_trouble(captures, capsys):
+    assert main(["scenes", "check", "captures"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["2 of 2 captures are valid"]
+    remove("ego_top_rgb.png")(captures / "scene_3")
+    shorten("rotation_0_depth.png", 0.5)(captures / "scene_3")
+    assert main(["scenes", "check", "captures"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out.splitlines() == ["1 of 2 captures are valid"]
+    assert captured.err.splitlines() == [
+        "captures/scene_3/images/ego_top_rgb.png: expected an image, got no such file; take or copy it again",
+        "captures/scene_3/images/rotation_0_depth.png: expected a PNG image, got a file that is truncated or no image",
+    ]
+    assert main(["scenes", "check", "captures/scene_4"]) == 0
+
+
+# ------------------------------------------------------------------------------------------------ reconstruct
+
+
+def test_reconstructed_scenes_can_be_read(collection):
+    assert sorted(os.listdir(collection / "scenes")) == ["collection.json", "scene_3.glb", "scene_4.glb"]
+    for seed in SEEDS:
+        scene = read_scene(collection / "scenes" / f"scene_{seed}.glb")
+        assert (scene.name, len(scene.vehicles)) == (f"town_{seed:04d}", 1)
+        assert len(scene.vehicles[0].mesh.triangle) <= 400
+
+
+def test_refused_captures_are_summed_up_and_the_others_are_made(captures, collection, capsys):
+    remove("ego_top_rgb.png")(captures / "scene_3")
+    assert main(["scenes", "reconstruct", "captures", *RECONSTRUCTION, "--out", "scenes"]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "reconstructing: 2",
+        "scenes/scene_4.glb",
+        "1 of 2 done; refused:",
+        "captures/scene_3/images/ego_top_rgb.png: expected an image, got no such file; take or copy it again",
+    ]
+    assert sorted(os.listdir("scenes")) == ["collection.json", "scene_4.glb"]
+    # what the message advises: take it again, go on
+    assert main(["scenes", "capture", *CAPTURE, "--seeds", "3..4", "--out", "captures"]) == 0
+    assert bytes_of(captures) == bytes_of(collection / "captures")
+    capsys.readouterr()
+    assert main(["scenes", "reconstruct", "captures", *RECONSTRUCTION, "--out", "scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["reconstructing: 2", "scenes/scene_4.glb is there already", "scenes/scene_3.glb"]
+
+
+BAD_INPUT = [
+    (["make", "--out", "o"], "command line: expected either --seeds or --count, got both or none"),
+    (["make", "--out", "o", "--seeds", "3", "--count", "3"], "command line: expected either --seeds or --count, got"),
+    (["make", "--out", "o", "--count", "0"], "command line (--count): expected at least 1, got 0"),
+    (["capture", "--count", "1", "--out", "file"], "file: --out: expected a folder to write to, got a file"),
+    (
+        ["capture", "--count", "1", "--out", "o", "capture.width_px=8"],
+        "command line (capture.width_px=8): capture.width_px: expected a whole number from 32 to 4096, got 8",
+    ),
+    (["check", "none"], "none: expected a capture (a folder with capture.json) or a folder of captures, got neither"),
+    (["reconstruct", "file", "--out", "o"], "file: expected a capture (a folder with capture.json) or a folder of"),
+    (
+        ["reconstruct", "captures", "--out", "o", "reconstruction.method=guess"],
+        "command line (reconstruction.method=guess): reconstruction.method: expected poisson, signed_distance or nksr",
+    ),
+    (
+        ["reconstruct", "captures", "--out", "o", "reconstruction.method=nksr"],
+        "command line (reconstruction.method=nksr): reconstruction.method: expected an installed surface method, got",
+    ),
+]
+
+
+@pytest.mark.parametrize(("argv", "message"), BAD_INPUT, ids=[" ".join(argv) for argv, _ in BAD_INPUT])
+def test_bad_input_is_one_line_and_leaves_nothing(working_directory, captures, capsys, argv, message):
+    (working_directory / "file").write_text("this is no folder\n")
+    assert main(["scenes", *argv]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(message)
+    assert sorted(os.listdir(working_directory)) == ["captures", "file"]
+
+
+# ------------------------------------------------------------------------------------------------ training on them
+
+
+def captured_config(folder):
+    return [
+        "scenes.source=captured",
+        f"scenes.folder={folder}",
+        "scenes.train_seeds=[3]",
+        "scenes.test_seeds=[4]",
+        "run.batch_size=1",
+        *CAPTURE,
+        *RECONSTRUCTION,
+    ]
+
+
+def test_captured_scenes_are_made_once(collection, working_directory):
+    config = load_config("quick", captured_config("kept"))
+    (made,) = load_scenes(config, [3])
+    folder = working_directory / "kept"
+    assert bytes_of(folder / "captures" / "scene_3") == bytes_of(collection / "captures" / "scene_3")
+    assert (folder / "scene_3.glb").read_bytes() == (collection / "scenes" / "scene_3.glb").read_bytes()
+    before = content(folder)
+    (again,) = load_scenes(config, [3])
+    assert content(folder) == before
+    np.testing.assert_array_equal(made.environment.vertex_m, again.environment.vertex_m)
+
+
+def test_captured_scenes_are_kept_in_the_users_cache(working_directory, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(working_directory / "cache"))
+    overrides = [one for one in captured_config("x") if not one.startswith("scenes.folder")]
+    (scene,) = load_scenes(load_config("quick", overrides), [3])
+    assert scene.name == "town_0003"
+    assert sorted(os.listdir("cache/warpav/captured")) == ["captures", "collection.json", "scene_3.glb"]
+
+
+def problem(folder, *overrides):
+    """What a run loads: training on scene 3, a test on scene 4 of a folder."""
+    seeds = ["scenes.train_seeds=[3]", "scenes.test_seeds=[4]", "run.batch_size=1", "segregation.rotations=4"]
+    cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
+    files = ["scenes.source=folder", f"scenes.folder={folder}"]
+    with RunDisplay() as display:
+        return load_problem(load_config("quick", [*files, *seeds, *cameras, *overrides]), display)
+
+
+def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
+    plain = problem(collection / "scenes")
+    both = problem(collection / "scenes", "scenes.mirror=true")
+    assert [one.scene.name for one in plain.train] == ["town_0003"]
+    assert [one.scene.name for one in both.train] == ["town_0003", "town_0003_mirrored"]
+    assert [one.scene.name for one in both.test] == [one.scene.name for one in plain.test] == ["town_0004"]
+    original, mirrored = (one.scene.layer_bounds_ego_m.numpy() for one in both.train)
+    expected = (original * [1.0, -1.0, 1.0])[:, ::-1]
+    np.testing.assert_allclose(mirrored[0, :, [0, 2]], original[0, :, [0, 2]], atol=1e-5)
+    np.testing.assert_allclose(mirrored[0, :, 1], expected[0, :, 1], atol=1e-5)
+    np.testing.assert_allclose(mirrored[1], original[1], atol=1e-5)  # the ego vehicle
+
+
+def test_ego_vehicles_may_reach_less_far_down_but_not_differ_otherwise(collection, working_directory):
+    scenes = shutil.copytree(collection / "scenes", working_directory / "scenes")
+    scene = read_scene(scenes / "scene_4.glb")
+    ego, low_m = scene.ego, scene.ego.bounds_m()[0, 2]
+    lower = np.where(ego.vertex_m[:, 2:] < low_m + 0.1, [0.0, 0.0, -0.5], 0.0).astype(np.float32)
+    deeper = dataclasses.replace(scene, ego=dataclasses.replace(ego, vertex_m=ego.vertex_m + lower))
+    write_scene(deeper, scenes / "scene_4.glb")
+    assert [one.scene.name for one in problem(scenes).test] == ["town_0004"]
+    longer = dataclasses.replace(ego, vertex_m=ego.vertex_m * np.array([1.1, 1.0, 1.0], np.float32))
+    write_scene(dataclasses.replace(scene, ego=longer), scenes / "scene_4.glb")
+    with pytest.raises(InputError, match="town_0004: ego: expected the same vehicle as in the first scene"):
+        problem(scenes)
+
+
+@pytest.mark.slow
+def test_the_main_job_runs_on_captured_scenes(collection, capsys):
+    argv = ["run.iterations=1", "rig.cameras=2", "camera.width_px=96", "camera.height_px=96", "method=thesis"]
+    argv += ["baselines.random_samples=1", "run.out=run", *captured_config("kept")]
+    assert main(["optimise", *argv]) == 0
+    folder = RunFolder.open("run")
+    assert folder.evaluation()["scenes"] == {"test": 1}
+    assert folder.evaluation()["arms"]["optimised"]["objects"] == 1
+    assert sorted(os.listdir("kept")) == ["captures", "collection.json", "scene_3.glb", "scene_4.glb"]

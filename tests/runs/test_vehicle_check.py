@@ -1,0 +1,296 @@
+"""``warpav vehicle check``, and a user's own vehicle in the place of every scene's: ``scenes.ego``."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.runs.test_scenes import small_scene
+from tests.scene.test_own_vehicle import of_kind, save
+from tests.view.stand_ins import needs_opengl
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.experiments import experiment as experiments
+from warpav.raster.mesh import Mesh
+from warpav.runs.config import load_config, with_absolute_paths
+from warpav.runs.problem import load_traffic
+from warpav.runs.sources import detector_use, load_scenes, mount_surface, own_vehicle
+from warpav.runs.vehicle_check import zone_parts
+from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
+from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.scene.town.town import ego_vehicle, town_scene
+
+
+@pytest.fixture(autouse=True)
+def working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def car():
+    return ego_vehicle()
+
+
+def check(*words):
+    return main(["vehicle", "check", *map(str, words)])
+
+
+# ----------------------------------------------------------------------------------------------- the command
+
+
+def test_a_good_vehicle_is_described_and_can_be_used(car, tmp_path, capsys):
+    write_vehicle(car, tmp_path / "car.glb")
+    assert check("car.glb") == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for text in (
+        "10040 triangles",
+        "y up, x forward, metres",
+        "4.699 x 2.217 x 1.55 m",
+        "watertight, none without area",
+        "left and right are alike",
+        "lowest point at z = +0.000 m",
+        "axles at x = 0.00, 2.82 m",
+        "roof 2.73 m2 at 1.53 m, bonnet 1.74 m2 at 0.98 m",
+        "1.55 m, at x 0.56, y 0.00",
+        "it can be used as it is: scenes.ego=car.glb",
+    ):
+        assert text in said.out
+
+
+@pytest.mark.parametrize(
+    ("name", "reading", "words"),
+    [
+        ("cm.glb", Reading("z", "x", 0.01), "--scale 0.01 --up z"),
+        ("cm.obj", Reading("z", "x", 0.01), "--scale 0.01"),
+        ("mm.stl", Reading("y", "z", 0.001), "--scale 0.001 --up y --forward z"),
+        ("roof.ply", Reading("-z", "x"), "--up -z"),
+    ],
+)
+def test_the_suggested_command_mends_the_file(car, tmp_path, capsys, name, reading, words):
+    save(car, tmp_path / name, reading=reading)
+    assert check(name) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert all(line.startswith(f"{name}: ") for line in told)
+    mended = f"{name.partition('.')[0]}_ego.glb"
+    command = f"warpav vehicle check {name} {words} --out {mended}"
+    assert told[-1] == f"{name}: to mend it: {command}"
+    assert main(shlex.split(command)[1:]) == 0
+    assert check(mended) == 0
+    file = read_vehicle(mended)
+    np.testing.assert_allclose(
+        np.sort(file.in_ego_frame(file.usual).bounds_m(), axis=0), np.sort(car.bounds_m(), axis=0), atol=0.01
+    )
+
+
+def test_what_is_not_mended_yet_is_not_written(car, tmp_path, capsys):
+    save(car, tmp_path / "car.glb", reading=Reading("z", "x", 0.01))
+    assert check("car.glb", "--scale", "0.01", "--out", "out.glb") == 2
+    assert not (tmp_path / "out.glb").exists()
+    assert "to mend it: warpav vehicle check car.glb --scale 0.01 --up z --out out.glb" in capsys.readouterr().err
+
+
+def test_options_without_a_file_to_write_leave_something_to_do(car, tmp_path, capsys):
+    save(car, tmp_path / "car.obj", reading=Reading("y", "x"))
+    assert check("car.obj", "--up", "y") == 2
+    assert capsys.readouterr().err == "car.obj: to mend it: warpav vehicle check car.obj --up y --out car_ego.glb\n"
+
+
+def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
+    save(car, tmp_path / "car.obj", reading=Reading("z", "-x"))
+    check("car.obj")
+    assert "add --forward -x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["none.glb"], "none.glb: vehicle: expected a mesh file"),
+        (["car.ply", "--up", "w"], 'command line: Invalid value "w" for --up'),
+        (["car.ply", "--up", "x", "--forward", "x"], "command line: --forward: expected an axis across x"),
+        (["car.ply", "--scale", "0"], "command line: --scale: expected a positive number, got 0.0"),
+        (["car.ply", "--out", "car.obj"], "car.obj: --out: expected a name that ends in .glb"),
+        (["car.ply", "--rear-axle", "9"], "--rear-axle: expected a distance from the rear end of up to 4.70 m, got 9"),
+        (["car.ply", "--picture", "car.bmp"], "car.bmp: expected a name that ends in .png"),
+        (["car.ply", "mount.cel_m=1"], "command line (mount.cel_m=1): mount.cel_m: expected one of cell_m"),
+        (["car.ply", "--out", "none/car.glb"], "none/car.glb: cannot write the vehicle: No such file or directory"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(car, tmp_path, capsys, words, message):
+    save(car, tmp_path / "car.ply")
+    assert check(*words) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
+    corner = [[-1, -0.9, 0], [3.5, -0.9, 0], [1, 0, 4.0], [-1, 0.9, 0], [3.5, 0.9, 0]]
+    tent = Mesh.create(corner, [[0, 1, 2], [4, 3, 2], [3, 0, 2], [1, 4, 2]], (80, 80, 80))
+    write_vehicle(tent, tmp_path / "tent.glb")
+    assert check("tent.glb") == 2
+    assert "tent.glb: mount surface: expected faces that look upwards" in capsys.readouterr().err
+
+
+@needs_opengl
+def test_the_picture_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
+    write_vehicle(car, tmp_path / "car.glb")
+    assert check("car.glb", "--picture", "car.png") == 0
+    assert "wrote car.png" in capsys.readouterr().out
+    picture = np.asarray(Image.open(tmp_path / "car.png").convert("RGB")).astype(int)
+    yellow, violet = np.array([253, 231, 37]), np.array([68, 1, 84])
+    upper = picture[:560]  # without the scale of heights
+    assert (np.abs(upper - yellow).sum(axis=-1) < 60).sum() > 2000  # the roof, the highest
+    assert (np.abs(upper - violet).sum(axis=-1) < 60).sum() > 500  # the bonnet's front edge
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("saloon", {"roof", "bonnet", "rear"}),
+        ("estate", {"roof", "bonnet"}),
+        ("van", {"roof", "bonnet"}),
+        ("bus", {"roof"}),
+        ("lorry", {"roof", "front"}),
+    ],
+)
+def test_parts_of_the_zone_have_their_names(kind, names):
+    mesh = of_kind(kind)
+    surface = mount_surface(load_config("quick"), mesh)
+    parts = zone_parts(surface, mesh)
+    assert {part.name for part in parts} == names
+    assert sum(part.area_m2 for part in parts) == pytest.approx(surface.is_mountable.sum() * surface.cell_m**2)
+
+
+# ----------------------------------------------------------------------------------------------- scenes.ego
+
+
+def test_the_scenes_own_vehicle_in_a_file_changes_nothing(car, tmp_path):
+    write_vehicle(car, tmp_path / "car.glb")
+    for own, usual in zip(
+        *(list(load_scenes(load_config("quick", words), [3, 4])) for words in (["scenes.ego=car.glb"], [])), strict=True
+    ):
+        for name in ("vertex_m", "triangle", "vertex_rgb"):
+            np.testing.assert_array_equal(getattr(own.ego, name), getattr(usual.ego, name))
+        assert [user.instance_id for user in own.road_users] == [user.instance_id for user in usual.road_users]
+
+
+def test_another_vehicle_carries_the_cameras_of_every_source(tmp_path):
+    write_vehicle(van := moved_van(), tmp_path / "van.glb")
+    (tmp_path / "scenes").mkdir()
+    for seed in (3, 4):
+        write_scene(town_scene(seed), tmp_path / "scenes" / f"scene_{seed}.glb")
+    for source in (["scenes.source=town"], ["scenes.source=folder", "scenes.folder=scenes"]):
+        config = load_config("quick", [*source, "scenes.ego=van.glb"])
+        for scene in load_scenes(config, [3, 4]):
+            np.testing.assert_array_equal(scene.ego.vertex_m, van.vertex_m)
+
+
+def moved_van():
+    mesh = of_kind("van")
+    return mesh.transformed(np.eye(3), np.array([1.382, 0.0, 0.0]))
+
+
+def test_who_stands_at_its_place_is_left_out_and_that_is_said(car):
+    def user(number, x, y, yaw=0.0):
+        box = Box(np.array([x, y, 0.7]), np.array([4.0, 1.8, 1.4]), yaw)
+        return Vehicle(number, "van", car.transformed(np.eye(3), np.array([x, y, 0.0])), box)
+
+    # the car reaches from -.99 to 3.71 m and 1.11 m to either side
+    free = [(8.0, 0.0, 0.0), (1.0, 2.1, 0.0), (5.2, 2.9, np.pi / 4)]
+    met = [(5.5, 0.0, 0.0), (1.0, 1.9, 0.0), (5.0, 2.0, np.pi / 4)]
+    users = tuple(user(k, *place) for k, place in enumerate([*free, *met], start=1))
+    scene = Scene("s", small_scene(1).environment, car, users)
+    assert [each.instance_id for each in scene.around(car).vehicles] == [1, 2, 3]
+
+
+def test_left_out_road_users_are_told(tmp_path, monkeypatch):
+    monkeypatch.setattr("warpav.scene.town.town.town_scene", town_like)
+    bus = of_kind("bus").transformed(np.eye(3), np.array([4.2, 0.0, 0.0]))  # to 9.6 m, and a vehicle begins at 9 m
+    write_vehicle(bus, tmp_path / "bus.glb")
+    # its origin is not below its rear axle; it is as its owner said
+    told = []
+    (scene,) = load_scenes(load_config("quick", ["scenes.ego=bus.glb"]), [1], say=told.append)
+    assert scene.vehicles == ()
+    assert told == ["s1: 1 road user left out, where the vehicle of scenes.ego stands"]
+
+
+def test_an_unfit_vehicle_is_refused_with_the_command_that_tells_more(car, tmp_path, capsys):
+    save(car, tmp_path / "cm.glb", reading=Reading("y", "x", 0.01))
+    assert main(["inspect", "highest", "scenes.ego=cm.glb", "--out", "x.png"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(
+        "command line (scenes.ego=cm.glb): scenes.ego: cm.glb: units: expected a vehicle of 2 to 20 m"
+    )
+    assert err.endswith("; warpav vehicle check cm.glb says how to mend it\n")
+    assert main(["inspect", "highest", "scenes.ego=none.glb", "--out", "x.png"]) == 2
+    assert (
+        "scenes.ego: expected the path of a mesh file, or null, got 'none.glb'; no such file" in capsys.readouterr().err
+    )
+    (tmp_path / "bad.glb").write_bytes(b"glTF")
+    with pytest.raises(InputError, match=r"scenes\.ego: bad\.glb: vehicle: expected a readable glb file"):
+        own_vehicle(load_config("quick", ["scenes.ego=bad.glb"]))
+
+
+def test_renders_show_it(tmp_path):
+    write_vehicle(moved_van(), tmp_path / "van.glb")
+    words = ["camera.width_px=64", "camera.height_px=64", "rig.height_offset_m=0.5"]
+    for name, ego in (("own", ["scenes.ego=van.glb"]), ("usual", [])):
+        assert main(["render", "3", "--rig", "highest", "--out", name, *words, *ego]) == 0
+    views = [json.loads((tmp_path / name / "views.json").read_text()) for name in ("own", "usual")]
+    highest = [view[0]["ego_from_camera"][2][3] for view in views]
+    assert highest[0] == pytest.approx(moved_van().bounds_m()[1, 2] + 0.5, abs=0.01)
+    assert highest[1] == pytest.approx(1.55 + 0.5, abs=0.01)
+
+
+def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
+    write_vehicle(car, tmp_path / "car.glb")
+    plain = load_config("quick")
+    own = load_config("quick", ["scenes.ego=car.glb"])
+    assert detector_use(plain).settings.get("scenes.ego") is None
+    assert "ego" not in detector_use(plain).settings["scenes"]  # fits from before there was the option stay good
+    first = detector_use(own).identity, experiments.unseeded(own)
+    assert first[0] != detector_use(plain).identity
+    assert first[1] != experiments.unseeded(plain)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "car.glb").rename(tmp_path / "elsewhere" / "car.glb")
+    moved = load_config("quick", ["scenes.ego=elsewhere/car.glb"])
+    assert (detector_use(moved).identity, experiments.unseeded(moved)) == first
+    write_vehicle(moved_van(), tmp_path / "elsewhere" / "car.glb")
+    assert detector_use(moved).identity != first[0]
+    assert experiments.unseeded(moved) != first[1]
+    assert with_absolute_paths(moved).scenes.ego == tmp_path / "elsewhere" / "car.glb"
+
+
+def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpav.scene.town.town.town_scene", town_like)
+    write_vehicle(car, tmp_path / "car.glb")
+    config = load_config(
+        "quick",
+        ["scenes.ego=car.glb", "scenes.train_seeds=[1]", "scenes.test_seeds=[2]", "run.batch_size=1"],
+    )
+    kept = experiments._TrafficOfProcess()
+    first = kept(config, experiments.QUIET)
+    assert kept(config, experiments.QUIET) is first
+    write_vehicle(moved_van(), tmp_path / "car.glb")
+    again = kept(config, experiments.QUIET)
+    np.testing.assert_array_equal(again.ego.vertex_m, moved_van().vertex_m)
+    assert again.mount.surface.height_m.max() > first.mount.surface.height_m.max() + 0.3
+    np.testing.assert_array_equal(load_traffic(config, experiments.QUIET).ego.vertex_m, again.ego.vertex_m)
+
+
+def town_like(seed):
+    """A scene that takes no time to build."""
+    box = Box(np.array([9.5, 0.5, 0.5]), np.ones(3), 0.0)
+    scene = small_scene(seed)
+    return Scene(f"s{seed}", scene.environment, ego_vehicle(), (Vehicle(1, "van", scene.vehicles[0].mesh, box),))
+
+
+def test_a_written_vehicle_is_no_scene_but_its_node_is_the_same(car, tmp_path):
+    write_vehicle(car, tmp_path / "car.glb")
+    with pytest.raises(InputError, match="expected a mesh node named 'environment', got ego"):
+        read_scene(tmp_path / "car.glb")

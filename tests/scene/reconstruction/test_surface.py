@@ -1,0 +1,365 @@
+"""Thinning, normals, trimming, cleaning, decimation and the methods by name."""
+
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import fast_simplification
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh, merge
+from warpav.scene.reconstruction.surface import (
+    SURFACE_METHODS,
+    cleaned,
+    decimated,
+    oriented_normals,
+    signed_distance_surface,
+    thin_out,
+    trimmed,
+)
+
+
+def directions(count, rng):
+    direction = rng.normal(size=(count, 3))
+    return direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+def grid_mesh(count, size_m, colour, middle_m=(0.0, 0.0, 0.0), height=lambda x, y: 0.0 * x):
+    """A square of ``2 count count`` triangles that face upwards; ``colour`` maps x, y [m] to rgb."""
+    axis_m = np.linspace(-0.5 * size_m, 0.5 * size_m, count + 1)
+    x, y = (values.ravel() for values in np.meshgrid(axis_m, axis_m, indexing="ij"))
+    corner = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
+    triangle = np.concatenate(
+        [
+            np.stack([corner, corner + count + 1, corner + count + 2], axis=1),
+            np.stack([corner, corner + count + 2, corner + 1], axis=1),
+        ]
+    )
+    vertex_m = np.stack([x, y, height(x, y)], axis=1) + np.array(middle_m)
+    return Mesh.create(vertex_m, triangle, colour(x, y))
+
+
+def grey(x, y):
+    return np.full((len(x), 3), 128)
+
+
+# thin_out
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    point_count=st.integers(1, 1500),
+    share=st.floats(0.001, 1.2),
+    flatness=st.sampled_from([1.0, 0.01, 0.0]),
+    offset_m=st.sampled_from([0.0, 1e4]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_thinned_points_keep_apart_and_leave_no_room(point_count, share, flatness, offset_m, seed):
+    point_m = np.random.default_rng(seed).random((point_count, 3)) * [1.0, 2.0, flatness] + offset_m
+    count = max(1, int(share * point_count))
+    index = thin_out(point_m, count, seed=seed)
+    assert (np.diff(index) > 0).all()
+    if point_count <= count:
+        np.testing.assert_array_equal(index, np.arange(point_count))
+        return
+    assert abs(len(index) - count) <= max(0.1 * count, 1.0)
+    if len(index) > 1:
+        kept = KDTree(point_m[index])
+        spacing_m = kept.query(point_m[index], 2)[0][:, 1].min()
+        # every other point has a kept one within the spacing, up to rounding
+        assert kept.query(point_m)[0].max() <= spacing_m * (1.0 + 1e-6) + 1e-9
+
+
+def test_thinning_repeats_and_depends_on_the_seed(rng):
+    point_m = rng.random((5000, 3))
+    first, again, other = (thin_out(point_m, 500, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert len(np.intersect1d(first, other)) < 250
+
+
+def test_points_at_one_place_are_one_point():
+    assert len(thin_out(np.ones((100, 3)), 10, seed=0)) == 1
+
+
+@pytest.mark.parametrize(
+    ("point_m", "count", "message"),
+    [
+        (np.zeros((5, 3)), 0, "count must be at least 1, got 0"),
+        (np.full((5, 3), np.nan), 2, "finite numbers"),
+        (np.zeros((5, 2)), 2, r"\[point, 3\], got \[5, 2\]"),
+    ],
+)
+def test_thinning_refuses(point_m, count, message):
+    with pytest.raises(ValueError, match=message):
+        thin_out(point_m, count, seed=0)
+
+
+def test_no_points_stay_none():
+    assert len(thin_out(np.zeros((0, 3)), 10, seed=0)) == 0
+
+
+# oriented_normals
+
+
+@pytest.mark.parametrize(("sensor_radius_m", "sign"), [(10.0, 1.0), (0.3, -1.0)])
+def test_normals_of_a_sphere_turn_towards_the_sensors(rng, sensor_radius_m, sign):
+    direction = directions(6000, rng)
+    sensor_m = sensor_radius_m * (direction + 0.8 * directions(6000, rng))
+    normal = oriented_normals(2.0 * direction, sensor_m)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=5e-6)
+    assert (sign * np.sum(normal * direction, axis=1)).min() > np.cos(np.radians(8.0))  # worst seen 3.2 degrees
+
+
+def test_normals_of_a_plane_are_exact_far_from_the_origin(rng):
+    normal = np.array([1.0, 2.0, 2.0]) / 3.0
+    along = np.linalg.svd(normal[None])[2][1:]
+    point_m = rng.uniform(-1.0, 1.0, (200, 2)) @ along + 1e4
+    np.testing.assert_allclose(
+        oriented_normals(point_m, np.tile(1e4 + 5.0 * normal, (200, 1))), np.tile(normal, (200, 1)), atol=5e-5
+    )
+
+
+def test_normals_of_fewer_points_than_neighbours(rng):
+    point_m = np.column_stack([rng.random((5, 2)), np.zeros(5)])
+    np.testing.assert_allclose(
+        oriented_normals(point_m, point_m + np.array([0, 0, 1])), np.tile([0, 0, 1], (5, 1)), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("point_m", "sensor_m", "neighbour_count", "message"),
+    [
+        (np.zeros((0, 3)), np.zeros((0, 3)), 24, r"got \[0, 3\]"),
+        (np.zeros((5, 3)), np.full((5, 3), np.nan), 24, r"sensor_m\[0\] is"),
+        (np.zeros((5, 3)), np.zeros((6, 3)), 24, "sensor_m: expected one for each of 5 points, got 6"),
+        (np.zeros((5, 3)), np.zeros((5, 3)), 2, "neighbour_count must be at least 3, got 2"),
+    ],
+)
+def test_normals_refuse(point_m, sensor_m, neighbour_count, message):
+    with pytest.raises(ValueError, match=message):
+        oriented_normals(point_m, sensor_m, neighbour_count=neighbour_count)
+
+
+# methods by name
+
+
+@pytest.mark.parametrize(("method", "largest_m"), [("poisson", 0.004), ("signed_distance", 0.012)])
+def test_methods_find_a_sphere(rng, method, largest_m):
+    direction = directions(8000, rng)
+    vertex_m, triangle = SURFACE_METHODS[method](0.5 * direction, direction, 5.0 * direction, 0.04)
+    assert vertex_m.dtype == np.float32
+    assert triangle.dtype == np.int32
+    vertex_m, triangle = trimmed(vertex_m, triangle, 0.5 * direction, reach_m=0.06)
+    assert np.abs(np.linalg.norm(vertex_m, axis=1) - 0.5).max() < largest_m  # worst seen 2.0 and 8.4 mm
+    assert trimesh.Trimesh(vertex_m, triangle, process=False).volume > 0.9 * 4 / 3 * np.pi * 0.5**3
+
+
+def test_signed_distance_refuses_no_points():
+    with pytest.raises(ValueError, match=r"got \[0, 3\]"):
+        signed_distance_surface(np.zeros((0, 3)), np.zeros((0, 3)), cell_m=0.1)
+
+
+def test_nksr_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "nksr", None)  # as if it were not installed
+    with pytest.raises(InputError, match=r"surface method nksr: .*install .*NKSR.* or use poisson") as refusal:
+        SURFACE_METHODS["nksr"](np.eye(4, 3), np.eye(4, 3), np.eye(4, 3), 0.1)
+    assert "\n" not in str(refusal.value)
+
+
+# trimmed
+
+
+def body_with_extras(rng):
+    """A body of 2 m, a mirror beside it, a speck, and a guessed wing; with the points that support the first two."""
+    body = grid_mesh(60, 2.0, grey)
+    mirror = grid_mesh(4, 0.16, grey, middle_m=(1.5, 0.0, 0.3))
+    speck = grid_mesh(2, 0.04, grey, middle_m=(0.0, 0.0, 0.8))
+    wing = grid_mesh(10, 1.0, grey, middle_m=(0.0, 2.5, 0.0))
+    support_m = np.concatenate(
+        [
+            np.column_stack([rng.uniform(-1.0, 1.0, (10_000, 2)), rng.normal(0.0, 0.01, 10_000)]),
+            np.array([1.5, 0.0, 0.3]) + np.column_stack([rng.uniform(-0.08, 0.08, (64, 2)), np.zeros(64)]),
+            np.array([0.0, 0.0, 0.8]) + rng.uniform(-0.01, 0.01, (4, 3)),
+        ]
+    )
+    whole = merge([body, mirror, speck, wing])
+    return whole, support_m, len(body.triangle) + len(mirror.triangle)
+
+
+def test_trimming_keeps_a_mirror_and_drops_a_speck(rng):
+    whole, support_m, kept = body_with_extras(rng)
+    vertex_m, triangle = trimmed(whole.vertex_m, whole.triangle, support_m, reach_m=0.06)
+    assert len(triangle) == kept
+    assert triangle.max() + 1 == len(vertex_m)
+    assert (vertex_m[:, 0] > 1.4).any()
+    assert vertex_m[:, 2].max() < 0.4
+
+
+def test_trimming_drops_loose_pieces_of_little_surface(rng):
+    whole, support_m, _ = body_with_extras(rng)
+    for piece_m2, stays in ((0.02, True), (0.03, False)):  # the mirror has .0256 m2
+        vertex_m = trimmed(whole.vertex_m, whole.triangle, support_m, reach_m=0.06, piece_m2=piece_m2)[0]
+        assert (vertex_m[:, 0] > 1.4).any() == stays
+
+
+def test_trimming_cuts_where_points_end(rng):
+    sheet = grid_mesh(100, 2.0, grey)
+    support_m = np.column_stack([rng.uniform(-1.0, 0.0, 5000), rng.uniform(-1.0, 1.0, 5000), np.zeros(5000)])
+    vertex_m, triangle = trimmed(sheet.vertex_m, sheet.triangle, support_m, reach_m=0.1)
+    assert 0.04 < vertex_m[:, 0].max() < 0.1 + 1e-6
+    assert 0.5 < len(triangle) / len(sheet.triangle) < 0.56
+
+
+def test_trimming_may_leave_nothing():
+    sheet = grid_mesh(2, 1.0, grey)
+    vertex_m, triangle = trimmed(sheet.vertex_m, sheet.triangle, np.array([[9.0, 9.0, 9.0]]), reach_m=0.1)
+    assert vertex_m.shape == (0, 3)
+    assert triangle.shape == (0, 3)
+
+
+# cleaned
+
+
+def test_cleaning_drops_what_is_not_seen():
+    vertex_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [9, 9, 9], [2, 0, 0], [0, 0, 0]]
+    rgb = [[9, 9, 9]] * 6 + [[8, 8, 8]]
+    triangle = [
+        [0, 1, 2],
+        [1, 2, 3],  # the same, begun at another corner
+        [2, 1, 0],  # its back
+        [0, 1, 5],  # a line
+        [0, 3, 2],  # a point twice
+        [6, 1, 2],  # the same place, another colour
+    ]
+    mesh = cleaned(Mesh.create(vertex_m, triangle, rgb))
+    np.testing.assert_array_equal(mesh.vertex_m, [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(mesh.vertex_rgb, [[9, 9, 9]] * 3 + [[8, 8, 8]])
+    np.testing.assert_array_equal(mesh.triangle, [[0, 1, 2], [2, 1, 0], [3, 1, 2]])
+
+
+def test_cleaning_twice_changes_nothing(rng):
+    mesh = cleaned(Mesh.create(rng.integers(0, 3, (60, 3)), rng.integers(0, 60, (100, 3)), rng.integers(0, 2, (60, 3))))
+    again = cleaned(mesh)
+    for array in ("vertex_m", "triangle", "vertex_rgb"):
+        np.testing.assert_array_equal(getattr(again, array), getattr(mesh, array))
+    assert len(mesh.triangle) > 10
+
+
+def test_cleaning_may_leave_nothing():
+    mesh = cleaned(Mesh.create([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], [5, 5, 5]))
+    assert mesh.triangle.shape == (0, 3)
+    assert mesh.vertex_m.shape == (0, 3)
+
+
+# decimated
+
+
+def colour_from_above(mesh, place):
+    """The mesh's colours at x, y [point, 2], seen from above."""
+    body = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
+    origin_m = np.column_stack([place, np.full(len(place), 5.0)])
+    hit_m, ray, triangle = body.ray.intersects_location(
+        origin_m, np.tile([0, 0, -1], (len(place), 1)), multiple_hits=False
+    )
+    assert len(ray) == len(place)
+    share = trimesh.triangles.points_to_barycentric(body.triangles[triangle], hit_m)
+    rgb = np.empty((len(place), 3))
+    rgb[ray] = np.einsum("pc,pcx->px", share, mesh.vertex_rgb[mesh.triangle[triangle]].astype(float))
+    return rgb
+
+
+@pytest.mark.parametrize("height", [lambda x, y: 0.0 * x, lambda x, y: 0.2 * np.cos(2.0 * x) * np.cos(y)])
+def test_decimation_keeps_the_border_between_two_colours(rng, height):
+    """A dark window of 1 m x .6 m in a light sheet of 2 m x 2 m."""
+
+    def window(x, y):
+        inside = (np.abs(x - 0.1) < 0.5) & (np.abs(y + 0.15) < 0.3)
+        return np.where(inside[:, None], [40, 45, 50], [200, 190, 60])
+
+    dense = grid_mesh(140, 2.0, window, height=height)
+    coarse = decimated(dense, 500)
+    assert 300 < len(coarse.triangle) <= 500
+    place = rng.uniform(-0.99, 0.99, (3000, 2))
+    to_border_m = np.abs(np.maximum(np.abs(place[:, 0] - 0.1) - 0.5, np.abs(place[:, 1] + 0.15) - 0.3))
+    error = np.abs(colour_from_above(coarse, place) - window(*place.T)).max(axis=1)
+    away = to_border_m > 0.03  # two cells of the dense sheet; the coarse triangles are 13 cm long
+    assert (error[away] > 40).mean() < 0.003
+    assert error[away].mean() < 2.0
+    assert KDTree(dense.vertex_m).query(coarse.vertex_m)[0].max() < 0.02
+
+
+def test_decimation_of_one_colour_keeps_it_and_the_shape(rng):
+    body = trimesh.creation.icosphere(5, 0.5)
+    coarse = decimated(Mesh.create(body.vertices, body.faces, [7, 77, 177]), 600)
+    assert (coarse.vertex_rgb == [7, 77, 177]).all()
+    assert 500 < len(coarse.triangle) <= 600
+    assert np.abs(np.linalg.norm(coarse.vertex_m, axis=1) - 0.5).max() < 0.01
+    mesh = trimesh.Trimesh(coarse.vertex_m, coarse.triangle, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.5**3, rel=0.02)
+
+
+def test_decimation_closes_over_split_vertices():
+    """Vertices doubled along a border of colours do not tear the mesh open."""
+    left, right = (grid_mesh(40, 1.0, grey, middle_m=(x, 0.0, 0.0)) for x in (-0.5, 0.5))
+    red = Mesh(right.vertex_m, right.triangle, np.full_like(right.vertex_rgb, 255) * np.array([1, 0, 0], np.uint8))
+    coarse = decimated(merge([left, red]), 200)
+    place = np.unique(np.round(coarse.vertex_m, 6), axis=0, return_inverse=True)[1].reshape(-1)
+    joined = trimesh.Trimesh(np.zeros((place.max() + 1, 3)), place[coarse.triangle], process=False)
+    middle = trimesh.Trimesh(coarse.vertex_m, coarse.triangle, process=False)
+    assert middle.area == pytest.approx(2.0, rel=5e-3)
+    border = np.sort(joined.edges, axis=1)
+    single = np.unique(border, axis=0, return_counts=True)[1] == 1
+    ends = np.unique(border, axis=0)[single]
+    where_m = np.zeros((place.max() + 1, 3))
+    where_m[place] = coarse.vertex_m
+    both = np.abs(where_m[ends]).max(axis=1)
+    assert ((both[:, 0] > 0.9) | (both[:, 1] > 0.45)).all()  # only the outer border is open
+
+
+def test_decimation_leaves_a_small_mesh_alone():
+    mesh = grid_mesh(3, 1.0, grey)
+    assert decimated(mesh, 18) is mesh
+
+
+def test_decimation_repeats(rng):
+    body = trimesh.creation.icosphere(4, 0.5)
+    mesh = Mesh.create(body.vertices, body.faces, rng.integers(0, 255, (len(body.vertices), 3)))
+    first, again = decimated(mesh, 500), decimated(mesh, 500)
+    for array in ("vertex_m", "triangle", "vertex_rgb"):
+        np.testing.assert_array_equal(getattr(again, array), getattr(first, array))
+
+
+def test_meshes_decimated_side_by_side_do_not_mix(monkeypatch):
+    """fast_simplification keeps its mesh in variables of the module: two threads in it would mix their meshes."""
+    simplify, inside = fast_simplification.simplify, []
+
+    def slow(*arguments, **options):
+        inside.append(threading.get_ident())
+        time.sleep(0.02)
+        found = simplify(*arguments, **options)
+        assert set(inside) == {threading.get_ident()}
+        inside.clear()
+        return found
+
+    body = trimesh.creation.icosphere(4, 1.0)
+    meshes = [Mesh.create(body.vertices * (1.0 + k), body.faces, [20 * k, 90, 90]) for k in range(4)]
+    alone = [decimated(mesh, 300) for mesh in meshes]
+    monkeypatch.setattr(fast_simplification, "simplify", slow)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda mesh: decimated(mesh, 300), meshes))
+    for found, expected in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(found.vertex_m, expected.vertex_m)
+        np.testing.assert_array_equal(found.vertex_rgb, expected.vertex_rgb)
+
+
+def test_decimation_refuses_too_few():
+    with pytest.raises(ValueError, match="triangle_count must be at least 4, got 3"):
+        decimated(grid_mesh(3, 1.0, grey), 3)

@@ -1,0 +1,61 @@
+"""People and furniture: closed, of credible size, repeatable."""
+
+import numpy as np
+import pytest
+
+from tests.scene.town.closed_surface import back_face_share, signed_volume_m3, unmatched_edge_count
+from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
+from warpav.scene.town.people import person_mesh
+
+
+@pytest.mark.parametrize("category", ["pedestrian", "cyclist"])
+def test_people_are_closed_and_of_credible_size(category):
+    height = []
+    for seed in range(24):
+        mesh = person_mesh(category, np.random.default_rng(seed))
+        low, high = mesh.bounds_m()
+        assert 300 <= len(mesh.triangle) <= 800
+        assert low[2] == pytest.approx(0.0, abs=1e-3)
+        assert high[0] - low[0] < (1.2 if category == "pedestrian" else 1.9)
+        assert high[1] - low[1] < 0.85
+        assert unmatched_edge_count(mesh) == 0
+        assert signed_volume_m3(mesh) > 0.02
+        height.append(high[2])
+    assert 1.0 < min(height) < max(height) < 2.05
+    assert np.ptp(height) > 0.05
+
+
+def test_no_ray_from_outside_meets_the_back_of_a_pedestrian(rng):
+    for seed in range(6):
+        mesh = person_mesh("pedestrian", np.random.default_rng(seed))
+        assert back_face_share(mesh, rng, ray_count=40_000, hit_share_min=0.1) == 0.0
+
+
+def test_the_same_numbers_give_the_same_person():
+    one, other, third = (person_mesh("pedestrian", np.random.default_rng(seed)) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(one.vertex_m, other.vertex_m)
+    np.testing.assert_array_equal(one.vertex_rgb, other.vertex_rgb)
+    assert one.vertex_rgb.shape != third.vertex_rgb.shape or (one.vertex_rgb != third.vertex_rgb).any()
+
+
+@pytest.mark.parametrize("kind", sorted(FOOTPRINT_M))
+def test_furniture_is_closed_and_within_its_footprint(kind, rng):
+    mesh = furniture_mesh(kind, rng)
+    corner = mesh.vertex_m[mesh.triangle].astype(np.float64)
+    low, high = corner[corner[..., 2].max(axis=1) < 2.6].min(axis=(0, 1)), corner[..., 2].max()
+    assert unmatched_edge_count(mesh) == 0
+    assert signed_volume_m3(mesh) > 0.0
+    assert len(mesh.triangle) <= 500
+    length, width = FOOTPRINT_M[kind]
+    below_heads = mesh.vertex_m[mesh.vertex_m[:, 2] < 2.6]
+    assert np.abs(below_heads[:, 0]).max() <= 0.5 * length + 1e-3
+    assert np.abs(below_heads[:, 1]).max() <= 0.5 * width + 1e-3
+    assert -0.2 < low[2] < 0.0  # the foot reaches into the ground
+    assert high < 6.6
+
+
+def test_unknown_kinds_are_refused(rng):
+    with pytest.raises(ValueError, match="no person 'horse'"):
+        person_mesh("horse", rng)
+    with pytest.raises(ValueError, match="no furniture 'fountain'"):
+        furniture_mesh("fountain", rng)

@@ -1,0 +1,274 @@
+"""Town scenes: counts, visibility, no overlaps, headings along the lanes, the same bytes for the same seed."""
+
+import hashlib
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from warpav.scene.town.ground import Ground
+from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene, visible_shares
+from warpav.scene.town.town_layout import town_layout
+
+SEEDS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 1001)
+HEADING_TOLERANCE_RAD = 0.03
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return [town_scene(seed) for seed in SEEDS]
+
+
+def _digest(scene):
+    digest = hashlib.sha256()
+    for mesh in (scene.environment, scene.ego, *(user.mesh for user in (*scene.vehicles, *scene.others))):
+        for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    users = (*scene.vehicles, *scene.others)
+    digest.update(repr([(user.instance_id, user.category, user.box.yaw_rad) for user in users]).encode())
+    return digest.hexdigest()
+
+
+class _Caster:
+    """Vertical rays through a mesh."""
+
+    def __init__(self, mesh):
+        self._corner = mesh.vertex_m[mesh.triangle]
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, self._corner)
+
+    def distance_m(self, point_m, sign):
+        """Distance straight up (+1) or down (-1) to the surface, inf where there is none."""
+        direction = np.tile(np.array([0.0, 0.0, sign], np.float32), (len(point_m), 1))
+        result = self._scene.run(point_m.astype(np.float32), direction, query="DISTANCE")
+        return np.where(result > 1e30, np.inf, result)
+
+    def height_above_m(self, point_m):
+        """Height of points above the ground straight below them, also of points a little below it."""
+        return self.distance_m(point_m + np.array([0.0, 0.0, 0.3]), -1.0) - 0.3
+
+
+def _rectangle(center_m, size_m, yaw_rad):
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    corner = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size_m[:2]
+    return center_m[:2] + corner @ np.array([[c, s], [-s, c]])
+
+
+def _rectangles_overlap(one, other):
+    """Separating axes of two convex polygons, written apart from the code under test."""
+    for polygon in (one, other):
+        for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            axis = np.array([end[1] - start[1], start[0] - end[0]])
+            if (one @ axis).max() <= (other @ axis).min() or (other @ axis).max() <= (one @ axis).min():
+                return False
+    return True
+
+
+def test_same_seed_gives_the_same_bytes_in_another_process(scenes):
+    code = "from tests.scene.town.test_town import _digest, town_scene; print(_digest(town_scene(3)))"
+    root = Path(__file__).parents[2]
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert run.stdout.strip() == _digest(scenes[SEEDS.index(3)])
+
+
+def test_other_seeds_give_other_scenes(scenes):
+    assert len({_digest(scene) for scene in scenes}) == len(SEEDS)
+
+
+def test_triangle_counts(scenes):
+    for scene in scenes:
+        vehicles = [len(vehicle.mesh.triangle) for vehicle in scene.vehicles]
+        assert 8_000 <= len(scene.environment.triangle) <= 60_000, scene.name
+        assert min(vehicles) >= 2000
+        assert max(vehicles) <= 5000
+        assert all(300 <= len(other.mesh.triangle) <= 800 for other in scene.others)
+
+
+def test_five_to_fifteen_vehicles_are_visible_from_the_roof(scenes):
+    for scene in scenes:
+        eye = np.array([scene.ego.bounds_m()[:, 0].mean(), 0.0, EYE_HEIGHT_M])
+        share = visible_shares(eye, [scene.surroundings(), scene.ego], [vehicle.mesh for vehicle in scene.vehicles])
+        assert 5 <= np.count_nonzero(share > 0.0) <= 15, scene.name
+        assert share.min() > 0.0, scene.name  # hidden vehicles are left out
+
+
+def test_a_wall_hides_vehicles(scenes):
+    scene = scenes[0]
+    eye = np.array([scene.ego.bounds_m()[:, 0].mean(), 0.0, EYE_HEIGHT_M])
+    meshes = [vehicle.mesh for vehicle in scene.vehicles]
+    shell = ego_vehicle().transformed(np.eye(3), np.array([0.0, 0.0, EYE_HEIGHT_M - 0.7]))
+    assert visible_shares(eye, [shell], meshes).max() == 0.0
+
+
+def test_no_vehicle_overlaps_another_or_the_ego_vehicle(scenes):
+    low, high = ego_vehicle().bounds_m().astype(np.float64)
+    ego = _rectangle(0.5 * (low + high), high - low, 0.0)
+    for scene in scenes:
+        outlines = [ego, *(_rectangle(v.box.center_m, v.box.size_m, v.box.yaw_rad) for v in scene.vehicles)]
+        for one, other in itertools.combinations(outlines, 2):
+            assert not _rectangles_overlap(one, other), scene.name
+
+
+def test_no_vehicle_stands_in_a_house_or_on_a_pavement(scenes):
+    """The ground below a vehicle is one plane, without a kerb, and nothing is above it but lamps."""
+    for scene in scenes:
+        caster = _Caster(scene.environment)
+        for vehicle in scene.vehicles:
+            across, along = np.meshgrid(np.linspace(-0.42, 0.42, 7), np.linspace(-0.48, 0.48, 15))
+            c, s = np.cos(vehicle.box.yaw_rad), np.sin(vehicle.box.yaw_rad)
+            u, v = along.ravel() * vehicle.box.size_m[0], across.ravel() * vehicle.box.size_m[1]
+            bottom = vehicle.box.center_m[2] - 0.5 * vehicle.box.size_m[2]
+            point = np.stack([c * u - s * v, s * u + c * v, np.full_like(u, bottom + 0.9)], axis=1)
+            point[:, :2] += vehicle.box.center_m[:2]
+            ground = point[:, 2] - caster.distance_m(point, -1.0)
+            plane = np.c_[np.ones_like(u), u, v]
+            rest = ground - plane @ np.linalg.lstsq(plane, ground, rcond=None)[0]
+            assert np.abs(rest).max() < 0.05, (scene.name, vehicle.instance_id)  # a kerb is 0.13 m high
+            above = caster.distance_m(point, 1.0)
+            assert ((above > 4.0) & (above < 6.5) | np.isinf(above)).all(), (scene.name, vehicle.instance_id)
+
+
+def test_vehicles_stand_on_their_wheels(scenes):
+    """On level ground and on grades: the lowest vertices of either end touch the ground."""
+    grades = []
+    for scene in scenes:
+        caster = _Caster(scene.environment)
+        for vehicle in scene.vehicles:
+            offset = vehicle.mesh.vertex_m.astype(np.float64) - vehicle.box.center_m
+            along = np.cos(vehicle.box.yaw_rad) * offset[:, 0] + np.sin(vehicle.box.yaw_rad) * offset[:, 1]
+            for end in (along > 0.0, along < 0.0):
+                wheel = vehicle.mesh.vertex_m[end].astype(np.float64)
+                height = caster.height_above_m(wheel[wheel[:, 2] < wheel[:, 2].min() + 0.4])
+                # shadows lie up to 2 cm above the road; wheels of different axles share one plane
+                assert -0.05 < height.min() < 0.05, (scene.name, vehicle.instance_id)
+            grades.append(vehicle.box.center_m[2] - 0.5 * vehicle.box.size_m[2])
+    assert np.ptp(grades) > 0.5  # some streets are on a grade
+
+
+def test_the_ego_vehicle_stands_level_on_the_ground(scenes):
+    for scene in scenes:
+        tyre = scene.ego.vertex_m[scene.ego.vertex_m[:, 2] < 0.02]
+        height = _Caster(scene.environment).height_above_m(tyre.astype(np.float64))
+        np.testing.assert_allclose(height, tyre[:, 2], atol=0.03)
+
+
+def test_grades_are_gentle():
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        ground = Ground(rng.uniform(-20.0, 20.0), rng.uniform(-0.06, 0.06), rng.uniform(-0.06, 0.06))
+        x = np.linspace(-90.0, 90.0, 2000)
+        assert np.abs(np.gradient(ground.height_m(x), x)).max() <= 0.0601
+
+
+def test_people_are_a_handful_and_numbered_after_the_vehicles(scenes):
+    for scene in scenes:
+        ids = [user.instance_id for user in (*scene.vehicles, *scene.others)]
+        assert ids == list(range(1, len(ids) + 1))
+        assert len(scene.others) <= 11
+    categories = [other.category for scene in scenes for other in scene.others]
+    assert set(categories) == {"pedestrian", "cyclist"}
+    assert 2.0 < len(categories) / len(scenes) < 8.0
+
+
+def test_people_stand_on_the_ground_and_in_nothing_else(scenes):
+    low, high = ego_vehicle().bounds_m().astype(np.float64)
+    for scene in scenes:
+        caster = _Caster(scene.environment)
+        users = (*scene.vehicles, *scene.others)
+        outlines = [_rectangle(user.box.center_m, user.box.size_m, user.box.yaw_rad) for user in users]
+        outlines.append(_rectangle(0.5 * (low + high), high - low, 0.0))
+        for index, other in enumerate(scene.others, start=len(scene.vehicles)):
+            where = (scene.name, other.instance_id)
+            for number, outline in enumerate(outlines):
+                assert number == index or not _rectangles_overlap(outlines[index], outline), where
+            vertex = other.mesh.vertex_m.astype(np.float64)
+            sole = vertex[vertex[:, 2] < vertex[:, 2].min() + 0.05]
+            assert -0.03 < caster.height_above_m(sole).min() < 0.03, where
+            middle = np.array([[*other.box.center_m[:2], vertex[:, 2].min() + 0.3]])
+            assert caster.distance_m(middle, 1.0)[0] > 4.0, where  # no roof above
+            # nothing of the environment reaches into the person's box above the feet
+            corner = scene.environment.vertex_m[scene.environment.triangle].mean(axis=1).astype(np.float64)
+            inside = other.box.contains(corner, margin_m=-0.02)
+            assert not (inside & (corner[:, 2] > vertex[:, 2].min() + 0.1)).any(), where
+
+
+def test_nothing_lies_below_the_road(scenes):
+    """Feet of furniture reach a little into the ground, and the foot of a level house on a grade a little more."""
+    for scene in scenes:
+        vertex = scene.environment.vertex_m.astype(np.float64)
+        near = vertex[np.hypot(vertex[:, 0], vertex[:, 1]) < 45.0]
+        bound = -0.25 if np.ptp(vertex[:, 2][vertex[:, 2] < 0.2]) < 0.4 else -2.7  # 6 % of 40 m, and a foot
+        assert near[:, 2].min() > bound, scene.name
+
+
+def test_headings_follow_the_lanes(scenes):
+    """Streets run along x or y; in a lane or bay a vehicle points along it, either way."""
+    for scene in scenes:
+        for vehicle in scene.vehicles:
+            quarter = vehicle.box.yaw_rad / (0.5 * np.pi)
+            assert abs(quarter - round(quarter)) * 0.5 * np.pi < HEADING_TOLERANCE_RAD, scene.name
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_lanes_keep_to_one_side(seed):
+    """Seen along its heading, every lane lies on the same side of its street; mirrored plans on the other."""
+    layout = town_layout(np.random.default_rng(seed))
+    if layout.template == "car_park":
+        return
+    sides = {
+        float(np.sign(np.cos(slot.yaw_rad) * slot.y_m))
+        for slot in layout.slots
+        if not slot.parked and abs(np.sin(slot.yaw_rad)) < 0.5
+    }
+    assert sides == {float(np.sign(layout.ego.y_m))}
+
+
+def test_all_road_templates_and_both_sides_occur():
+    layouts = [town_layout(np.random.default_rng(seed)) for seed in range(80)]
+    assert {layout.template for layout in layouts} == {
+        "parking_street", "avenue", "crossroads", "t_junction", "car_park"
+    }  # fmt: skip
+    left = np.mean([layout.ego.y_m > 0.0 for layout in layouts])
+    assert 0.3 < left < 0.7
+
+
+def test_boxes_fit_their_meshes(scenes):
+    for scene in scenes:
+        for user in (*scene.vehicles, *scene.others):
+            local = user.box.local_m(user.mesh.vertex_m.astype(np.float64))
+            np.testing.assert_allclose(local.max(axis=0), 0.5 * user.box.size_m, atol=2e-3)
+            np.testing.assert_allclose(local.min(axis=0), -0.5 * user.box.size_m, atol=2e-3)
+
+
+def test_the_ego_vehicle_is_the_same_everywhere(scenes):
+    for scene in scenes[1:]:
+        np.testing.assert_array_equal(scene.ego.vertex_m, scenes[0].ego.vertex_m)
+        np.testing.assert_array_equal(scene.ego.vertex_rgb, scenes[0].ego.vertex_rgb)
+
+
+def test_traffic_stands_on_all_sides(scenes):
+    position = np.array([vehicle.box.center_m[:2] for scene in scenes for vehicle in scene.vehicles])
+    position[:, 0] -= ego_vehicle().bounds_m()[:, 0].mean()
+    assert np.hypot(*position.T).max() < 40.0
+    assert 0.3 < np.mean(position[:, 0] > 0.0) < 0.7
+    assert 0.3 < np.mean(position[:, 1] > 0.0) < 0.7
+
+
+def test_contact_shadows_darken_the_road_below_vehicles(scenes):
+    scene = scenes[SEEDS.index(3)]  # level
+    road = np.abs(scene.environment.vertex_m[:, 2]) < 0.03
+    ground, colour = scene.environment.vertex_m[road], scene.environment.vertex_rgb[road].mean(axis=1)
+    for vehicle in scene.vehicles:
+        below = np.hypot(*(ground[:, :2] - vehicle.box.center_m[:2]).T) < 0.05
+        assert below.any()
+        assert colour[below].min() < 0.3 * np.percentile(colour, 75)
+
+
+def test_negative_seeds_are_refused():
+    with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
+        town_scene(-1)

@@ -1,0 +1,52 @@
+"""Processes of this machine."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from warpav.core.executor.workers import Outcome, WorkerKilledError, outcome_of
+
+
+class Processes:
+    """A pool of processes; one that is killed ends the pool, and the next task opens another."""
+
+    def __init__(self, function: Callable[[Any], Any], worker_count: int) -> None:
+        """A pool without a process; they start with the tasks."""
+        self._function, self._worker_count = function, worker_count
+        self._pool = self._open()
+
+    def _open(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
+        return ProcessPoolExecutor(self._worker_count, context)
+
+    def start(self, tasks: Sequence[Any]) -> Sequence[Future[Outcome[Any, Any]]]:
+        """Start tasks, each in the pool that is open then."""
+        return [self._submit(task) for task in tasks]
+
+    def _submit(self, task: Any) -> Future[Outcome[Any, Any]]:  # noqa: ANN401
+        while True:
+            try:
+                return self._pool.submit(outcome_of, self._function, task)
+            except BrokenProcessPool:
+                self._pool.shutdown(wait=False)
+                self._pool = self._open()
+
+    def wait(self, handles: Collection[Future[Outcome[Any, Any]]]) -> Collection[Future[Outcome[Any, Any]]]:
+        """Wait until some of the tasks have ended."""
+        return concurrent.futures.wait(handles, return_when=concurrent.futures.FIRST_COMPLETED).done
+
+    def outcome(self, handle: Future[Outcome[Any, Any]]) -> Outcome[Any, Any]:
+        """The outcome of a task; `WorkerKilledError` where any process of its pool was killed."""
+        try:
+            return handle.result()
+        except BrokenProcessPool:
+            raise WorkerKilledError from None
+
+    def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
+        """End the processes, without waiting for tasks that are under way."""
+        self._pool.shutdown(wait=not handles, cancel_futures=True)

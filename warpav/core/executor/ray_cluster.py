@@ -1,0 +1,133 @@
+"""Workers of a Ray cluster, or of a Ray of this machine that ends with the tasks; needs the extra ``ray``."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+from warpav.core.errors import OptionError
+from warpav.core.executor.workers import Outcome, WorkerKilledError, executor_package, one_line, outcome_of
+
+CONNECT_S = 5.0
+"""How long a Ray cluster may take to accept a connection [s]."""
+ANSWER_S = 20.0
+"""How long a Ray cluster may take to let this program in, the import of ray included [s]; two are usual."""
+
+_KNOCK = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, logging_level='ERROR'); ray.cluster_resources()"
+
+
+class RayCluster:
+    """Ray workers; each takes one task at a time, and one that is killed takes only its own task along."""
+
+    def __init__(
+        self, function: Callable[[Any], Any], address: str | None, options: Mapping[str, Any], worker_count: int | None
+    ) -> None:
+        """Connect, or start a Ray of this machine.
+
+        Args:
+            function: What is called with every task.
+            address: Of the cluster, as ``ray.init`` understands it; None: that of ``RAY_ADDRESS``, else ``local``.
+            options: Of ``ray.remote``.
+            worker_count: CPUs of a Ray of this machine; None: all that there are.
+
+        Raises:
+            OptionError: Ray is not installed, no cluster answers, or an option is wrong.
+        """
+        self._ray = ray = executor_package("ray")
+        try:
+            self._remote = ray.remote(**{"max_retries": 0, **options})(outcome_of)
+        except (TypeError, ValueError) as error:
+            raise OptionError("executor.options", f"expected options of ray.remote, got: {one_line(error)}") from None
+        self._function = function
+        self._is_own = not ray.is_initialized()  # a notebook's own stays
+        if not self._is_own:
+            here = ray.get_runtime_context().gcs_address
+            if address not in (None, "auto", here):
+                raise OptionError(
+                    "executor.address",
+                    f"expected {here}, where this process is connected already, got {address!r}; leave it out, or call "
+                    "ray.shutdown() before",
+                )
+            return
+        address = address or os.environ.get("RAY_ADDRESS") or "local"
+        if address == "local":
+            self._start_local(options, worker_count)
+        else:
+            _check_answers(address)
+            ray.init(address, log_to_driver=False, logging_level="ERROR")
+
+    def _start_local(self, options: Mapping[str, Any], worker_count: int | None) -> None:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to Ray's makers
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # tasks without num_gpus see the GPU as well
+        self._ray.init(
+            "local", num_cpus=worker_count, include_dashboard=False, log_to_driver=False, logging_level="ERROR"
+        )
+        offered = self._ray.cluster_resources()
+        for option, resource in (("num_cpus", "CPU"), ("num_gpus", "GPU")):
+            wanted, there = options.get(option) or 0, offered.get(resource, 0)
+            if wanted > there:  # Ray would wait for ever
+                self._ray.shutdown()
+                raise OptionError(
+                    "executor.options",
+                    f"expected {option} of at most {there:g}, as the Ray of this machine has no more, got {wanted:g}; "
+                    "lower it, or let executor.address be a cluster that has as many",
+                )
+
+    def start(self, tasks: Sequence[Any]) -> Sequence[Any]:
+        """Hand tasks to Ray, which queues what there is no room for."""
+        return [self._remote.remote(self._function, task) for task in tasks]
+
+    def wait(self, handles: Collection[Any]) -> Collection[Any]:
+        """Wait until a task has ended."""
+        return self._ray.wait(list(handles))[0]
+
+    def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401
+        """The outcome of a task; `WorkerKilledError` where its worker or its machine died."""
+        errors = self._ray.exceptions
+        try:
+            return self._ray.get(handle)
+        except (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError):
+            raise WorkerKilledError from None
+        except errors.RayError as error:  # it never began: warpav is not installed there, say
+            return Outcome(None, error=f"Ray: {one_line(error)}")
+
+    def close(self, handles: Collection[Any]) -> None:
+        """Cancel what is under way, and leave the cluster; a Ray of this machine that was started here ends."""
+        for handle in handles:
+            self._ray.cancel(handle, force=True)
+        if self._is_own:
+            self._ray.shutdown()
+
+
+def _check_answers(address: str) -> None:
+    """Knock at a cluster from a process of its own: Ray waits for minutes, and then ends the process that waits."""
+    problem = None
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    is_auto = address == "auto"
+    if not is_auto and not (host and port.isdecimal() and 0 < int(port) < 2**16):
+        raise OptionError(
+            "executor.address",
+            f"expected host:port, ray://host:port, auto or local, got {address!r}, as in 10.0.0.1:6379",
+        )
+    try:
+        if not is_auto:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+        knock = [sys.executable, "-c", _KNOCK, address]
+        found = subprocess.run(knock, capture_output=True, text=True, errors="replace", timeout=ANSWER_S, check=False)
+        if found.returncode:
+            said = [line for line in found.stderr.splitlines() if line.strip()]
+            problem = said[-1] if said else f"exit status {found.returncode}"
+    except OSError as error:
+        problem = error.strerror or str(error)
+    except subprocess.TimeoutExpired:
+        problem = f"no answer within {ANSWER_S:g} s"
+    if problem is not None:
+        raise OptionError(
+            "executor.address",
+            f"expected a Ray cluster that answers, got {address!r}: {problem}; start one with 'ray start --head', or "
+            "leave the address out for a Ray of this machine",
+        )

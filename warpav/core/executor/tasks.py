@@ -1,0 +1,108 @@
+"""A function on every task: which executor, what is under way, and what to do about a killed process."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from warpav.core.errors import OptionError
+from warpav.core.executor.workers import Outcome, Result, Task, WorkerKilledError, Workers, outcome_of
+
+ExecutorName = Literal["serial", "process", "ray", "slurm"]
+
+
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    *,
+    executor: ExecutorName = "serial",
+    worker_count: int | None = None,
+    address: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    folder: Path | str = "slurm_jobs",
+) -> Iterator[Outcome[Task, Result]]:
+    """Run a function on every task; one that fails does not keep the others from running.
+
+    Every executor calls the function once per task and adds nothing up, so the results are those of ``serial``, bit for
+    bit where the function's own do not depend on the machine or on its number of threads. Ray's workers and Slurm's
+    jobs need the same warpav and the same paths as this process: an installation and a file system that they share.
+
+    Args:
+        function: Importable from a module, as another process has to find it.
+        tasks: What it is called with; small, as it travels to the processes.
+        executor: ``serial``; ``process`` for processes of their own; ``ray``; ``slurm``.
+        worker_count: Tasks at a time, from 1. None: one for each core with ``process`` and a Ray of this machine, as
+            many as there is room for on a Ray cluster, and one job array with ``slurm``.
+        address: Of a running Ray cluster, as ``ray.init`` understands it: ``host:port`` from one of its machines,
+            ``ray://host:port`` from elsewhere, ``auto``. None: that of ``RAY_ADDRESS``, else ``local``, a Ray of this
+            machine that ends with the tasks. With ``slurm``, ``local`` means processes of this machine.
+        options: What a task needs: options of ``ray.remote`` such as ``num_gpus``, or of submitit's ``AutoExecutor``
+            such as ``slurm_partition``, ``timeout_min`` (240 by default) and ``gpus_per_node``.
+        folder: For jobs and logs of ``slurm``; all machines must see it.
+
+    Yields:
+        Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. Tasks that were under
+        way when a process was killed are tried once more after all others, one at a time, so that only the one that
+        kills fails.
+
+    Raises:
+        OptionError: The executor's package is not installed, nobody answers at the address, or an option is wrong;
+            it names ``executor.name``, ``.workers``, ``.address`` or ``.options``.
+    """
+    if worker_count is not None and worker_count < 1:
+        raise OptionError("executor.workers", f"expected 1 or more, or nothing for as many as fit, got {worker_count}")
+    if executor == "serial":
+        for task in tasks:
+            yield outcome_of(function, task)
+        return
+    if executor == "process":
+        worker_count = worker_count or os.cpu_count() or 1
+
+    def opened(count: int | None) -> Workers:
+        if executor == "ray":
+            from warpav.core.executor.ray_cluster import RayCluster
+
+            return RayCluster(function, address, options or {}, count)
+        if executor == "slurm":
+            from warpav.core.executor.slurm_jobs import SlurmJobs
+
+            return SlurmJobs(function, address, options or {}, folder)
+        from warpav.core.executor.processes import Processes
+
+        return Processes(function, count or 1)
+
+    if not tasks:
+        return
+    suspects = yield from _run_once(opened(worker_count), tasks, worker_count)
+    if suspects:
+        for task in (yield from _run_once(opened(1), suspects, 1)):
+            yield Outcome(task, error="its process was killed; is there enough memory?")
+
+
+def _run_once(
+    workers: Workers, tasks: Sequence[Task], worker_count: int | None
+) -> Generator[Outcome[Task, Any], None, list[Task]]:
+    """Yield the outcomes of tasks; returns those whose workers were killed."""
+    waiting = deque(tasks)
+    running: dict[Any, Task] = {}
+    killed: list[Task] = []
+    try:
+        while waiting or running:
+            room = len(waiting) if worker_count is None else min(worker_count - len(running), len(waiting))
+            if room:
+                batch = [waiting.popleft() for _ in range(room)]
+                running.update(zip(workers.start(batch), batch, strict=True))
+            for handle in workers.wait(running):
+                task = running.pop(handle)
+                try:
+                    outcome = workers.outcome(handle)
+                except WorkerKilledError:
+                    killed.append(task)
+                else:
+                    yield Outcome(task, outcome.result, outcome.error)
+    finally:
+        workers.close(running)
+    return killed

@@ -1,0 +1,87 @@
+"""What every executor has in common: the outcome of a task, and how workers are asked for it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from warpav.core.errors import InputError, OptionError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+_EXTRA = {"ray": "ray", "submitit": "slurm"}
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Task, Result]):
+    """What became of a task.
+
+    Attributes:
+        task: The task.
+        result: Its result; None if it failed.
+        error: Why it failed; None if it did not.
+    """
+
+    task: Task
+    result: Result | None = None
+    error: str | None = None
+
+
+class WorkerKilledError(Exception):
+    """The process that ran a task ended without an outcome."""
+
+
+class Workers(Protocol):
+    """Where tasks run; a handle stands for a task that was started."""
+
+    def start(self, tasks: Sequence[Any]) -> Sequence[Any]:
+        """Start tasks; returns a handle for each."""
+        ...
+
+    def wait(self, handles: Collection[Any]) -> Collection[Any]:
+        """Wait until some of the tasks have ended; returns their handles."""
+        ...
+
+    def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401
+        """The outcome of a task that has ended; its field ``task`` does not count.
+
+        Raises:
+            WorkerKilledError: There is none.
+        """
+        ...
+
+    def close(self, handles: Collection[Any]) -> None:
+        """Stop the tasks that are still under way, and let go of everything."""
+        ...
+
+
+def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+    """Run a task here; an error becomes part of the outcome."""
+    try:
+        return Outcome(task, function(task))
+    except InputError as error:
+        return Outcome(task, error=str(error))
+    except Exception as error:  # the others go on
+        return Outcome(task, error=f"{type(error).__name__}: {one_line(error)}")
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, in one line."""
+    return " ".join(str(error).split())
+
+
+def executor_package(name: str) -> Any:  # noqa: ANN401 (a module that the type checker may not find)
+    """The package ``ray`` or ``submitit``.
+
+    Raises:
+        OptionError: It is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise OptionError(
+            "executor.name",
+            f"expected the package {name} to be installed, got: {error}; run: pip install 'warpav[{_EXTRA[name]}]'",
+        ) from None

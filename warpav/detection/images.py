@@ -1,0 +1,82 @@
+"""Pictures of a scene through given cameras, on the host."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA, Occlusion, Renderer
+from warpav.rig.rig import RigCamera
+from warpav.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """What one camera sees.
+
+    Attributes:
+        rgb: uint8 [row, column, 3].
+        depth_m: Depth [m] along the optical axis, for a fisheye or a panorama the distance; +inf where nothing is hit,
+            float32 [row, column].
+        object_index: -1 nothing, 0 environment, 1 ego vehicle, 2 + k vehicle k of the scene, int32 [row, column].
+        visible_area_px: Area in the image that nothing hides [px^2], float32 [vehicle].
+        amodal_area_px: Area in the image of the vehicle alone [px^2], float32 [vehicle].
+    """
+
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    object_index: np.ndarray
+    visible_area_px: np.ndarray
+    amodal_area_px: np.ndarray
+
+
+def render_images(
+    scene: Scene | DeviceScene,
+    cameras: Sequence[RigCamera],
+    *,
+    supersampling: int = 1,
+    device: str = "cpu",
+    thread_count: int | None = None,
+) -> list[CameraImage]:
+    """Pictures of a scene through each camera, exact occlusion.
+
+    Args:
+        scene: The scene; packed first if it is not.
+        cameras: Cameras in the ego frame; those of one image size are rendered together.
+        supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the
+            centre.
+        device: Warp device.
+        thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
+
+    Returns:
+        One picture per camera, in order.
+    """
+    packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
+    pictures: dict[int, CameraImage] = {}
+    for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in cameras):
+        group = [i for i, c in enumerate(cameras) if (c.model.width_px, c.model.height_px) == size]
+        renderer = Renderer(
+            [cameras[i].model for i in group],
+            supersampling=supersampling,
+            occlusion=Occlusion.EXACT,
+            device=device,
+            thread_count=thread_count,
+        )
+        transform = np.stack([cameras[i].ego_from_camera for i in group])
+        renderer.render(
+            packed,
+            wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=device),
+        )
+        rgb = (renderer.rgb(packed).numpy() * 255.0 + 0.5).astype(np.uint8)
+        depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed))
+        value = renderer.measure(packed).value.numpy()
+        for k, i in enumerate(group):
+            pictures[i] = CameraImage(
+                rgb[k], depth_m[k], object_index[k], value[k, :, VISIBLE_AREA], value[k, :, AMODAL_AREA]
+            )
+    return [pictures[i] for i in range(len(cameras))]

@@ -1,0 +1,1 @@
+"""How good a rig is: metrics, coverage, blind ground, statistics."""

@@ -1,0 +1,267 @@
+"""What of the ground around a vehicle a rig sees: who of a certain height would be seen where, and by how many cameras.
+
+The answer is geometric: a point is seen if a camera's lens has it in the image and nothing stands between. No detector
+takes part, and no pixel is too small.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+import warp as wp
+
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import available_cores
+from warpav.rig.rig import RigCamera
+from warpav_kernels.evaluation import ground as kernels
+
+HEIGHTS_M = (1.1, 1.7)
+"""Top of a child's and of an adult's head above the ground [m]."""
+
+RADIUS_M = 25.0
+CELL_M = 0.5
+STEP_M = 0.3
+"""What lies so high above the lowest surface is ground as well [m]: kerbs, but no walls and no benches."""
+
+_HIGHEST_M, _GRADE_MAX = 0.6, 0.08  # of the lowest surface at the vehicle, and more for each metre away: slopes
+_DEPTH_M = 30.0  # a street may run downhill, but not by more
+_ENVIRONMENT = 0
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Cells of the ground around the vehicle, and where somebody can stand.
+
+    Attributes:
+        scene: The scene that it belongs to.
+        x_m: Middles of the cells along x [m], float64 [row].
+        y_m: Middles of the cells along y [m], float64 [column].
+        ground_m: Height of the ground in the ego frame [m], float32 [row, column]; NaN where there is none and outside
+            of the circle.
+        headroom_m: Way up to the next surface [m], float32 [row, column]; infinite under the sky, 0 inside of houses
+            and where no child gets to from the vehicle, such as yards behind closed rows of houses.
+        cell_m: Size of a cell [m].
+        radius_m: Of the circle around the ego vehicle's middle [m].
+    """
+
+    scene: DeviceScene
+    x_m: np.ndarray
+    y_m: np.ndarray
+    ground_m: np.ndarray
+    headroom_m: np.ndarray
+    cell_m: float
+    radius_m: float
+
+    @classmethod
+    def around(cls, scene: DeviceScene, *, radius_m: float = RADIUS_M, cell_m: float = CELL_M) -> Ground:
+        """The ground around the ego vehicle of a scene.
+
+        Args:
+            scene: The scene.
+            radius_m: How far to look [m], positive.
+            cell_m: Size of a cell [m], positive.
+
+        Raises:
+            ValueError: A size is not positive.
+        """
+        if not (radius_m > 0.0 and cell_m > 0.0):
+            raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
+        low_m, high_m = scene.layer_bounds_ego_m.numpy()[scene.ego_layer]
+        middle_m = 0.5 * (low_m + high_m)[:2].astype(np.float64)
+        steps = np.arange(-int(radius_m / cell_m), int(radius_m / cell_m) + 1)
+        x_m, y_m = middle_m[0] + cell_m * steps, middle_m[1] + cell_m * steps
+        place_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
+        distance_m = np.linalg.norm(place_m - middle_m, axis=-1)
+        device, count = scene.layer_object.device, distance_m.size
+        ground_m = wp.empty(count, dtype=float, device=device)
+        headroom_m = wp.empty(count, dtype=float, device=device)
+        highest_m = (_HIGHEST_M + _GRADE_MAX * distance_m).astype(np.float32)
+        wp.launch(
+            kernels.ground_kernel,
+            dim=count,
+            inputs=[
+                scene.mesh.id,
+                _ENVIRONMENT,
+                wp.array(place_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
+                -_DEPTH_M,
+                wp.array(highest_m.ravel(), dtype=float, device=device),
+                STEP_M,
+            ],
+            outputs=[ground_m, headroom_m],
+            device=device,
+            record_tape=False,
+        )
+        is_inside = distance_m <= radius_m
+        height_m = np.where(is_inside, ground_m.numpy().reshape(distance_m.shape), np.float32(np.nan))
+        room_m = np.where(is_inside, headroom_m.numpy().reshape(distance_m.shape), np.float32(0.0))
+        beside_ego = (np.abs(place_m - middle_m) <= 0.5 * (high_m - low_m)[:2] + 2.0 * cell_m).all(axis=-1)
+        room_m[~_reached_from(beside_ego, room_m >= min(HEIGHTS_M))] = 0.0
+        return cls(scene, x_m, y_m, height_m, room_m, cell_m, radius_m)
+
+    def is_open(self, height_m: float) -> np.ndarray:
+        """Where somebody of a height can stand; bool [row, column]."""
+        return np.isfinite(self.ground_m) & (self.headroom_m >= height_m)
+
+    def coverage(self, cameras: Sequence[RigCamera], *, heights_m: Sequence[float] = HEIGHTS_M) -> Coverage:
+        """Which cameras see whom where.
+
+        Args:
+            cameras: The cameras, of any lens.
+            heights_m: Heights above the ground [m], at least one, positive.
+
+        Raises:
+            ValueError: There is no height, or one is not positive.
+        """
+        if not heights_m or not all(height_m > 0.0 for height_m in heights_m):
+            raise ValueError(f"heights_m must be positive, got {tuple(heights_m)}")
+        is_open = np.stack([self.is_open(height_m) for height_m in heights_m])
+        height, row, column, point_m = self.points_m(is_open, heights_m)
+        is_seen = np.zeros((len(cameras), *is_open.shape), bool)
+        for camera, seen in zip(cameras, is_seen, strict=True):
+            seen[height, row, column] = self.is_seen(camera, point_m)
+        return Coverage(self, tuple(heights_m), is_open, is_seen)
+
+    def points_m(
+        self, is_open: np.ndarray, heights_m: Sequence[float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The tops of everybody who can stand somewhere.
+
+        Args:
+            is_open: Where somebody of a height can stand, bool [height, row, column].
+            heights_m: Heights above the ground [m].
+
+        Returns:
+            Number of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
+        """
+        height, row, column = np.nonzero(is_open)
+        top_m = self.ground_m[row, column] + np.asarray(heights_m)[height]
+        return height, row, column, np.stack([self.x_m[row], self.y_m[column], top_m], axis=-1)
+
+    def is_seen(self, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+        """Whether a camera sees points of the ego frame [m], [point, 3]; bool [point]."""
+        ego_from_camera = camera.ego_from_camera
+        in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
+        with np.errstate(invalid="ignore"):
+            place_px = camera.model.project(in_camera_m)
+            is_inside = (place_px >= 0.0) & (place_px < [camera.model.width_px, camera.model.height_px])
+        is_seen = np.asarray(is_inside.all(axis=-1))
+        asked = np.flatnonzero(is_seen)
+        share = free_shares(self.scene, ego_from_camera[:3, 3], point_m[asked], near_m=camera.model.near_m)
+        is_seen[asked] = share == 1.0
+        return is_seen
+
+
+def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, near_m: float = 0.0) -> np.ndarray:
+    """How far one sees from a point towards others before a surface of the scene stands in the way.
+
+    Args:
+        scene: The scene.
+        start_m: The point in the ego frame [m], [3].
+        end_m: The others [m], [point, 3].
+        near_m: Surfaces nearer to the point do not count [m].
+
+    Returns:
+        Share of the whole way, float32 [point]; 1 where nothing stands in the way.
+    """
+    device, count = wp.get_device(scene.layer_object.device), len(end_m)
+    if count == 0:
+        return np.zeros(0, np.float32)
+    end = wp.array(np.asarray(end_m, np.float32), dtype=wp.vec3, device=device)
+    share = wp.empty(count, dtype=float, device=device)
+    mesh = scene.mesh.id  # built before threads ask for it
+
+    def launch(first: int) -> None:
+        wp.launch(
+            kernels.free_share_kernel,
+            dim=min(chunk, count - first),
+            inputs=[mesh, wp.vec3(*start_m), end, near_m, first],
+            outputs=[share],
+            device=device,
+            record_tape=False,
+        )
+
+    threads = 1 if device.is_cuda else available_cores()
+    chunk = -(-count // threads)
+    list(_threads(threads).map(launch, range(0, count, chunk)))
+    return share.numpy()
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count)
+
+
+def _reached_from(start: np.ndarray, is_open: np.ndarray) -> np.ndarray:
+    """Open cells that open cells connect with those of the start; bool [row, column]."""
+    import cv2
+
+    _, part = cv2.connectedComponents(is_open.astype(np.uint8), connectivity=8)
+    return np.isin(part, np.setdiff1d(part[start], [0]))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Which cameras see whom where.
+
+    Attributes:
+        ground: The cells.
+        heights_m: Heights above the ground [m].
+        is_open: Where somebody of a height can stand, bool [height, row, column].
+        is_seen: Whether a camera sees the top of somebody there, bool [camera, height, row, column]; False where nobody
+            can stand.
+    """
+
+    ground: Ground
+    heights_m: tuple[float, ...]
+    is_open: np.ndarray
+    is_seen: np.ndarray
+
+    def with_camera(self, index: int, camera: RigCamera) -> Coverage:
+        """The same with another camera in the place of one; what the others see is not asked again."""
+        height, row, column, point_m = self.ground.points_m(self.is_open, self.heights_m)
+        is_seen = self.is_seen.copy()
+        is_seen[index, height, row, column] = self.ground.is_seen(camera, point_m)
+        return Coverage(self.ground, self.heights_m, self.is_open, is_seen)
+
+    @cached_property
+    def count(self) -> np.ndarray:
+        """How many cameras see a cell, int64 [height, row, column]; -1 where nobody can stand."""
+        return np.where(self.is_open, self.is_seen.sum(axis=0), -1)
+
+    @property
+    def covered_share(self) -> np.ndarray:
+        """Share of the cells where somebody can stand that some camera sees, float64 [height]; NaN without any."""
+        return self._share(self.count > 0)
+
+    @property
+    def blind_area_m2(self) -> np.ndarray:
+        """Area of the ground where somebody of a height is seen by no camera [m^2], float64 [height]."""
+        return (self.count == 0).sum(axis=(1, 2)) * self.ground.cell_m**2
+
+    def covered_share_by_distance(self, edges_m: Sequence[float]) -> np.ndarray:
+        """`covered_share` in rings around the ego vehicle's middle.
+
+        Args:
+            edges_m: Radii of the rings' borders [m], rising.
+
+        Returns:
+            float64 [height, ring]; NaN where nobody can stand in a ring.
+        """
+        ground = self.ground
+        middle_m = 0.5 * (ground.x_m[0] + ground.x_m[-1]), 0.5 * (ground.y_m[0] + ground.y_m[-1])
+        distance_m = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1])
+        rings = [
+            self._share(self.count > 0, (low <= distance_m) & (distance_m < high))
+            for low, high in itertools.pairwise(edges_m)
+        ]
+        return np.stack(rings, axis=1)
+
+    def _share(self, flag: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
+        is_open = self.is_open if within is None else self.is_open & within
+        total = is_open.sum(axis=(1, 2))
+        return np.where(total > 0, (flag & is_open).sum(axis=(1, 2)) / np.maximum(total, 1), np.nan)

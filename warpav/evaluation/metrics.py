@@ -1,0 +1,548 @@
+"""How good a rig is on test scenes: the metrics of thesis section IV, COCO's, the rig's recall."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+from warpav.detection.average_precision import (
+    COCO_AREA_PX2,
+    COCO_IOU,
+    ImageBoxes,
+    average_precision,
+    mean_image_average_precision,
+    score_images,
+)
+from warpav.detection.detector import ROAD_USERS, Detections, Detector
+from warpav.detection.observe import Observation, observe
+from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.mount import CameraMount, views_of_rig
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import AMODAL_AREA, Measures, Occlusion, Renderer
+from warpav.rig.rig import Rig
+
+# metrics that exist per scene, and so can be compared scene by scene
+PAIRED_METRICS = (
+    "tp_detection_rate",
+    "rig_recall",
+    "rig_recall_visible",
+    "tp_in_frame_rate",
+    "detection_confidence",
+    "ap50_pooled",
+    "false_alarms_per_frame",
+    "objective",
+)
+
+DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
+"""Bins of the distance from the middle of the ego vehicle to the middle of an object's box, seen from above [m]; a
+bin holds its lower edge."""
+
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Sectors of 45 degrees around the middle of the ego vehicle, the first one centred straight ahead; an object is where
+the middle of its box is, and a sector holds its edge to the right."""
+
+
+@dataclass(frozen=True)
+class GroupRecall:
+    """How many of a group of objects a rig finds; every object counts once, however many cameras see it.
+
+    Attributes:
+        objects: Objects in the scenes.
+        visible: Those of which some camera sees enough for a ground-truth box.
+        detected: Those that some camera detects (the thesis's true positive); all of them are visible.
+        recall: Detected of all; None where there is none.
+        recall_visible: Detected of the visible ones; None where there is none.
+    """
+
+    objects: int
+    visible: int
+    detected: int
+    recall: float | None
+    recall_visible: float | None
+
+    @classmethod
+    def of(cls, visible: np.ndarray, detected: np.ndarray) -> GroupRecall:
+        """From flags of the objects, bool [object]."""
+        return cls(len(visible), int(visible.sum()), int(detected.sum()), _mean(detected), _mean(detected[visible]))
+
+
+@dataclass(frozen=True)
+class ArmMetrics:
+    """Metrics of one rig on the test scenes; None where a metric is not defined. Fields as in ``evaluation.json``.
+
+    The objects are the scenes' vehicles: the road users that ``scenes.targets`` names, every one of a scene once. With
+    several kinds of road users, average precisions are means over the kinds, as COCO's are over classes; a detection
+    only ever matches an object of its own kind. Objects of which an image shows too little for a ground-truth box are
+    ignored there, as COCO ignores objects: they need not be found, and a box that matches one is no false alarm.
+
+    Attributes:
+        map50_average: Mean over cameras of each camera's mAP@50, the thesis's way (images with truth and detections).
+        map50_min_camera: The worst camera's.
+        map50_max_camera: The best camera's.
+        ap50_pooled: AP at IoU 0.5 over all images of all cameras together (COCO's interpolation).
+        ap50_95_pooled: The mean of AP at IoU .50, .55, ... .95 over all images together (COCO's AP).
+        ap50_small: `ap50_pooled` of objects whose ground-truth box has at most 32^2 px^2.
+        ap50_medium: Of those from 32^2 to 96^2 px^2.
+        ap50_large: Of those from 96^2 px^2.
+        ap50_95_small: `ap50_95_pooled` of the small ones.
+        ap50_95_medium: Of the medium ones.
+        ap50_95_large: Of the large ones.
+        tp_detection_rate: Share of all objects that some camera detects; the thesis's name for the rig's recall.
+        tp_in_frame_rate: Share of all objects of which some part lies in some camera's image, hidden or not.
+        rig_recall: Share of all objects of the scenes that some camera detects; the same as `tp_detection_rate`.
+        rig_recall_visible: Share of those that some camera detects out of those that some camera of this rig sees
+            enough of for a ground-truth box.
+        visible_rate: Share of all objects that some camera sees enough of; times `rig_recall_visible` it is
+            `rig_recall`.
+        detection_confidence: Mean over detected objects of their best confidence.
+        false_alarms_per_frame: Detections of sufficient confidence that are neither true positives nor ignored, in
+            COCO's sense and at the least IoU of a match, by the number of images (scenes times cameras). Second boxes
+            on one object are among them, and so are boxes on the ego vehicle and on road users of another kind. As in
+            COCO's scores, only the 100 most confident of an image and kind count.
+        objective: Scaled training objective, mean over the test scenes.
+        constraint_violation: Excess over the borders of where cameras may stand, plus missing spacing [m].
+        min_camera_distance_m: Smallest distance between two cameras [m].
+        objects: Number of objects in the test scenes.
+        frames: Number of images.
+        recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
+            ``road_user``, each a `GroupRecall` by the group's name.
+        per_scene: The metrics of `PAIRED_METRICS` scene by scene.
+    """
+
+    map50_average: float | None
+    map50_min_camera: float | None
+    map50_max_camera: float | None
+    ap50_pooled: float | None
+    ap50_95_pooled: float | None
+    ap50_small: float | None
+    ap50_medium: float | None
+    ap50_large: float | None
+    ap50_95_small: float | None
+    ap50_95_medium: float | None
+    ap50_95_large: float | None
+    tp_detection_rate: float | None
+    tp_in_frame_rate: float | None
+    rig_recall: float | None
+    rig_recall_visible: float | None
+    visible_rate: float | None
+    detection_confidence: float | None
+    false_alarms_per_frame: float | None
+    objective: float | None
+    constraint_violation: float
+    min_camera_distance_m: float | None
+    objects: int
+    frames: int
+    recall_by: dict[str, dict[str, GroupRecall]]
+    per_scene: dict[str, list[float | None]]
+
+
+class ObjectOutcome(StrEnum):
+    """What becomes of an object before a rig."""
+
+    DETECTED = "detected"
+    MISSED = "missed"
+    """Some camera sees enough of it for a ground-truth box, and the detector does not find it."""
+
+    HIDDEN = "hidden"
+    """It lies in some camera's image, but too little of it can be seen."""
+
+    OUT_OF_FRAME = "out of frame"
+
+
+@dataclass(frozen=True)
+class CameraLook:
+    """What the detector makes of one camera's image.
+
+    Attributes:
+        image_rgb: uint8 [row, column, 3].
+        truth_box_px: Box of every object, NaN where too little of it is seen [px], float32 [object, 4].
+        detections: What the detector says.
+        match: Detection of every object, -1 for none, int64 [object].
+    """
+
+    image_rgb: np.ndarray
+    truth_box_px: np.ndarray
+    detections: Detections
+    match: np.ndarray
+
+
+@dataclass(frozen=True)
+class RigLook:
+    """What a rig makes of one scene.
+
+    Attributes:
+        observations: Of the cameras in order; where they have several models, one for each model.
+        in_frame: Whether some part of an object lies in some camera's image, hidden or not, bool [object].
+        camera: Number in the rig of every camera of the observations, one behind the other.
+    """
+
+    observations: list[Observation]
+    in_frame: np.ndarray
+    camera: list[int]
+
+    @property
+    def cameras(self) -> list[CameraLook]:
+        """What the detector makes of every camera's image, in the order of the rig."""
+        looks = [
+            CameraLook(image, truth, detections, match)
+            for seen in self.observations
+            for image, truth, detections, match in zip(
+                seen.image_rgb, seen.truth_box_px, seen.detections, seen.match, strict=True
+            )
+        ]
+        return [looks[place] for place in np.argsort(self.camera)]
+
+    @cached_property
+    def _best_confidence(self) -> np.ndarray:
+        """Confidence of the surest detection of every object, -inf where there is none."""
+        confidence = np.concatenate([each.matched_confidence() for each in self.observations])
+        return np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
+
+    @property
+    def detected(self) -> np.ndarray:
+        """Whether some camera detects an object, bool [object]."""
+        return np.isfinite(self._best_confidence)
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Confidence of the surest detection of every object, NaN where there is none, float64 [object]."""
+        return np.where(self.detected, self._best_confidence, np.nan)
+
+    @property
+    def visible(self) -> np.ndarray:
+        """Whether some camera sees enough of an object for a ground-truth box, bool [object]."""
+        box_px = np.concatenate([each.truth_box_px for each in self.observations])
+        return np.asarray(np.isfinite(box_px).all(axis=2).any(axis=0))
+
+    @property
+    def outcomes(self) -> list[ObjectOutcome]:
+        """What becomes of every object."""
+        return [
+            ObjectOutcome.DETECTED
+            if detected
+            else ObjectOutcome.MISSED
+            if visible
+            else ObjectOutcome.HIDDEN
+            if in_frame
+            else ObjectOutcome.OUT_OF_FRAME
+            for detected, visible, in_frame in zip(self.detected, self.visible, self.in_frame, strict=True)
+        ]
+
+
+class RigObserver:
+    """Looks at scenes through the cameras of any rig, whatever their sizes; for rigs without a common camera model."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        detector: Detector,
+        *,
+        confidence_min: float,
+        iou_min: float,
+        occlusion: Occlusion,
+        supersampling: int,
+        device: str,
+    ) -> None:
+        """Renderers for the rig; cameras of one model share one."""
+        self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
+        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
+        self._groups: list[tuple[Renderer, Rig]] = []
+        for model in models:
+            part = Rig.create([camera for camera in rig.cameras if camera.model == model])
+            renderer = Renderer(
+                [model] * len(part.cameras), supersampling=supersampling, occlusion=occlusion, device=device
+            )
+            self._groups.append((renderer, part))
+        self._camera = [k for model in models for k, camera in enumerate(rig.cameras) if camera.model == model]
+
+    def look(self, scene: DeviceScene) -> RigLook:
+        """What the rig makes of the scene."""
+        observations, area_px = [], []
+        for renderer, part in self._groups:
+            views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
+            renderer.render(scene, views.position_ego_m, views.camera_from_ego)
+            ahead = list(range(len(part.cameras)))
+            observation = observe(
+                renderer,
+                scene,
+                self._detector,
+                ahead_view=ahead,
+                confidence_min=self._confidence_min,
+                iou_min=self._iou_min,
+            )
+            observations.append(observation)
+            area_px.append(_amodal_area_px(renderer.measure(scene), ahead))
+        return RigLook(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
+
+
+def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
+    return measures.value.numpy()[view][:, :, AMODAL_AREA]
+
+
+def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
+    """Whether some part of an object lies in some image, from the areas of the objects alone [view, object]."""
+    return area_px.max(axis=0, initial=0.0) > 0.0
+
+
+def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
+    """Scenes whose vehicles belong to the camera that looks the way of their orientation.
+
+    Segregation gives every vehicle an orientation; a rig from elsewhere lists its cameras in its own order.
+    Orientations and cameras are paired so that the sum of the squared angles between them is smallest. (Without the
+    squares many pairings are equally good, and rounding would choose.)
+
+    Args:
+        scenes: Scenes with vehicles assigned to orientations.
+        yaw_rad: The orientations [rad], [orientation]; as many as the rig has cameras.
+        rig: The rig.
+    """
+    camera_of_orientation = nearest_cameras(yaw_rad, rig)
+    return [
+        AssignedScene(
+            assigned.scene,
+            np.where(
+                assigned.assigned_camera >= 0, camera_of_orientation[np.maximum(assigned.assigned_camera, 0)], -1
+            ).astype(np.int32),
+        )
+        for assigned in scenes
+    ]
+
+
+def nearest_cameras(yaw_rad: np.ndarray, rig: Rig) -> np.ndarray:
+    """The camera of a rig that each orientation is paired with, int [orientation]; see `assign_to_nearest_cameras`."""
+    from scipy.optimize import linear_sum_assignment
+
+    camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
+    difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
+    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
+    return camera_of_orientation
+
+
+def evaluate_rig(
+    rig: Rig,
+    scenes: Sequence[AssignedScene],
+    objective: RigObjective,
+    *,
+    with_objective: bool = True,
+) -> ArmMetrics:
+    """Metrics of a rig on scenes; the arguments are those of `look_at_scenes`."""
+    return metrics_of(look_at_scenes(rig, scenes, objective, with_objective=with_objective), objective)
+
+
+@dataclass(frozen=True)
+class SceneLooks:
+    """What a rig makes of scenes.
+
+    Attributes:
+        rig: The rig.
+        scenes: The scenes.
+        looks: What it makes of every one.
+        losses: The training objective on every one; empty where it was not measured.
+    """
+
+    rig: Rig
+    scenes: list[DeviceScene]
+    looks: list[RigLook]
+    losses: list[float]
+
+
+def look_at_scenes(
+    rig: Rig,
+    scenes: Sequence[AssignedScene],
+    objective: RigObjective,
+    *,
+    with_objective: bool = True,
+) -> SceneLooks:
+    """Look at scenes through the cameras of a rig.
+
+    Args:
+        rig: The rig, anywhere in the ego frame.
+        scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
+        objective: Knows the mount, the detector and the limits of a match. There are no losses of a rig whose
+            cameras are not all of the mount's model (of any zoom, where that is free); everything else is measured with
+            the rig's own cameras.
+        with_objective: Whether to measure the objective at all.
+    """
+    mount: CameraMount = objective.mount
+    is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
+    has_objective = with_objective and is_of_mount and len(rig.cameras) == objective.camera_count
+    observer = None
+    if not has_objective:
+        observer = RigObserver(
+            rig,
+            objective.detector,
+            confidence_min=objective.confidence_min,
+            iou_min=objective.iou_min,
+            occlusion=objective.occlusion,
+            supersampling=objective.supersampling,
+            device=objective.device,
+        )
+    looks: list[RigLook] = []
+    losses = []
+    for assigned in scenes:
+        if observer is None:
+            observation, measures, loss = objective.observe_rig(rig, assigned)
+            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.ahead_view))
+            looks.append(RigLook([observation], is_in_frame, list(range(len(rig.cameras)))))
+            losses.append(loss)
+        else:
+            looks.append(observer.look(assigned.scene))
+    return SceneLooks(rig, [assigned.scene for assigned in scenes], looks, losses)
+
+
+def metrics_of(seen: SceneLooks, objective: RigObjective) -> ArmMetrics:
+    """Metrics of a rig from what it makes of scenes; the objective knows the constraints and the limits of a match."""
+    rig, scenes, looks, losses = seen.rig, seen.scenes, seen.looks, seen.losses
+    detected, visible = [look.detected for look in looks], [look.visible for look in looks]
+    in_frame, confidence = [look.in_frame for look in looks], [look.confidence for look in looks]
+    boxes = _Boxes(scenes, [look.observations for look in looks], objective)
+    camera_map = boxes.map50_of_cameras()
+    ap50, ap50_95 = boxes.average_precision()
+    position_m = np.array([camera.position_m for camera in rig.cameras])
+    flags = np.concatenate(visible), np.concatenate(detected)
+    whole = GroupRecall.of(*flags)
+    of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
+    return ArmMetrics(
+        map50_average=_mean(np.array(camera_map)),
+        map50_min_camera=min(camera_map, default=None),
+        map50_max_camera=max(camera_map, default=None),
+        ap50_pooled=ap50["all"],
+        ap50_95_pooled=ap50_95["all"],
+        ap50_small=ap50["small"],
+        ap50_medium=ap50["medium"],
+        ap50_large=ap50["large"],
+        ap50_95_small=ap50_95["small"],
+        ap50_95_medium=ap50_95["medium"],
+        ap50_95_large=ap50_95["large"],
+        tp_detection_rate=whole.recall,
+        tp_in_frame_rate=_mean(np.concatenate(in_frame)),
+        rig_recall=whole.recall,
+        rig_recall_visible=whole.recall_visible,
+        visible_rate=_mean(flags[0]),
+        detection_confidence=_mean(np.concatenate(confidence)),
+        false_alarms_per_frame=_mean(boxes.false_alarms),
+        objective=_mean(np.array(losses)),
+        constraint_violation=objective.constraints.violation_m(rig),
+        min_camera_distance_m=_number(min_camera_distance_m(position_m)),
+        objects=whole.objects,
+        frames=boxes.false_alarms.size,
+        recall_by=_recall_by(scenes, np.concatenate(visible), np.concatenate(detected)),
+        per_scene={
+            "tp_detection_rate": [each.recall for each in of_scene],
+            "rig_recall": [each.recall for each in of_scene],
+            "rig_recall_visible": [each.recall_visible for each in of_scene],
+            "tp_in_frame_rate": [_mean(each) for each in in_frame],
+            "detection_confidence": [_mean(values) for values in confidence],
+            "ap50_pooled": boxes.ap50_of_scenes(),
+            "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
+            "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
+        },
+    )
+
+
+class _Boxes:
+    """The boxes of all images, scored; every kind of road user apart, since no box matches another kind.
+
+    Attributes:
+        false_alarms: Number in every image, int64 [scene, camera].
+    """
+
+    def __init__(
+        self, scenes: Sequence[DeviceScene], looks: Sequence[Sequence[Observation]], objective: RigObjective
+    ) -> None:
+        images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
+        for scene, look in zip(scenes, looks, strict=True):
+            for seen in look:
+                for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
+                    for kind, images_of_kind in enumerate(images):
+                        own, said = scene.road_user_index == kind, found.road_user_index == kind
+                        images_of_kind.append(
+                            ImageBoxes(
+                                np.concatenate([truth[own], small[own]]),
+                                found.box_px[said],
+                                found.confidence[said],
+                                truth_ignored=np.repeat([False, True], own.sum()),
+                            )
+                        )
+        shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
+        # the last threshold is that of a true positive, for the false alarms
+        scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
+        self.false_alarms = np.zeros(shape, np.int64)
+        for each in scores:
+            is_false = each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.confidence_min)
+            self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
+        self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
+        self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
+
+    def average_precision(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
+        """AP50 and AP50:95 by size."""
+        whole = self._average_precision
+        return (
+            {name: _mean(whole[:, k, 0]) for k, name in enumerate(COCO_AREA_PX2)},
+            {name: _mean(whole[:, k, : len(COCO_IOU)].mean(axis=1)) for k, name in enumerate(COCO_AREA_PX2)},
+        )
+
+    def ap50_of_scenes(self) -> list[float | None]:
+        """AP50 over the images of each scene."""
+        count = self.false_alarms.shape[1]
+        return [
+            _mean(np.array([average_precision(images[count * k : count * (k + 1)]) for images in self._images]))
+            for k in range(len(self.false_alarms))
+        ]
+
+    def map50_of_cameras(self) -> list[float]:
+        """The thesis's mAP@50 of every camera that has one."""
+        count = self.false_alarms.shape[1]
+        values = [
+            mean_image_average_precision([each for images in self._images for each in images[camera::count]])
+            for camera in range(count)
+        ]
+        return [value for value in values if math.isfinite(value)]
+
+
+def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
+    """In which of `SECTORS` places lie, as seen from the middle of the ego vehicle: forward and left [m], [..., 2]."""
+    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
+    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
+
+
+def _recall_by(
+    scenes: Sequence[DeviceScene], visible: np.ndarray, detected: np.ndarray
+) -> dict[str, dict[str, GroupRecall]]:
+    """The rig's recall by distance, sector, category and road user; flags are bool [object], scene by scene."""
+    from_ego_m = np.concatenate([np.zeros((0, 2)), *(scene.from_ego_m for scene in scenes)])
+    distance_bin = np.searchsorted(DISTANCE_EDGES_M, np.hypot(*from_ego_m.T), side="right") - 1
+    sector = sectors_of(from_ego_m)
+    category = np.array([name for scene in scenes for name in scene.category], object)
+    road_user = np.concatenate([np.zeros(0, np.int32), *(scene.road_user_index for scene in scenes)])
+    groups = {
+        "distance_m": {
+            f"{low:g}+" if math.isinf(high) else f"{low:g}-{high:g}": distance_bin == k
+            for k, (low, high) in enumerate(itertools.pairwise(DISTANCE_EDGES_M))
+        },
+        "sector": {name: sector == k for k, name in enumerate(SECTORS)},
+        "category": {name: category == name for name in sorted(set(category))},
+        "road_user": {ROAD_USERS[k]: road_user == k for k in np.unique(road_user)},
+    }
+    return {
+        by: {name: GroupRecall.of(visible[group], detected[group]) for name, group in flags.items()}
+        for by, flags in groups.items()
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """Mean of the finite values, None if there are none."""
+    finite = np.asarray(values, np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(finite.mean()) if len(finite) else None

@@ -1,0 +1,305 @@
+"""What can be said of arms from the scenes and runs that there are: 95 % intervals, p-values, correlations, spreads.
+
+The scene is the unit: every arm is measured on the same test scenes, so arms are compared scene by scene, and what is
+resampled is scenes. An arm of several runs has a second source of chance, its run seeds, and those are resampled as
+well. All intervals of resampling are bias-corrected and accelerated (BCa).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics
+
+RESAMPLES = 9999
+LEVEL = 0.95
+"""Share of repetitions in which an interval should hold the true number."""
+
+_BATCH = 1000  # resamples at a time, for memory
+
+Numbers = Sequence[float | None] | Sequence[Sequence[float | None]] | np.ndarray
+"""A metric by scene, shape [scene], or by run and scene, [run, scene]; None or NaN where it is not defined."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval.
+
+    Attributes:
+        value: The number; None where there is nothing to take it from.
+        low: Lower end of the interval; None where there are too few numbers.
+        high: Upper end.
+        count: How many numbers it comes from.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    count: int
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How an arm differs from another on the same scenes.
+
+    Attributes:
+        mean: Of the differences scene by scene; None without scenes.
+        low: Lower end of its 95 % interval; None with fewer than two scenes.
+        high: Upper end.
+        p_value: How likely as large a difference is if there is none, both signs together; it is below 0.05 where the
+            interval leaves 0 out, and never below what so few scenes can say, 2^(1 - scenes). None with the interval.
+        p_holm: The same, corrected for the number of arms (`compare_arms`); None where that was not asked for.
+        scenes: Scenes in which every run of both arms has a number.
+    """
+
+    mean: float | None
+    low: float | None
+    high: float | None
+    p_value: float | None
+    p_holm: float | None
+    scenes: int
+
+
+def paired_difference(
+    one: Numbers,
+    other: Numbers,
+    *,
+    weight: Sequence[float] | np.ndarray | None = None,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Difference:
+    """Mean difference of a metric, one - other, over the same scenes.
+
+    The scenes are resampled, together for both arms; so are the runs of an arm that has several, each arm's by
+    themselves. As every run sees the same scenes, runs and scenes are crossed, not nested: a resampled run keeps the
+    resampled scenes. Resampling scenes for every run anew would take what is hard about a scene for chance of a run,
+    and make the interval too short.
+
+    Args:
+        one: The metric of an arm.
+        other: Of another arm; it may have another number of runs.
+        weight: Of every scene, from 0; None: all alike. With the number of objects in a scene, the mean of its recall
+            is the recall of all objects together.
+        seed: Of the resampling.
+        resamples: How often.
+
+    Raises:
+        ValueError: The arms have not the same scenes, or a weight is missing or negative.
+    """
+    tables = [np.atleast_2d(np.array(numbers, np.float64)) for numbers in (one, other)]
+    scene_count = tables[0].shape[1]
+    weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
+    if tables[1].shape[1] != scene_count or weights.shape != (scene_count,):
+        raise ValueError(
+            f"arms must have the same scenes and a weight for each, got {scene_count} and {tables[1].shape[1]} scenes "
+            f"and {weights.size} weights"
+        )
+    if not (weights >= 0.0).all():
+        raise ValueError("weights must be 0 or more")
+    kept = np.isfinite(np.concatenate(tables)).all(axis=0) & (weights > 0.0)
+    first, second = (table[:, kept] for table in tables)
+    weights = weights[kept]
+    count = len(weights)
+    if not count:
+        return Difference(None, None, None, None, None, 0)
+
+    def difference(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
+        """Of resampled indices, [..., scene] and, for every arm of several runs, [..., run]."""
+        del axis  # always the last
+        runs_left = iter(runs)
+        by_scene = []
+        for table in (first, second):
+            if len(table) > 1:
+                by_scene.append(table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2))
+            else:
+                by_scene.append(table[0, scenes])
+        return np.average(by_scene[0] - by_scene[1], weights=weights[scenes], axis=-1)
+
+    units = [np.arange(count), *(np.arange(len(table)) for table in (first, second) if len(table) > 1)]
+    mean = float(difference(*units))
+    if count < 2:
+        return Difference(mean, None, None, None, None, count)
+    interval_at = _interval_at(units, difference, seed=seed, resamples=resamples)
+    p_value = _p_value(interval_at, max(1.0 / (resamples + 1), 2.0 ** (1 - count)))
+    return Difference(mean, *interval_at(LEVEL), p_value, None, count)
+
+
+def compare_arms(
+    one: Numbers,
+    others: Mapping[str, Numbers],
+    *,
+    weight: Sequence[float] | np.ndarray | None = None,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> dict[str, Difference]:
+    """`paired_difference` of an arm to every other, with p-values that Holm's method corrects for their number."""
+    found = {
+        name: paired_difference(one, numbers, weight=weight, seed=seed, resamples=resamples)
+        for name, numbers in others.items()
+    }
+    corrected = holm({name: each.p_value for name, each in found.items() if each.p_value is not None})
+    return {name: replace(each, p_holm=corrected.get(name)) for name, each in found.items()}
+
+
+def holm(p_values: Mapping[str, float]) -> dict[str, float]:
+    """Holm's correction: with all below 0.05, the chance that any of them is mistaken is at most 5 %."""
+    corrected, largest = {}, 0.0
+    for rank, name in enumerate(sorted(p_values, key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[name]))
+        corrected[name] = largest
+    return {name: corrected[name] for name in p_values}
+
+
+def paired_differences(
+    optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0
+) -> dict[str, dict[str, float | int | None]]:
+    """`paired_difference` of the metrics of two rigs on the same scenes, all scenes alike.
+
+    Args:
+        optimised: Metrics of the optimised rig.
+        other: Metrics of another rig on the same scenes.
+        seed: Of the resampling.
+
+    Returns:
+        For every metric of `PAIRED_METRICS`: ``mean``, ``low``, ``high`` and ``scenes`` of its `Difference`.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    for name in PAIRED_METRICS:
+        found = asdict(paired_difference(optimised.per_scene[name], other.per_scene[name], seed=seed))
+        result[name] = {key: found[key] for key in ("mean", "low", "high", "scenes")}
+    return result
+
+
+def rank_correlation(
+    one: Sequence[float | None] | np.ndarray,
+    other: Sequence[float | None] | np.ndarray,
+    *,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Estimate:
+    """Spearman's rank correlation of two numbers of every rig; rigs are resampled.
+
+    Args:
+        one: A number of every rig.
+        other: Another; rigs that lack one of them are left out.
+        seed: Of the resampling.
+        resamples: How often.
+
+    Returns:
+        The correlation, without an interval for fewer than four rigs; None if one of the numbers is always the same.
+
+    Raises:
+        ValueError: There are not as many of both.
+    """
+    from scipy.stats import rankdata
+
+    if len(one) != len(other):
+        raise ValueError(f"both must have as many numbers, got {len(one)} and {len(other)}")
+    pairs = np.array([one, other], np.float64)
+    pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+    count = pairs.shape[1]
+    if count < 2 or not np.ptp(pairs, axis=1).all():
+        return Estimate(None, None, None, count)
+
+    def correlation(rigs: np.ndarray, axis: int = -1) -> np.ndarray:
+        """Of resampled rigs, [..., rig]; 0 where all are the same."""
+        del axis  # always the last
+        ranks = [rankdata(numbers[rigs], axis=-1) for numbers in pairs]
+        x, y = (rank - rank.mean(axis=-1, keepdims=True) for rank in ranks)
+        scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+        return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
+
+    value = float(correlation(np.arange(count)))
+    if count < 4:
+        return Estimate(value, None, None, count)
+    interval_at = _interval_at([np.arange(count)], correlation, seed=seed, resamples=resamples)
+    return Estimate(value, *interval_at(LEVEL), count)
+
+
+def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
+    """Standard deviation of a metric from run to run, with the interval for normal numbers (chi-squared).
+
+    Args:
+        numbers: The metric of every run; runs without one are left out.
+    """
+    from scipy.stats import chi2
+
+    finite = np.array(numbers, np.float64)
+    finite = finite[np.isfinite(finite)]
+    count = len(finite)
+    if count < 2:
+        return Estimate(None, None, None, count)
+    value = float(finite.std(ddof=1))
+    tail = (1.0 - LEVEL) / 2.0
+    low, high = (value * math.sqrt((count - 1) / chi2.ppf(share, count - 1)) for share in (1.0 - tail, tail))
+    return Estimate(value, low, high, count)
+
+
+def _interval_at(
+    units: Sequence[np.ndarray], statistic: Callable[..., np.ndarray], *, seed: int, resamples: int
+) -> Callable[[float], tuple[float, float]]:
+    """Resample; returns what gives both ends of the statistic's interval at a level.
+
+    Args:
+        units: Indices of what is resampled, each kind by itself.
+        statistic: Of resampled indices along the last axis.
+        seed: Of the resampling.
+        resamples: How often.
+    """
+    from scipy.stats import DegenerateDataWarning, bootstrap
+
+    # the resamples are drawn once; an interval at another level takes them from the first one's result
+    drawn = bootstrap(
+        units,
+        statistic,
+        n_resamples=resamples,
+        batch=_BATCH,
+        vectorized=True,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    distribution = drawn.bootstrap_distribution
+    if np.ptp(distribution) <= 1e-12 * np.abs(distribution).max():  # but for rounding, all are the same number
+        return lambda _: (float(distribution[0]), float(distribution[0]))
+
+    def interval_at(level: float) -> tuple[float, float]:
+        low = high = math.nan
+        for method in ("BCa", "percentile"):  # BCa has none where leaving out any one unit changes nothing
+            with (
+                warnings.catch_warnings(action="ignore", category=DegenerateDataWarning),
+                np.errstate(invalid="ignore"),
+            ):
+                low, high = bootstrap(
+                    units,
+                    statistic,
+                    n_resamples=0,
+                    bootstrap_result=drawn,
+                    confidence_level=level,
+                    batch=_BATCH,
+                    vectorized=True,
+                    method=method,
+                ).confidence_interval
+            if math.isfinite(low) and math.isfinite(high):
+                break
+        return float(low), float(high)
+
+    return interval_at
+
+
+def _p_value(interval_at: Callable[[float], tuple[float, float]], least: float) -> float:
+    """1 - the highest level at which the interval leaves 0 out, to 1 %; not below ``least``."""
+    leaves_out, holds = 1.0, least
+    while leaves_out > 1.01 * holds:
+        middle = math.sqrt(leaves_out * holds)
+        low, high = interval_at(1.0 - middle)
+        if low <= 0.0 <= high:
+            holds = middle
+        else:
+            leaves_out = middle
+    return leaves_out

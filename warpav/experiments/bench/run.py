@@ -1,0 +1,283 @@
+"""``warpav bench``: measure the renderer on a workload, score it, and set it beside other renderers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import statistics
+import time
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.warp_setup import load_warp
+from warpav.experiments.bench.array_file import ArrayFile
+from warpav.experiments.bench.scores import ImageScores, gradient_scores
+from warpav.experiments.bench.table import bench_table, peer_note, sweep_table
+from warpav.experiments.bench.workload import (
+    Truth,
+    Workload,
+    embedded_truth,
+    embedded_workload,
+    pack_workload,
+    read_truth,
+    read_workload,
+)
+from warpav.runs.run_folder import write_json
+from warpav.runs.sources import checked_device
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from warpav.experiments.bench.items import Bench, Timing
+    from warpav.runs.progress import RunDisplay
+
+SCHEMA = "warpav-bench-1"
+ITEMS = ("w1", "w2", "w3")
+SWEEP = (1, 2, 4, 8)
+# Beyond these, embree's minutes would outweigh what the comparison tells.
+MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
+MAX_EMBREE_REPEAT = 5
+PIPED_WIDTH = 160  # characters of a table that goes to a file
+
+
+def run_bench(
+    workload_file: Path | None,
+    truth_file: Path | None,
+    *,
+    device: str,
+    items: str,
+    supersampling: int,
+    repeat: int,
+    json_file: Path | None,
+    with_embree: bool | None,
+    with_sweep: bool,
+    display: RunDisplay,
+) -> dict[str, Any]:
+    """Measure, print the tables, write the files, and return what the JSON file holds.
+
+    Args:
+        workload_file: Workload of format 1; None: the embedded one, with its truth.
+        truth_file: Truth of the workload; None: nothing is scored, unless the workload is embedded.
+        device: Warp device.
+        items: Items to measure, separated by commas.
+        supersampling: Samples per pixel along each axis for W1; W2 and W3 have one, at the pixel's centre.
+        repeat: Measured runs of every item, at least 1.
+        json_file: Where to write the results; W2's and W3's arrays go beside it. None: nowhere.
+        with_embree: Whether to measure embree too; None: on the CPU, unless the workload is very large.
+        with_sweep: Whether to measure W1 with every supersampling as well.
+        display: Shows what is going on, and the tables.
+
+    Raises:
+        InputError: A file or an option cannot be used.
+    """
+    wanted = _checked_items(items)
+    if repeat < 1:
+        raise InputError(f"command line: --repeat: expected at least 1, got {repeat}")
+    if json_file is not None:
+        _check_target(json_file)
+    load_warp()
+    device = checked_device(device)
+    workload = embedded_workload() if workload_file is None else read_workload(workload_file)
+    if truth_file is not None:
+        truth = read_truth(truth_file, workload)
+    else:
+        truth = embedded_truth(workload) if workload_file is None else None
+
+    from warpav.experiments.bench.items import Bench
+
+    display.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
+    began = time.perf_counter()
+    bench = Bench(workload, pack_workload(workload, device=device), device=device)
+    pack_ms = 1000.0 * (time.perf_counter() - began)
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "versions": {
+            "warpav": metadata.version("warpav"),
+            "warp": metadata.version("warp-lang"),
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+        },
+        "device": _device(bench),
+        "workload": {
+            "file": workload.name,
+            "seed": workload.seed,
+            "faces": len(workload.triangle),
+            "views": workload.view_count,
+            "res": workload.size_px,
+            "visible": int(workload.is_visible),
+        },
+        "options": {"supersample": supersampling, "w2_w3_supersample": 1},
+        "items": {},
+        "scores": {},
+    }
+    found, scores = content["items"], content["scores"]
+    with contextlib.ExitStack() as stack:
+        files: list[ArrayFile] = []
+        if "w1" in wanted:
+            display.stage(f"W1, supersampling x{supersampling}")
+            entry, scores_of_w1 = _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
+            found["w1"] = entry
+            scores.update(scores_of_w1)
+        image = (workload.view_count, workload.size_px, workload.size_px)
+        if "w2" in wanted:
+            display.stage("W2")
+            found["w2"] = _entry(bench.time_depth_and_object(repeat=repeat), bench, pack_ms)
+            target = None
+            if json_file is not None:
+                from warpav.experiments.bench.items import object_type
+
+                arrays = {
+                    "ids": (image, object_type(len(workload.triangle_count))),
+                    "depth": (image, np.dtype(np.float32)),
+                }
+                target = stack.enter_context(ArrayFile(_beside(json_file, "w2"), arrays))
+                files.append(target)
+                found["w2"]["arrays"] = target.file.name
+            scores.update(_collect_images(bench, truth, target))
+        if "w3" in wanted:
+            display.stage("W3")
+            found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
+            if json_file is not None:
+                arrays = {"rgb": ((*image, 3), np.dtype(np.float32))}
+                target = stack.enter_context(ArrayFile(_beside(json_file, "w3"), arrays))
+                files.append(target)
+                found["w3"]["arrays"] = target.file.name
+                for _, rgb in bench.rgb():
+                    target.append("rgb", rgb)
+        if with_sweep:
+            content["sweep"] = []
+            for level in SWEEP:
+                display.stage(f"W1, supersampling x{level}")
+                entry, level_scores = _measure_silhouettes(bench, truth, level, repeat=repeat, pack_ms=pack_ms)
+                del entry["grad"], entry["value"]
+                content["sweep"].append({"supersample": level, **entry, "scores": level_scores})
+        if with_embree is None:
+            with_embree = (
+                bench.device.is_cpu
+                and workload.view_count * workload.size_px**2 <= MAX_EMBREE_RAYS
+                and len(workload.triangle) <= MAX_EMBREE_TRIANGLES
+            )
+        if with_embree and {"w2", "w3"} & wanted:
+            display.stage("embree")
+            content["reference"] = {"embreex": _measure_embree(workload, wanted, found, repeat)}
+        if json_file is not None:
+            for file in files:
+                file.finish()
+            write_json(json_file, content)
+
+    is_embedded = workload_file is None or workload.is_same_work(embedded_workload())
+    _print_table(display, bench_table(content, with_peers=is_embedded))
+    if is_embedded:
+        display.say(peer_note())
+    if with_sweep:
+        _print_table(display, sweep_table(content, truth))
+    return content
+
+
+def _measure_silhouettes(
+    bench: Bench, truth: Truth | None, supersampling: int, *, repeat: int, pack_ms: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The entry of W1 and its scores."""
+    timing = bench.time_silhouettes(supersampling, repeat=repeat)
+    gradient, loss = bench.score_silhouettes(supersampling)
+    entry = {
+        **_entry(timing, bench, pack_ms),
+        "grad": {name: values.tolist() for name, values in gradient.items()},
+        "value": {name: values.tolist() for name, values in loss.items()},
+    }
+    return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None else {}
+
+
+def _collect_images(bench: Bench, truth: Truth | None, target: ArrayFile | None) -> dict[str, Any]:
+    """Write W2's arrays, and return its scores."""
+    if truth is None and target is None:
+        return {}
+    image_scores = ImageScores(truth) if truth is not None else None
+    for first, index, depth_m in bench.depth_and_object():
+        if target is not None:
+            target.append("ids", index)
+            target.append("depth", depth_m)
+        if image_scores is not None:
+            image_scores.add(first, index, depth_m)
+    return {"w2": image_scores.result()} if image_scores is not None else {}
+
+
+def _measure_embree(workload: Workload, wanted: set[str], found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
+    from warpav.experiments.bench.reference import time_embree
+
+    times_ms = time_embree(workload, repeat=min(repeat, MAX_EMBREE_REPEAT))
+    result: dict[str, Any] = {"version": metadata.version("embreex"), "threads": 1}
+    for name in sorted(wanted & set(times_ms)):
+        median_ms = statistics.median(times_ms[name])
+        result[name] = {**_spread(times_ms[name]), "ratio": found[name]["median_ms"] / median_ms}
+    return result
+
+
+def _entry(timing: Timing, bench: Bench, pack_ms: float) -> dict[str, Any]:
+    return {
+        **_spread(timing.times_ms),
+        "threads": timing.threads,
+        "setup_ms": pack_ms + timing.setup_ms,
+        "compile_ms": timing.compile_ms,
+        "peak_rss_mib" if bench.device.is_cpu else "peak_device_mib": timing.peak_mib,
+    }
+
+
+def _spread(times_ms: list[float]) -> dict[str, float | int]:
+    return {
+        "median_ms": statistics.median(times_ms),
+        "min_ms": min(times_ms),
+        "max_ms": max(times_ms),
+        "n": len(times_ms),
+    }
+
+
+def _print_table(display: RunDisplay, table: Table) -> None:
+    if not display.console.is_terminal:
+        display.console.width = max(display.console.width, PIPED_WIDTH)
+    display.console.print(table)
+
+
+def _device(bench: Bench) -> dict[str, Any]:
+    if bench.device.is_cuda:
+        return {"kind": "cuda", "name": bench.device.name}
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    return {"kind": "cpu", "name": _processor_name(), "cores": cores}
+
+
+def _processor_name() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _checked_items(items: str) -> set[str]:
+    names = [name.strip() for name in items.split(",")]
+    unknown = [name for name in names if name not in ITEMS]
+    if unknown:
+        raise InputError(f"command line: --items: expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
+    return set(names)
+
+
+def _beside(json_file: Path, item: str) -> Path:
+    """``OUT.w2.npz`` for ``OUT.json``."""
+    return json_file.with_name(f"{json_file.name.removesuffix('.json')}.{item}.npz")
+
+
+def _check_target(json_file: Path) -> None:
+    folder = json_file.absolute().parent
+    if not folder.is_dir():
+        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(folder)!r}")
+    if json_file.is_dir():
+        raise InputError(f"{json_file}: --json: expected a file to write, got a folder")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{json_file}: --json: expected a folder that can be written, got {str(folder)!r}")

@@ -1,0 +1,373 @@
+"""The benchmark's files: a workload (scene, cameras, weights) and its truth, read, checked, and put on a device.
+
+A workload is an ``.npz`` of format 1. Its world is the thesis's (x left, y up, z forward, metres) with the ego vehicle,
+which is not drawn, at the origin. Cameras stand level at a pose (x, z, yaw); each makes four views, turned by quarters
+of a circle, and view = camera * 4 + rotation. The first objects are vehicles, the others only hide them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.frames import EGO_FROM_THESIS
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
+from warpav.scene.scene import BLACK_SKY, Box, Scene, Vehicle
+
+if TYPE_CHECKING:
+    from warpav.raster.device_scene import DeviceScene
+
+FORMAT = 1
+ROTATION_COUNT = 4
+WEIGHT_NAMES = ("white", "smooth", "ones")
+MIN_SIZE_PX = 8  # of a camera model
+MAX_SIZE_PX = 1 << 14
+
+
+@dataclass(frozen=True)
+class Workload:
+    """A workload of format 1.
+
+    Attributes:
+        name: The file's name.
+        vertex_m: Vertices of all objects in the workload's world [m], float32 [vertex, 3].
+        triangle: Vertex indices of all objects, one behind the other, int32 [triangle, 3].
+        vertex_rgb: Colour of every vertex, 0..1, float32 [vertex, 3].
+        triangle_count: Triangles of every object, int64 [object].
+        vertex_end: End of every object's vertices, int64 [object].
+        vehicle_count: So many of the first objects are vehicles.
+        vehicle_weight: Weight of every vehicle in the loss, float64 [vehicle].
+        pose: x, z [m], yaw [rad] of every camera, float64 [camera, 3].
+        height_m: Height of every camera, float64 [camera].
+        fov_deg: Field of view of every camera along both axes, float64 [camera].
+        near_m: Near plane of every camera, float64 [camera].
+        size_px: Rows and columns of an image.
+        is_visible: Whether the loss counts what is visible of a vehicle; else the vehicle alone.
+        weight: Weight of every pixel, float32 [row, column], by the names in `WEIGHT_NAMES`.
+        scored_pose: Poses at which the gradient is scored, float64 [pose, 3]; pose i takes the height, lens and near
+            plane of camera i mod C.
+        seed: Seed it was made from; -1 where the file has none.
+    """
+
+    name: str
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    vertex_rgb: np.ndarray
+    triangle_count: np.ndarray
+    vertex_end: np.ndarray
+    vehicle_count: int
+    vehicle_weight: np.ndarray
+    pose: np.ndarray
+    height_m: np.ndarray
+    fov_deg: np.ndarray
+    near_m: np.ndarray
+    size_px: int
+    is_visible: bool
+    weight: dict[str, np.ndarray]
+    scored_pose: np.ndarray
+    seed: int
+
+    @property
+    def view_count(self) -> int:
+        """Views of all cameras."""
+        return ROTATION_COUNT * len(self.pose)
+
+    @property
+    def triangle_object(self) -> np.ndarray:
+        """Object of every triangle, int32 [triangle]."""
+        return np.repeat(np.arange(len(self.triangle_count), dtype=np.int32), self.triangle_count)
+
+    def models(self, camera: Sequence[int]) -> list[CameraModel]:
+        """Camera models of the views of some cameras, four for each."""
+        size = self.size_px
+        return [
+            CameraModel(size, size, math.radians(self.fov_deg[c]), float(self.near_m[c]))
+            for c in camera
+            for _ in range(ROTATION_COUNT)
+        ]
+
+    def is_same_work(self, other: Workload) -> bool:
+        """Whether all numbers are those of another workload; the names may differ."""
+        for field in dataclasses.fields(self):
+            one, two = getattr(self, field.name), getattr(other, field.name)
+            if field.name == "weight":
+                equal = all(np.array_equal(one[name], two[name]) for name in WEIGHT_NAMES)
+            else:
+                equal = field.name == "name" or np.array_equal(one, two)
+            if not equal:
+                return False
+        return True
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a workload's results should be.
+
+    Attributes:
+        name: The file's name.
+        gradient: Of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight.
+        check_gradient: The same from a coarser computation: a scale for the truth's own error.
+        object_view: Views whose objects and depths are known, int64 [n].
+        object_index: Object at every pixel's centre, -1 where none is, integers [n, row, column].
+        depth_m: Depth along the optical axis there, float32 [n, row, column].
+    """
+
+    name: str
+    gradient: dict[str, np.ndarray]
+    check_gradient: dict[str, np.ndarray]
+    object_view: np.ndarray
+    object_index: np.ndarray
+    depth_m: np.ndarray
+
+
+def embedded_workload() -> Workload:
+    """The workload that ships with warpav (seed 7)."""
+    with as_file(files("warpav.experiments.bench").joinpath("data", "workload.npz")) as file:
+        return dataclasses.replace(read_workload(file), name="embedded workload")
+
+
+def embedded_truth(workload: Workload) -> Truth:
+    """The truth of `embedded_workload`."""
+    with as_file(files("warpav.experiments.bench").joinpath("data", "truth.npz")) as file:
+        return read_truth(file, workload)
+
+
+def read_workload(file: Path) -> Workload:
+    """Read a workload of format 1 and check it.
+
+    Raises:
+        InputError: It is no such file, or an array is missing, has another shape, or holds what cannot be rendered.
+    """
+    fields = _Fields(file)
+    if int(fields.integers("format", ())) != FORMAT:
+        raise fields.error("format", f"expected {FORMAT}", fields.raw("format"))
+    size_px = int(fields.integers("res", (), lambda v: (v >= MIN_SIZE_PX) & (v <= MAX_SIZE_PX), "8 to 16384 pixels"))
+    triangle_count = fields.integers("face_counts", (None,), lambda v: v >= 0, "counts of at least 0")
+    object_count = len(triangle_count)
+    vehicle_count = int(
+        fields.integers(
+            "n_targets", (), lambda v: (v >= 0) & (v <= object_count), f"a number of objects, 0..{object_count}"
+        )
+    )
+    vertex = fields.floats("verts", (None, 3))
+    colour = fields.floats("colors", (len(vertex), 3), lambda v: (v >= 0) & (v <= 1), "colours in 0..1")
+    vertex_end = fields.integers("vert_ends", (object_count,))
+    if object_count == 0 or (np.diff(vertex_end, prepend=0) < 0).any() or vertex_end[-1] != len(vertex):
+        raise fields.error("vert_ends", f"expected ends that rise to {len(vertex)}, the length of verts", vertex_end)
+    triangle = fields.integers("faces", (None, 3))
+    if triangle_count.sum() != len(triangle):
+        raise fields.error(
+            "face_counts", f"expected a sum of {len(triangle)}, the length of faces", triangle_count.sum()
+        )
+    low = np.repeat(np.r_[0, vertex_end[:-1]], triangle_count)[:, None]
+    high = np.repeat(vertex_end, triangle_count)[:, None]
+    outside = np.flatnonzero(((triangle < low) | (triangle >= high)).any(axis=1))
+    if len(outside):
+        k = int(outside[0])
+        text = f"expected vertices {low[k, 0]}..{high[k, 0] - 1} of its own object in face {k}"
+        raise fields.error("faces", text, triangle[k])
+
+    pose = fields.floats("cams", (None, 3))
+    if len(pose) == 0:
+        raise fields.error("cams", "expected at least one camera", "none")
+    per_camera = (len(pose),)
+    weight = {
+        "white": fields.floats("w_white", (size_px, size_px)).astype(np.float32),
+        "smooth": fields.floats("w_smooth", (size_px, size_px)).astype(np.float32),
+        "ones": np.ones((size_px, size_px), np.float32),
+    }
+    return Workload(
+        name=file.name,
+        vertex_m=vertex.astype(np.float32),
+        triangle=triangle.astype(np.int32),
+        vertex_rgb=colour.astype(np.float32),
+        triangle_count=triangle_count,
+        vertex_end=vertex_end,
+        vehicle_count=vehicle_count,
+        vehicle_weight=fields.floats("target_w", (vehicle_count,)),
+        pose=pose,
+        height_m=fields.floats("cam_y", per_camera),
+        fov_deg=fields.floats("fov_deg", per_camera, lambda v: (v >= 1) & (v <= 170), "angles of 1 to 170 degrees"),
+        near_m=fields.floats("near", per_camera, lambda v: v > 0, "distances above 0"),
+        size_px=size_px,
+        is_visible=bool(fields.integers("visible", (), lambda v: (v == 0) | (v == 1), "0 or 1")),
+        weight=weight,
+        scored_pose=fields.floats("poses20", (None, 3)),
+        seed=int(fields.integers("seed", ())) if "seed" in fields.arrays else -1,
+    )
+
+
+def read_truth(file: Path, workload: Workload) -> Truth:
+    """Read the truth of a workload and check that it is one.
+
+    Raises:
+        InputError: It is no such file, or it belongs to another workload.
+    """
+    fields = _Fields(file)
+    pose_count = len(workload.scored_pose)
+    names = [str(name) for name in fields.raw("weights").ravel()]
+    if not set(WEIGHT_NAMES) <= set(names):
+        raise fields.error("weights", f"expected {', '.join(WEIGHT_NAMES)}", ", ".join(names))
+    pose = fields.floats("poses", (pose_count, 3))
+    if not np.allclose(pose, workload.scored_pose, rtol=0.0, atol=1e-6):
+        raise fields.error("poses", f"expected poses20 of {workload.name}", "other poses")
+    gradient = fields.floats("grad", (pose_count, 3, len(names)))
+    check_gradient = fields.floats("grad_check", (pose_count, 3, len(names)))
+    view = fields.integers(
+        "id_views", (None,), lambda v: (v >= 0) & (v < workload.view_count), f"views 0..{workload.view_count - 1}"
+    )
+    image = (len(view), workload.size_px, workload.size_px)
+    return Truth(
+        name=file.name,
+        gradient={name: gradient[:, :, names.index(name)] for name in WEIGHT_NAMES},
+        check_gradient={name: check_gradient[:, :, names.index(name)] for name in WEIGHT_NAMES},
+        object_view=view,
+        object_index=fields.integers("ids", image),
+        depth_m=fields.floats("depth", image, keep_type=True),
+    )
+
+
+def pack_workload(workload: Workload, *, device: str = "cpu") -> DeviceScene:
+    """The scene of a workload on a device, in the ego frame, with colours as exact as the file's.
+
+    Object k of the workload is object ``FIRST_VEHICLE + k``; vehicle k is its vehicle.
+    """
+    import warp as wp
+
+    from warpav.raster.device_scene import ENVIRONMENT, FIRST_VEHICLE, DeviceScene
+
+    vertex_ego_m = workload.vertex_m @ EGO_FROM_THESIS.T.astype(np.float32)
+    triangle_end = np.cumsum(workload.triangle_count)
+    grey = np.zeros(vertex_ego_m.shape, np.uint8)
+
+    def mesh(first: int, end: int) -> Mesh:
+        """Objects from the first to before the end."""
+        a, b = (0 if k == 0 else int(workload.vertex_end[k - 1]) for k in (first, end))
+        p, q = (0 if k == 0 else int(triangle_end[k - 1]) for k in (first, end))
+        if p == q:  # no triangle: one that covers nothing stands in
+            vertex = vertex_ego_m[a:b] if b > a else np.zeros((1, 3), np.float32)
+            return Mesh(vertex, np.zeros((1, 3), np.int32), np.zeros(vertex.shape, np.uint8))
+        return Mesh(vertex_ego_m[a:b], workload.triangle[p:q] - np.int32(a), grey[a:b])
+
+    count, object_count = workload.vehicle_count, len(workload.triangle_count)
+    box = Box(np.zeros(3), np.ones(3), 0.0)
+    vehicles = tuple(Vehicle(k + 1, "vehicle", mesh(k, k + 1), box) for k in range(count))
+    environment, ego = mesh(count, object_count), mesh(0, 0)
+    packed = DeviceScene.pack(Scene(workload.name, environment, ego, vehicles, BLACK_SKY), device=device)
+
+    # the environment's triangles get the numbers of their objects, and all vertices their colours
+    meshes = [environment, ego, *(vehicle.mesh for vehicle in vehicles)]
+    source_object = np.repeat(
+        [ENVIRONMENT, ENVIRONMENT + 1, *range(FIRST_VEHICLE, FIRST_VEHICLE + count)],
+        [len(each.triangle) for each in meshes],
+    )
+    others = workload.triangle_object[workload.triangle_object >= count]
+    source_object[: len(others)] = others + FIRST_VEHICLE
+    packed.triangles.triangle_object = wp.array(
+        source_object[packed.source_triangle].astype(np.int32), dtype=wp.int32, device=device
+    )
+    layer = np.full(FIRST_VEHICLE + object_count, -1, np.int32)
+    layer[FIRST_VEHICLE : FIRST_VEHICLE + count] = np.arange(count)
+    packed.triangles.object_layer = wp.array(layer, dtype=wp.int32, device=device)
+    return dataclasses.replace(packed, vertex_rgb=wp.array(_rgb(workload, meshes), dtype=wp.vec3, device=device))
+
+
+def _rgb(workload: Workload, meshes: Sequence[Mesh]) -> np.ndarray:
+    """Colours in the order of the packed vertices: environment, ego, vehicles; float32 [vertex, 3]."""
+    ends = np.r_[0, workload.vertex_end]
+    count = workload.vehicle_count
+    parts = [workload.vertex_rgb[ends[count] :], workload.vertex_rgb[:0]]
+    parts += [workload.vertex_rgb[ends[k] : ends[k + 1]] for k in range(count)]
+    padded = [  # a stand-in has a vertex that the workload has not
+        np.r_[part, np.zeros((len(mesh.vertex_m) - len(part), 3), np.float32)]
+        for part, mesh in zip(parts, meshes, strict=True)
+    ]
+    return np.concatenate(padded)
+
+
+class _Fields:
+    """The arrays of an npz file; every complaint names the file and the array."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        try:
+            with np.load(file, allow_pickle=False) as content:
+                self.arrays = {name: content[name] for name in content.files}
+        except FileNotFoundError:
+            raise InputError(f"{file}: expected an existing .npz file, got none of that name") from None
+        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(
+                f"{file}: expected a benchmark file (.npz), got one that is unreadable: {reason}"
+            ) from None
+
+    def error(self, name: str, expected: str, got: object) -> InputError:
+        """What is wrong with an array."""
+        return InputError(f"{self._file}: {name}: {expected}, got {' '.join(str(got).split())}")
+
+    def raw(self, name: str) -> np.ndarray:
+        """An array as it is."""
+        if name not in self.arrays:
+            raise InputError(f"{self._file}: {name}: expected an array of this name, got none")
+        return self.arrays[name]
+
+    def integers(
+        self,
+        name: str,
+        shape: tuple[int | None, ...],
+        is_good: Callable[[np.ndarray], np.ndarray] | None = None,
+        expected: str = "",
+    ) -> np.ndarray:
+        """An array of integers, int64."""
+        value = self.raw(name)
+        if value.dtype.kind not in "iub":
+            raise self.error(name, "expected integers", value.dtype)
+        return self._checked(name, value.astype(np.int64), shape, is_good, expected)
+
+    def floats(
+        self,
+        name: str,
+        shape: tuple[int | None, ...],
+        is_good: Callable[[np.ndarray], np.ndarray] | None = None,
+        expected: str = "",
+        *,
+        keep_type: bool = False,
+    ) -> np.ndarray:
+        """An array of finite numbers, float64 unless the type is kept."""
+        value = self.raw(name)
+        if value.dtype.kind not in "iuf":
+            raise self.error(name, "expected numbers", value.dtype)
+        value = value if keep_type else value.astype(np.float64)
+        value = self._checked(name, value, shape, np.isfinite, "finite numbers")
+        return self._checked(name, value, shape, is_good, expected)
+
+    def _checked(
+        self,
+        name: str,
+        value: np.ndarray,
+        shape: tuple[int | None, ...],
+        is_good: Callable[[np.ndarray], np.ndarray] | None,
+        expected: str,
+    ) -> np.ndarray:
+        fits = value.ndim == len(shape) and all(
+            want is None or have == want for have, want in zip(value.shape, shape, strict=True)
+        )
+        if not fits:
+            wanted = ", ".join("n" if want is None else str(want) for want in shape)
+            raise self.error(name, f"expected the shape [{wanted}]", list(value.shape))
+        bad = np.argwhere(~is_good(value)) if is_good is not None else np.zeros((0, value.ndim))
+        if len(bad):
+            at = [int(i) for i in bad[0]]
+            place = f" at {at}" if at else ""
+            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{place}")
+        return value

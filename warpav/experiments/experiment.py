@@ -1,0 +1,648 @@
+"""An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
+
+``<folder>/experiment.json`` says what the results were made with, ``<folder>/results/<arm>_<seed>.json`` holds one
+result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again does what is missing, and nothing else.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import yaml
+
+from warpav.core.errors import InputError, OptionError
+from warpav.core.executor import Outcome, run_tasks
+from warpav.core.fingerprint import digest
+from warpav.evaluation.metrics import evaluate_rig
+from warpav.experiments.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
+from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
+from warpav.optimisation.baselines import highest_mount_pose
+from warpav.raster.mesh import Mesh
+from warpav.rig.presets import preset_names
+from warpav.rig.rig import write_rig
+from warpav.runs.config import (
+    Config,
+    changed_config,
+    dump_config,
+    option_values,
+    overridden_option,
+    with_absolute_paths,
+)
+from warpav.runs.problem import (
+    Problem,
+    Traffic,
+    load_networks,
+    load_probability,
+    load_traffic,
+    optimiser_settings,
+    problem_on,
+    same_scenes,
+    traffic_part,
+)
+from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
+from warpav.runs.sources import camera_mount, constraints_of, device_name, load_scenes, own_vehicle_digest
+
+if TYPE_CHECKING:
+    from warpav.runs.progress import RunDisplay
+
+Task = TypeVar("Task")
+
+SCHEMA = 1
+GRADIENTS = "gradients"
+"""Method of an arm that finds no rig but measures gradients (tables I and V)."""
+
+DESCRIPTION = "experiment.json"
+RESULTS = "results"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is compared.
+
+    Attributes:
+        name: Its name; results go to ``runs/<name>``.
+        config: Name of the shipped configuration that it starts from.
+        arms: The arms, in the order in which they are shown.
+        runs: Run seeds of every arm that has a use for them.
+        options: Overrides of that configuration.
+        quick: More of them that make it end in minutes.
+        quick_runs: Run seeds with these.
+        quick_arms: Names of the arms that take part then; None: all.
+        runs_of: Run seeds of the arms, by name, that take another number.
+        quick_runs_of: The same of the small version.
+        reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
+        objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
+            its arm is judged by.
+    """
+
+    name: str
+    config: str
+    arms: tuple[Arm, ...]
+    runs: int
+    options: tuple[str, ...] = ()
+    quick: tuple[str, ...] = ()
+    quick_runs: int = 2
+    quick_arms: tuple[str, ...] | None = None
+    runs_of: Mapping[str, int] = field(default_factory=dict)
+    quick_runs_of: Mapping[str, int] = field(default_factory=dict)
+    reference: str | None = None
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def made_quick(self) -> Experiment:
+        """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
+        arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
+        return replace(
+            self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs, runs_of=self.quick_runs_of
+        )
+
+
+def overrides_of(
+    experiment: Experiment, overrides: Sequence[str], *, arms: Sequence[Arm] | None = None, quick: bool
+) -> list[str]:
+    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
+
+    Args:
+        experiment: The experiment.
+        overrides: The user's.
+        arms: The arms that take part; None: all of the experiment's.
+        quick: Whether it is the small version.
+
+    Raises:
+        InputError: The user's set what the arms differ in.
+    """
+    taking_part = (experiment.made_quick() if quick else experiment).arms if arms is None else arms
+    own = {overridden_option(each): arm for arm in taking_part for each in arm.own_overrides}
+    for override in overrides:
+        option = overridden_option(override)
+        if option in own:
+            raise InputError(
+                f"command line ({override}): {option}: expected an option that the arms of {experiment.name} leave "
+                f"alone, got one that arm {own[option].name} sets; warpav optimise takes it"
+            )
+    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
+
+
+def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
+    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's.
+
+    Raises:
+        OptionError: There is no arm of a name, or the experiment has none to choose from.
+    """
+    if text is None:
+        return None
+    own = {arm.name: arm for arm in experiment.arms}
+    if GRADIENTS in own:
+        raise OptionError(
+            "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
+        )
+    return [find_arm(name, own) for name in dict.fromkeys(each.strip() for each in text.split(","))]
+
+
+@dataclass(frozen=True)
+class ArmTask:
+    """One run of one arm, small enough to travel to another process.
+
+    Attributes:
+        arm: The arm.
+        config: The experiment's configuration, with the run's seed.
+        render_budget: Scene renders that it may spend; None: see `warpav.experiments.arms`.
+        folder: Folder of the results, absolute.
+        made_with: Hash of all that the result depends on but the seed.
+        objectives: As of `Experiment`.
+    """
+
+    arm: Arm
+    config: Config
+    render_budget: int | None
+    folder: Path
+    made_with: str
+    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of its files."""
+        return f"{self.arm.name}_{self.config.run.seed}"
+
+    @property
+    def file(self) -> Path:
+        """The result."""
+        return self.folder / f"{self.name}.json"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What an experiment has come to.
+
+    Attributes:
+        folder: Its folder.
+        results: All results that there are, by arm in the order of the arms, and by run seed.
+        failed: Why tasks failed, one line each.
+        done: Number of results that were new.
+    """
+
+    folder: Path
+    results: dict[str, list[dict[str, Any]]]
+    failed: list[str]
+    done: int
+
+
+class Quiet:
+    """A display that shows nothing: tasks run in other processes, or beside others."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+        del text
+
+    def stage(self, description: str) -> None:
+        """Nothing."""
+        del description
+
+    def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
+        """Pass the items on."""
+        del description, count
+        yield from items
+
+
+QUIET: Any = Quiet()
+"""Shows nothing."""
+
+
+class _TrafficOfProcess:
+    """The traffic that was loaded last in this process; tasks that need the same do not load it again."""
+
+    def __init__(self) -> None:
+        self._key: Config | None = None
+        self._vehicle: str | None = None
+        self._traffic: Traffic | None = None
+
+    def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
+        key, vehicle = traffic_part(config), own_vehicle_digest(config)
+        is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
+        if self._traffic is None or not is_same:
+            self._traffic = None  # two of them may not fit into memory
+            self._traffic, self._key, self._vehicle = load_traffic(config, display), key, vehicle
+        elif key != self._key:
+            self._traffic, self._key = self._traffic.with_cameras(config), key
+        return self._traffic
+
+
+traffic_of_process = _TrafficOfProcess()
+
+
+def run_experiment(
+    experiment: Experiment,
+    config: Config,
+    *,
+    arms: Sequence[Arm] | None = None,
+    runs: int | None = None,
+    render_budget: int | None = None,
+    out: Path | None = None,
+    display: RunDisplay,
+) -> Finished:
+    """Do what is missing of an experiment.
+
+    Args:
+        experiment: The experiment.
+        config: What all arms have in common; run seeds count up from ``run.seed``.
+        arms: Only these; they need not be among the experiment's. None: all of the experiment's.
+        runs: Run seeds, at least 1; None: as many as the experiment says.
+        render_budget: Scene renders for every search; None: as many as the gradient method spends.
+        out: Folder; None: ``run.out``, or ``runs/<name>``.
+        display: Where to show it.
+
+    Raises:
+        InputError: Something in the input is wrong, or the folder holds something else.
+        KeyboardInterrupt: The user stopped it; what is finished stays.
+    """
+    runs_of = {} if runs is not None else experiment.runs_of
+    runs = experiment.runs if runs is None else runs
+    for option, value in (("--runs", runs), ("--budget", render_budget)):
+        if value is not None and value < 1:
+            raise InputError(f"{option}: expected at least 1, got {value}")
+    arms = experiment.arms if arms is None else arms
+    for arm in arms:
+        if arm.method != GRADIENTS:
+            arm.check(config, render_budget)
+    _try_networks(arms, config, display)
+    folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
+    runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
+    tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
+    _open_folder(folder, experiment, config, render_budget)
+    waiting = [task for task in tasks if not _is_there(task)]
+    if len(waiting) < len(tasks):
+        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
+    failed = []
+    try:
+        if waiting:
+            _check_places(arms, config, make_scenes_ready(config, display))
+        done = outcomes(run_arm, waiting, config, folder)
+        for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
+            display.say(_line(outcome))
+            if outcome.error is not None:
+                failed.append(f"{outcome.task.name}: {outcome.error}")
+    except KeyboardInterrupt:
+        display.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
+        raise
+    return Finished(folder, read_results(tasks), failed, len(waiting) - len(failed))
+
+
+def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
+    """The results of tasks that are finished, by arm, in the order of the tasks.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
+    for task in tasks:
+        if task.file.is_file():
+            results[task.arm.name].append(read_json(task.file))
+    return results
+
+
+def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
+    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
+
+    Raises:
+        InputError: A file cannot be read, or is no result.
+    """
+    found = [_read_result(file) for file in sorted((folder / RESULTS).glob("*.json"))]
+    there = {run["arm"] for run in found}
+    arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
+    return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
+
+
+def _read_result(file: Path) -> dict[str, Any]:
+    """A result.
+
+    Raises:
+        InputError: It cannot be read, or is none of this version's.
+    """
+    result = read_json(file)
+    if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
+        found = result.get("schema") if isinstance(result, dict) else None
+        raise InputError(
+            f"{file}: schema: expected a result of schema {SCHEMA} with an arm and a seed, got {found!r}; delete it"
+        )
+    return result
+
+
+def run_arm(task: ArmTask) -> dict[str, Any]:
+    """Do a task, write its result, and return the result without its history."""
+    gc.collect()  # what the last task has recorded on a GPU hangs together in circles
+    began = time.perf_counter()
+    result = _gradients(task) if task.arm.method == GRADIENTS else _rig(task)
+    result["seconds"]["total"] = time.perf_counter() - began
+    result = {
+        "schema": SCHEMA,
+        "arm": task.arm.name,
+        "seed": task.config.run.seed,
+        "made_with": task.made_with,
+        **result,
+    }
+    write_json(task.file, result)
+    return {name: value for name, value in result.items() if name not in ("history", "rig")}
+
+
+def _problem(config: Config) -> Problem:
+    networks, probability = load_networks(config), load_probability(config, QUIET)
+    return problem_on(traffic_of_process(config, QUIET), config, networks, probability)
+
+
+def _rig(task: ArmTask) -> dict[str, Any]:
+    began = time.perf_counter()
+    judge = _problem(task.arm.judged_config(task.config))
+    problem = _problem(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
+    loaded = time.perf_counter()
+    found = find_rig_of(task.arm, problem, task.render_budget)
+    searched = time.perf_counter()
+    metrics = evaluate_rig(found.rig, judge.assigned(judge.test, found.began_as), judge.objective)
+    rig_file = task.file.with_suffix(".yaml")
+    write_rig(found.rig, rig_file)
+    return {
+        "metrics": asdict(metrics),
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "overrides": list(task.arm.overrides),
+        "training_objective": found.training_objective,
+        "validation_objectives": _validation_objectives(task, found),
+        "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
+        **found.notes,
+        "renders": found.renders,
+        "seconds": {
+            "load": loaded - began,
+            "search": searched - loaded,
+            "evaluate": time.perf_counter() - searched,
+        },
+        "rig": yaml.safe_load(rig_file.read_text(encoding="utf-8")),
+        "history": found.history,
+    }
+
+
+def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
+    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses than the judge's."""
+    values: dict[str, float | None] = {}
+    for name, overrides in task.objectives.items():
+        values[name] = None
+        if found.mount_pose is not None:
+            judge = _problem(changed_config(task.arm.judged_config(task.config), overrides))
+            scenes = judge.assigned(judge.validation, found.began_as)
+            values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
+    return values
+
+
+def _gradients(task: ArmTask) -> dict[str, Any]:
+    config = task.arm.judged_config(task.config)
+    began = time.perf_counter()
+    problem = _problem(config)
+    loaded = time.perf_counter()
+    magnitudes = measure_gradient_magnitudes(
+        problem.objective,
+        problem.train,
+        problem.segregation.yaw_rad,
+        runs=1,
+        settings=optimiser_settings(config),
+        seed=config.run.seed,
+    )
+    return {
+        "gradients": {name: asdict(magnitude) for name, magnitude in magnitudes.items()},
+        "renders": config.run.iterations * config.run.batch_size,
+        "seconds": {"load": loaded - began, "search": time.perf_counter() - loaded},
+    }
+
+
+def _tasks(
+    arms: Sequence[Arm],
+    config: Config,
+    runs_of: Mapping[str, int],
+    render_budget: int | None,
+    folder: Path,
+    objectives: Mapping[str, tuple[str, ...]],
+) -> list[ArmTask]:
+    config = with_absolute_paths(config)
+    tasks = []
+    for arm in arms:
+        made_with = digest(
+            SCHEMA,
+            arm.method,
+            render_budget,
+            unseeded(arm.judged_config(config)),
+            unseeded(arm.search_config(config)),
+            sorted(objectives.items()),
+        )
+        for k in range(runs_of[arm.name] if arm.is_seeded else 1):
+            seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
+            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with, objectives))
+    return tasks
+
+
+def unseeded(config: Config) -> str:
+    """All options on which a result depends, but the seed."""
+    return json.dumps(_options(config))
+
+
+def _options(config: Config) -> dict[str, Any]:
+    """The options on which a result depends, all but the seed, in JSON's own types."""
+    values = {
+        name: value
+        for name, value in option_values(config).items()
+        if name not in ("run.seed", "run.out") and not name.startswith("executor.")
+    }
+    if config.scenes.ego is not None:  # what it holds, wherever it lies
+        values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
+    return json.loads(json.dumps(values))
+
+
+def _open_folder(folder: Path, experiment: Experiment, config: Config, render_budget: int | None) -> None:
+    """Make the folder of the experiment, or see that the one that is there belongs to it.
+
+    Raises:
+        InputError: It does not, or no folder can be made.
+    """
+    file = folder / DESCRIPTION
+    description = {
+        "schema": SCHEMA,
+        "experiment": experiment.name,
+        "render_budget": render_budget,
+        "options": _options(config),
+    }
+    if file.is_file():
+        if any((folder / RESULTS).glob("*.json")):
+            _check_same(file, read_description(folder), description)
+            return
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(
+            f"{folder}: --out: expected a folder of this experiment or one that does not exist yet, got something "
+            "else; choose another with --out"
+        )
+    try:
+        (folder / RESULTS).mkdir(parents=True, exist_ok=True)
+        (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: --out: expected a folder that can be made, got: {error.strerror}") from None
+    write_json(folder / "env.json", environment(config, device_name(config.device)))
+    write_json(file, description)
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """What the results in the folder of an experiment were made with.
+
+    Raises:
+        InputError: It cannot be read, or is of another version.
+    """
+    file = folder / DESCRIPTION
+    there = read_json(file)
+    if not isinstance(there, dict) or there.get("schema") != SCHEMA or "experiment" not in there:
+        found = there.get("schema") if isinstance(there, dict) else None
+        raise InputError(
+            f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; choose another folder "
+            "with --out, and run the experiment again"
+        )
+    return there
+
+
+def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """See that the results of a folder are of this experiment.
+
+    Raises:
+        InputError: They are not.
+    """
+    fix = "choose another folder with --out"
+    if there.get("experiment") != wanted["experiment"]:
+        raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
+    if there.get("render_budget") != wanted["render_budget"]:
+        raise InputError(
+            f"{file}: render_budget: expected {wanted['render_budget']}, got {there.get('render_budget')!r}; {fix}, or "
+            "give the same --budget"
+        )
+    options = there.get("options")
+    options = options if isinstance(options, dict) else {}
+    different = [
+        f"{name} is {options.get(name)!r} there and {value!r} here"
+        for name, value in wanted["options"].items()
+        if options.get(name) != value
+    ]
+    if different:
+        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+        raise InputError(
+            f"{file}: options: expected the configuration of its results, got another: "
+            f"{', '.join(different[:3])}{more}; {fix}, or give the same options"
+        )
+
+
+def _is_there(task: ArmTask) -> bool:
+    """Whether a task's result is there already.
+
+    Raises:
+        InputError: Something else is in its place.
+    """
+    if not task.file.is_file():
+        return False
+    result = read_json(task.file)
+    if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
+        raise InputError(
+            f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
+            "delete it, or choose another folder with --out"
+        )
+    return True
+
+
+def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> None:
+    """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
+
+    Raises:
+        InputError: A detector cannot be used.
+    """
+    tried = []
+    for arm in arms:
+        for each in (arm.judged_config(config), arm.search_config(config)):
+            losses = each.losses
+            needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
+            if needs not in tried:
+                load_networks(each)
+                load_probability(each, display)
+                tried.append(needs)
+
+
+def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
+    """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
+
+    Returns:
+        The vehicle that carries the cameras.
+
+    Raises:
+        InputError: A scene cannot be used.
+    """
+    seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
+    if config.executor.name == "serial":
+        return traffic_of_process(config, display).ego
+    if config.scenes.source == "captured":
+        # one scene at a time is held; all carry the same vehicle
+        return [scene.ego for scene in display.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
+    return next(load_scenes(config, seeds)).ego
+
+
+def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
+    """See that the cameras of every arm fit on the mount surface.
+
+    Raises:
+        InputError: They do not.
+    """
+    tried = []
+    for arm in arms:
+        for each in (arm.judged_config(config), arm.search_config(config)):
+            needs = (each.rig, each.mount, each.camera, each.method)
+            if arm.method in preset_names() or needs in tried:
+                continue
+            highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
+            tried.append(needs)
+
+
+def outcomes(
+    function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
+) -> Iterator[Outcome[Task, dict[str, Any]]]:
+    """Do tasks where the configuration says; what becomes of them, as they finish."""
+    executor = config.executor
+    return run_tasks(
+        function,
+        tasks,
+        executor=executor.name,
+        worker_count=executor.workers,
+        address=executor.address,
+        options=executor.options,
+        folder=folder / "slurm_jobs",
+    )
+
+
+def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
+    """What became of a task, in one line."""
+    name = f"{outcome.task.arm.name}, run seed {outcome.task.config.run.seed}"
+    if outcome.error is not None or outcome.result is None:
+        return f"{name}: failed: {outcome.error}"
+    result = outcome.result
+    took = f"{result['seconds']['total']:.0f} s"
+    if "metrics" not in result:
+        return f"{name}: {took}"
+    numbers = (
+        ("recall", result["metrics"]["tp_detection_rate"]),
+        ("mAP50", result["metrics"]["map50_average"]),
+        ("objective", result["metrics"]["objective"]),
+    )
+    shown = "  ".join(f"{label} {'-' if value is None else f'{value:.4f}'}" for label, value in numbers)
+    return f"{name}: {shown}  {result['renders']} renders  {took}"
+
+
+def read_json(file: Path) -> Any:  # noqa: ANN401 (whatever JSON holds)
+    """The content of a result.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a readable JSON file, got: {error}; delete it") from None

@@ -1,0 +1,146 @@
+"""How large the gradients of the losses are, each by itself (the thesis's tables I and V)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.optimisation.baselines import random_mount_pose
+from warpav.optimisation.gradient import AdamW, OptimiserSettings
+from warpav.optimisation.losses import OBJECTIVES
+from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.segregation import BatchChooser
+
+LOSS_OF = {
+    "OOB": "out_of_bounds",
+    "CD": "camera_spacing",
+    "IFR": "in_frame_rotation",
+    "DOA": "detected_area",
+    "AC": "angular_coverage",
+    "SB": "surface_blockage",
+    "OV": "object_visibility",
+}
+"""The thesis's names of its losses, and ours."""
+
+THESIS_RUNS = 10
+THESIS_SETTINGS = OptimiserSettings(iterations=100, batch_size=1)
+
+
+@dataclass(frozen=True)
+class GradientMagnitude:
+    """Mean absolute value of a loss's gradient, over all its numbers that are not 0.
+
+    Attributes:
+        positional: To x and y [1/m]; 0 where all of them are 0.
+        rotational: To the yaw [1/rad]; likewise.
+        positional_share: Share of the numbers to x and y that are not 0.
+        rotational_share: The same of the numbers to the yaw.
+    """
+
+    positional: float
+    rotational: float
+    positional_share: float
+    rotational_share: float
+
+
+class _Mean:
+    """Mean absolute value of numbers that are not 0."""
+
+    def __init__(self) -> None:
+        self._sum, self._count, self._all = 0.0, 0, 0
+
+    def add(self, values: np.ndarray) -> None:
+        self._sum += float(np.abs(values, dtype=np.float64).sum())
+        self._count += int(np.count_nonzero(values))
+        self._all += values.size
+
+    @property
+    def value(self) -> float:
+        return self._sum / max(self._count, 1)
+
+    @property
+    def share(self) -> float:
+        return self._count / max(self._all, 1)
+
+
+def measure_gradient_magnitudes(
+    objective: RigObjective,
+    scenes: Sequence[AssignedScene],
+    yaw_rad: np.ndarray,
+    *,
+    runs: int = THESIS_RUNS,
+    settings: OptimiserSettings = THESIS_SETTINGS,
+    seed: int = 0,
+    finished: Callable[[int], object] | None = None,
+) -> dict[str, GradientMagnitude]:
+    """Mean magnitudes of every loss's gradient along descents in which all losses count, unscaled.
+
+    Every run starts at random places; every iteration differentiates each loss by itself, and the cameras follow the
+    sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
+    cameras, iterations and runs.
+
+    Args:
+        objective: Its losses with a scale take part (and the in-frame rotation loss, always); the scales do not matter.
+        scenes: The training scenes, vehicles assigned to cameras.
+        yaw_rad: Yaw of every camera at the start [rad], [camera].
+        runs: Number of descents, at least 1.
+        settings: Iterations, scenes a batch and step sizes; the thesis takes 100 and 1.
+        seed: Of starts and batches; run k draws from (seed, k).
+        finished: Called with the number of each run that is done, from 0.
+
+    Returns:
+        By the name of the loss, in the order of `OBJECTIVES`, then the constraints.
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+        ValueError: There is no run to do.
+    """
+    if runs < 1:
+        raise ValueError(f"runs must be at least 1, got {runs}")
+    measured = [name for name in OBJECTIVES if name in objective.settings.measured_objectives]
+    names = [*measured, *objective.constraints.names]
+    positional, rotational = ({name: _Mean() for name in names} for _ in range(2))
+    for run in range(runs):
+        rng = np.random.default_rng([seed, run])
+        start = random_mount_pose(objective.constraints, yaw_rad, rng=rng)
+        pose = AdamW(start, weight_decay=settings.weight_decay, device=objective.device)
+        rate = np.zeros(start.shape)
+        rate[:, [X_M, Y_M]] = settings.learning_rate_position_m
+        rate[:, YAW_RAD] = settings.learning_rate_yaw_rad
+        batches = BatchChooser(scenes, len(start), rng)
+        for _ in range(settings.iterations):
+            batch = [scenes[k] for k in batches.choose(settings.batch_size)]
+            gradients = objective.gradients(pose.value, batch)
+            for name in names:
+                positional[name].add(gradients[name][:, [X_M, Y_M]])
+                rotational[name].add(gradients[name][:, YAW_RAD])
+            pose.step(np.sum(list(gradients.values()), axis=0), rate)
+        if finished is not None:
+            finished(run)
+    return {
+        name: GradientMagnitude(
+            positional[name].value, rotational[name].value, positional[name].share, rotational[name].share
+        )
+        for name in names
+    }
+
+
+def pooled_magnitudes(runs: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, GradientMagnitude]:
+    """Magnitudes of several runs of equal length together, as if `measure_gradient_magnitudes` had done them all.
+
+    Args:
+        runs: Fields of `GradientMagnitude` by the name of the loss, of every run.
+    """
+    pooled = {}
+    for name in runs[0] if runs else ():
+        mean = {}
+        for part in ("positional", "rotational"):
+            shares = [run[name][f"{part}_share"] for run in runs]
+            total = sum(share * run[name][part] for share, run in zip(shares, runs, strict=True))
+            mean[part] = total / sum(shares) if any(shares) else 0.0
+            mean[f"{part}_share"] = sum(shares) / len(runs)
+        pooled[name] = GradientMagnitude(**mean)
+    return pooled

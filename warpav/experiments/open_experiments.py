@@ -1,0 +1,210 @@
+"""The experiments of our own.
+
+All ways to find a rig at one budget of renders; the default method with one thing changed at a time; whether its
+objective ranks rigs as the detector does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpav.evaluation.statistics import RESAMPLES
+from warpav.experiments.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
+from warpav.experiments.correlation import RANDOM_GROUPS, correlate, correlation_goal
+from warpav.experiments.experiment import Experiment, Finished, results_in, run_experiment
+from warpav.experiments.goals import Goal, goals_of, goals_text
+from warpav.experiments.summary import write_summary
+from warpav.experiments.tables import compare_results
+from warpav.runs.config import Config
+from warpav.runs.run_folder import write_json, write_text
+
+if TYPE_CHECKING:
+    from warpav.runs.progress import RunDisplay
+
+RUNS = 10
+"""Run seeds of an arm."""
+
+REFERENCE = "gradient"
+"""The default method, with which all others are compared."""
+
+CONFIGURED = "configured"
+"""Name of the objective that the arms are judged by."""
+
+PRESETS = ("nuscenes", "argoverse2")
+"""Presets that are compared with the default method of as many cameras."""
+
+_QUICK = (
+    "scenes.train_seeds=0..29",
+    "scenes.validation_seeds=150..161",
+    "scenes.test_seeds=1000..1023",
+    "run.iterations=30",
+    "run.batch_size=8",
+    "optimiser.starts=8",
+    "baselines.random_scenes=8",
+)
+_RIVALS = (
+    "thesis_gradient",
+    "highest",
+    "random",
+    "sobol",
+    "cma",
+    "differential_evolution",
+    "greedy_cover",
+    "cma_then_gradient",
+)
+_CHANGES = {
+    "panorama": ("optimiser.panorama_until=0.3",),
+    "random_start": ("rig.start=random", "optimiser.starts=1"),
+    "random_start_panorama": ("rig.start=random", "optimiser.starts=1", "optimiser.panorama_until=0.3"),
+    "best_camera": ("losses.combine=best",),
+    "visible_share": ("losses.probability=visible_share",),
+    "in_frame_share": ("losses.probability=in_frame_share",),
+    "undamped": ("optimiser.multiplier_damping=0",),
+    "steps_16cm_8deg": ("optimiser.learning_rate_position_m=0.16", "optimiser.learning_rate_yaw_deg=8"),
+    "steps_1cm_half_deg": ("optimiser.learning_rate_position_m=0.01", "optimiser.learning_rate_yaw_deg=0.5"),
+    "one_start": ("optimiser.starts=1",),
+    "two_descents": ("optimiser.descents=2",),
+    "detector_30": ("losses.detector_share=0.3",),
+    "detector_60": ("losses.detector_share=0.6",),
+}
+"""What an arm of the ablations searches by; all are judged by the configuration as it is."""
+
+
+def _experiments() -> dict[str, Experiment]:
+    common = common_arms()
+    reference = common[REFERENCE]
+    like = tuple(gradient_like(preset) for preset in PRESETS)
+    rivals = tuple(common[name] for name in _RIVALS)
+    presets = tuple(common[name] for name in PRESETS)
+    changed = tuple(Arm(name, REFERENCE, search_overrides=overrides) for name, overrides in _CHANGES.items())
+    drawn = (
+        Arm("random_rig", "random_rig"),
+        Arm("random_place", "start", search_overrides=("rig.start=random",)),
+    )
+    own: dict[str, tuple[str, ...]] = {CONFIGURED: ()}
+    return {
+        "open": Experiment(
+            "open",
+            "default",
+            (reference, *rivals, *like, *presets),
+            RUNS,
+            quick=_QUICK,
+            quick_arms=(REFERENCE, *_RIVALS, "gradient_as_nuscenes", "nuscenes"),
+            reference=REFERENCE,
+            objectives=own,
+        ),
+        "ablations": Experiment(
+            "ablations", "default", (reference, *changed), RUNS, quick=_QUICK, reference=REFERENCE, objectives=own
+        ),
+        "correlation": Experiment(
+            "correlation",
+            "default",
+            (*drawn, common["highest"], reference),
+            runs=3,
+            quick=_QUICK,
+            quick_runs=1,
+            runs_of=dict.fromkeys(RANDOM_GROUPS, 60),
+            quick_runs_of=dict.fromkeys(RANDOM_GROUPS, 15),
+            objectives={**own, "thesis": thesis_method()},
+        ),
+    }
+
+
+EXPERIMENTS = _experiments()
+"""By the name of the command."""
+
+
+def run_open(
+    name: str,
+    config: Config,
+    *,
+    arms: Sequence[Arm] | None = None,
+    runs: int | None = None,
+    render_budget: int | None = None,
+    out: Path | None = None,
+    quick: bool = False,
+    resamples: int = RESAMPLES,
+    display: RunDisplay,
+) -> Finished:
+    """Do what is missing of an experiment of our own; show its table and its goals, and write them.
+
+    Args:
+        name: A key of `EXPERIMENTS`.
+        config: The configuration.
+        arms: As of `run_experiment`.
+        runs: As of `run_experiment`; of ``correlation``, rigs of either random kind.
+        render_budget: As of `run_experiment`.
+        out: As of `run_experiment`.
+        quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
+        resamples: Of the bootstraps.
+        display: Where to show it.
+
+    Raises:
+        InputError: Something in the input is wrong.
+    """
+    experiment = EXPERIMENTS[name]
+    if quick:
+        experiment = experiment.made_quick()
+    done = run_experiment(
+        experiment,
+        config,
+        arms=arms,
+        runs=runs,
+        render_budget=render_budget,
+        out=out,
+        display=display,
+    )
+    in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
+    # earlier runs of the same configuration count as well; arms without a result are named
+    done = replace(done, results={**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))})
+    done = replace(done, results={arm: done.results[arm] for arm in in_order if arm in done.results})
+    display.stage("intervals")
+    if name == "correlation":
+        table: Any = correlate(done.results, done.folder / "correlation.png", resamples=resamples)
+        goals = [correlation_goal(table)]
+    else:
+        there = [arm for arm, found in done.results.items() if found]
+        if not there:
+            _say_failures(done, display)
+            return done
+        reference = experiment.reference if experiment.reference in there else there[0]
+        table = compare_results(done.results, reference, resamples=resamples)
+        # the goals are the default method's, and nobody else can stand for it
+        has_goals = name == "open" and reference == experiment.reference
+        goals = goals_of(done.results, table, PRESETS, resamples=resamples) if has_goals else []
+        odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]
+        table = replace(table, remarks=(*_remarks(name, config), *odd))
+    _write(done, name, table, goals)
+    display.show(table.terminal())
+    if goals:
+        display.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
+    _say_failures(done, display)
+    display.say(f"{done.done} new results; tables and results: {done.folder}")
+    return done
+
+
+def _say_failures(done: Finished, display: RunDisplay) -> None:
+    for failure in done.failed:
+        display.say(f"failed: {failure}")
+
+
+def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None:  # noqa: ANN401 (either table)
+    text = table.markdown() + (f"\n{goals_text(goals)}" if goals else "")
+    write_text(done.folder / f"{name}.md", text)
+    write_json(done.folder / f"{name}.json", {**table.data(), "goals": [goal.data() for goal in goals]})
+    write_summary(done.folder, done.results, text, goals)
+
+
+def _remarks(name: str, config: Config) -> tuple[str, ...]:
+    if name == "ablations":
+        return ("All arms are judged by the configuration as it is; each searches with one thing changed.",)
+    ranked = min(config.baselines.random_scenes, len(config.scenes.train_seeds) * (1 + config.scenes.mirror))
+    return (
+        f"Searches compare rigs on {ranked} training scenes, drawn once a run. The gradient method steps on all "
+        "training scenes and compares rigs on all validation scenes; these looks are paid from the same budget.",
+        "thesis_gradient takes as many steps, and looks at the validation scenes twice only.",
+        "Presets and gradient_as_ arms have their own number of cameras.",
+    )

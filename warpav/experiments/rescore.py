@@ -1,0 +1,309 @@
+"""The rigs of an experiment judged anew: by another detector, in larger images, on scenes from elsewhere.
+
+``<folder>/rescored_<name>/`` holds what the folder of an experiment holds. The rigs stay as they are; the same command
+again does what is missing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import InputError, OptionError
+from warpav.core.fingerprint import digest
+from warpav.evaluation.metrics import evaluate_rig
+from warpav.evaluation.statistics import RESAMPLES, rank_correlation
+from warpav.experiments.experiment import (
+    DESCRIPTION,
+    QUIET,
+    RESULTS,
+    Finished,
+    make_scenes_ready,
+    outcomes,
+    read_description,
+    read_json,
+    results_in,
+    traffic_of_process,
+    unseeded,
+)
+from warpav.experiments.goals import RIVALS, Goal
+from warpav.experiments.summary import SUMMARY, read_summary, write_summary
+from warpav.experiments.tables import COMPARED, Results, compare_results
+from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.rig.rig import Rig, read_rig
+from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
+from warpav.runs.problem import load_networks, problem_on
+from warpav.runs.run_folder import environment, write_json, write_text
+from warpav.runs.sources import device_name
+
+if TYPE_CHECKING:
+    from warpav.runs.progress import RunDisplay
+
+SCHEMA = 1
+JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
+"""Sections of options that say how rigs are judged."""
+
+JUDGING_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
+"""Such options of other sections."""
+
+_REFERENCE = "gradient"
+_RECALL = "tp_detection_rate"
+
+
+@dataclass(frozen=True)
+class RescoreTask:
+    """One rig to be judged anew.
+
+    Attributes:
+        name: Name of its files.
+        config: How to judge it.
+        source: Folder of the results that it comes from.
+        folder: Folder of the new results.
+        made_with: Hash of all that the new result depends on.
+    """
+
+    name: str
+    config: Config
+    source: Path
+    folder: Path
+    made_with: str
+
+    @property
+    def file(self) -> Path:
+        """The new result."""
+        return self.folder / RESULTS / f"{self.name}.json"
+
+
+def config_file(folder: Path) -> Path:
+    """The configuration of an experiment.
+
+    Raises:
+        InputError: The folder holds none.
+    """
+    for name in (DESCRIPTION, "config.yaml"):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: expected the folder of an experiment with a file {name}, got none")
+    return folder / "config.yaml"
+
+
+def check_judging(overrides: Sequence[str]) -> None:
+    """Refuse overrides that would change rigs, or nothing.
+
+    Raises:
+        InputError: One of them is no option of judging, or there is none.
+    """
+    if not overrides:
+        raise InputError(
+            "experiment rescore: expected options to judge by, such as detector.model=FILE.onnx or "
+            "scenes.source=captured, got none"
+        )
+    for override in overrides:
+        option = overridden_option(override)
+        if option.partition(".")[0] not in JUDGING and option not in JUDGING_OPTIONS:
+            raise InputError(
+                f"command line ({override}): {option}: expected an option by which rigs are judged: of "
+                f"{', '.join(JUDGING)}, or {', '.join(JUDGING_OPTIONS)}; rigs stay as they are"
+            )
+
+
+def folder_name(name: str | None, overrides: Sequence[str]) -> str:
+    """The name that a user gave, or one made of overrides, such as ``yolox_nano_coco_640_640``.
+
+    Raises:
+        OptionError: The name is none of lower-case letters, digits and underscores, or the overrides make none.
+    """
+    if name is not None:
+        if not re.fullmatch(r"[a-z0-9_]+", name):
+            raise OptionError("--name", f"expected lower-case letters, digits and underscores, got {name!r}")
+        return name
+    values = [override.partition("=")[2] for override in overrides if not override.startswith(("executor.", "device="))]
+    words = [Path(value).stem if value.endswith(".onnx") else value for value in values]
+    made = re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
+    if not made:
+        raise OptionError("--name", f"expected a name, as {' '.join(overrides)} makes none, got none")
+    return made
+
+
+def light_overrides(config: Config) -> tuple[str, ...]:
+    """Overrides that leave out what judging a rig does not need: training, validation, losses that ask for a fit."""
+    return (
+        f"scenes.train_seeds=[{_unused_seed(config)}]",
+        "scenes.validation_seeds=null",
+        "scenes.mirror=false",
+        "run.batch_size=1",
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in (*OBJECTIVES, DETECTOR_GRADIENT)),
+    )
+
+
+def _unused_seed(config: Config) -> int:
+    return next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
+
+
+def run_rescore(
+    folder: Path,
+    config: Config,
+    *,
+    name: str,
+    resamples: int = RESAMPLES,
+    display: RunDisplay,
+) -> Finished:
+    """Judge all rigs of an experiment anew, show the table, and say whether the arms come in the same order.
+
+    Args:
+        folder: Folder of the experiment.
+        config: Its configuration, changed as rigs are to be judged now.
+        name: The new results go to ``<folder>/rescored_<name>``.
+        resamples: Of the bootstraps.
+        display: Where to show it.
+
+    Raises:
+        InputError: The folder holds no experiment, or something cannot be used.
+    """
+    described = read_description(folder)
+    before = read_rigs(folder)
+    config = with_absolute_paths(changed_config(config, light_overrides(config)))
+    out = (folder / f"rescored_{name}").absolute()
+    tasks = [_task(run, config, folder, out) for runs in before.values() for run in runs]
+    load_networks(config)  # what is wrong with the detector shows before anything else begins
+    waiting = [task for task in tasks if not _is_there(task)]
+    if waiting:
+        make_scenes_ready(config, display)  # and likewise what is wrong with the scenes
+    (out / RESULTS).mkdir(parents=True, exist_ok=True)
+    title = f"{described['experiment']} rescored {name}"
+    write_json(out / DESCRIPTION, {**described, "experiment": title, "options": json.loads(unseeded(config))})
+    write_json(out / "env.json", environment(config, device_name(config.device)))
+    if len(waiting) < len(tasks):
+        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
+    failed = []
+    done = outcomes(rescore_rig, waiting, config, out)
+    for outcome in display.steps("rigs", done, count=len(waiting)) if waiting else ():
+        if outcome.error is not None:
+            failed.append(f"{outcome.task.name}: {outcome.error}")
+    after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
+    for task in tasks:
+        if _is_there(task):  # what another judge said before is none of it
+            result = read_json(task.file)
+            after[result["arm"]].append(result)
+    there = [arm for arm, runs in after.items() if runs]
+    if there:
+        reference = _REFERENCE if _REFERENCE in there else there[0]
+        metrics = [metric for metric in COMPARED if metric != "objective"]
+        table = compare_results(after, reference, metrics=metrics, resamples=resamples)
+        goals = same_order(before, after)
+        text = table.markdown() + "\n" + "\n".join(f"- {goal}" for goal in goals) + "\n"
+        write_text(out / "rescored.md", text)
+        write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
+        write_summary(out, after, text, goals)
+        display.show(table.terminal())
+        for goal in goals:
+            display.say(str(goal))
+    for failure in failed:
+        display.say(f"failed: {failure}")
+    display.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
+    return Finished(out, after, failed, len(waiting) - len(failed))
+
+
+def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """All results of an experiment that have rigs, by arm in the order of its summary, and by run seed.
+
+    Raises:
+        InputError: There are none, or a file cannot be read.
+    """
+    order: list[str] = []
+    if (folder / SUMMARY).is_file():
+        order = [run["arm"] for run in read_summary(folder)["runs"]]
+    found = {
+        arm: [run for run in runs if "metrics" in run and "rig" in run]
+        for arm, runs in results_in(folder, order).items()
+    }
+    if not any(found.values()):
+        raise InputError(f"{folder / RESULTS}: expected rigs, got none; run the experiment first")
+    return found
+
+
+def rescore_rig(task: RescoreTask) -> dict[str, Any]:
+    """Judge a rig, write the new result and return it."""
+    began = time.perf_counter()
+    config = task.config
+    traffic = traffic_of_process(config, QUIET)
+    problem = problem_on(traffic, config, load_networks(config), None)
+    rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
+    metrics = asdict(evaluate_rig(rig, problem.test, problem.objective, with_objective=False))
+    old = read_json(task.source / RESULTS / f"{task.name}.json")
+    for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, whoever judges it
+        metrics[name] = old["metrics"][name]
+    result = {
+        "schema": SCHEMA,
+        "made_with": task.made_with,
+        **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
+        "overrides": old.get("overrides", []),
+        "metrics": metrics,
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in problem.test],
+        "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
+    }
+    write_json(task.file, result)
+    return result
+
+
+def resized(rig: Rig, config: Config) -> Rig:
+    """The same rig with images of the configuration's size; places, directions and fields of view stay."""
+    camera = config.camera
+    return Rig.create(
+        [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
+    )
+
+
+def same_order(before: Results, after: Results) -> list[Goal]:
+    """Whether arms come in the same order by recall, and the default method stays ahead."""
+    old, new = (_mean_recalls(results) for results in (before, after))
+    arms = [arm for arm in old if arm in new]
+    order = [sorted(arms, key=lambda arm: -values[arm]) for values in (old, new)]
+    swapped = [
+        f"{one} and {other}"
+        for k, one in enumerate(order[0])
+        for other in order[0][k + 1 :]
+        if (old[one] - old[other]) * (new[one] - new[other]) < 0.0
+    ]
+    pairs = len(arms) * (len(arms) - 1) // 2
+    rank = rank_correlation([old[arm] for arm in arms], [new[arm] for arm in arms]).value if len(arms) > 1 else None
+    numbers = " > ".join(f"{arm} {new[arm]:.3f}" for arm in order[1])
+    if swapped:
+        numbers += f"; {len(swapped)} of {pairs} pairs change places: {', '.join(swapped)}"
+    if rank is not None:
+        numbers += f"; rank correlation of the arms' means {rank:.3f}"
+    goals = [Goal("the arms come in the same order by recall as before", not swapped, numbers)]
+    rivals = [arm for arm in RIVALS if arm in arms]
+    if _REFERENCE in arms and rivals:
+        numbers = f"{new[_REFERENCE]:.4f} against " + ", ".join(f"{arm} {new[arm]:.4f}" for arm in rivals)
+        ahead = all(new[_REFERENCE] >= new[arm] for arm in rivals)
+        goals.append(Goal(f"recall at least that of {', '.join(rivals)}", ahead, numbers))
+    return goals
+
+
+def _mean_recalls(results: Results) -> dict[str, float]:
+    return {arm: float(np.mean([run["metrics"][_RECALL] for run in runs])) for arm, runs in results.items() if runs}
+
+
+def _name(run: Mapping[str, Any]) -> str:
+    return f"{run['arm']}_{run['seed']}"
+
+
+def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path) -> RescoreTask:
+    made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config))
+    return RescoreTask(_name(run), config, folder.absolute(), out, made_with)
+
+
+def _is_there(task: RescoreTask) -> bool:
+    """Whether a rig has been judged so already; a result that was made otherwise is made again."""
+    if not task.file.is_file():
+        return False
+    result = read_json(task.file)
+    return isinstance(result, dict) and result.get("made_with") == task.made_with

@@ -1,0 +1,192 @@
+"""What is published of an experiment: every run's numbers and seeds, its table and goals, how it was made; no pictures.
+
+``<folder>/summary.json`` is small enough to be kept beside a text that quotes it; `write_results_page` makes such a
+text of the summaries of some experiments.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from warpav.core.errors import InputError
+from warpav.experiments.experiment import DESCRIPTION, read_json
+from warpav.experiments.goals import Goal
+from warpav.experiments.tables import COMPARED, Results
+from warpav.runs.run_folder import command_line, write_json, write_text
+
+SCHEMA = 1
+SUMMARY = "summary.json"
+_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "constraint_violation", "objects")
+_VERSIONS = ("warpav", "git_commit", "python", "platform", "device", "packages")
+_DIGITS = 5
+
+
+def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goal]) -> None:
+    """Write what is published of an experiment.
+
+    Args:
+        folder: Its folder, with its description and its environment.
+        results: Results by arm.
+        text: Its table as Markdown; lines with pictures are left out.
+        goals: What it was to reach.
+    """
+    described, made = read_json(folder / DESCRIPTION), read_json(folder / "env.json")
+    write_json(
+        folder / SUMMARY,
+        {
+            "schema": SCHEMA,
+            "experiment": described["experiment"],
+            "command": shlex.join(map(_without_folders, shlex.split(command_line()))),
+            "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "versions": {key: made[key] for key in _VERSIONS},
+            "render_budget": described.get("render_budget"),
+            "options": {
+                name: _without_folders(value) if isinstance(value, str) else value
+                for name, value in described["options"].items()
+            },
+            "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
+            "goals": [goal.data() for goal in goals],
+            "runs": [_run(run) if "metrics" in run else _gradients(run) for runs in results.values() for run in runs],
+        },
+    )
+
+
+def _without_folders(word: str) -> str:
+    """A word of a command, or a value, with the name alone of a file that it gives with an absolute path."""
+    key, equals, value = word.rpartition("=")
+    return f"{key}{equals}{Path(value).name}" if value.startswith("/") else word
+
+
+def _run(run: Mapping[str, Any]) -> dict[str, Any]:
+    metrics = run["metrics"]
+    return {
+        "arm": run["arm"],
+        "seed": run["seed"],
+        "overrides": run.get("overrides", []),
+        **{name: _rounded(metrics.get(name)) for name in _METRICS},
+        "validation_objectives": {
+            name: _rounded(value) for name, value in run.get("validation_objectives", {}).items()
+        },
+        "renders": run.get("renders"),
+        "search_seconds": _rounded(run.get("seconds", {}).get("search")),
+        "recall_of_scene": [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]],
+        "cameras": [
+            {key: camera[key] for key in ("position_m", "yaw_deg", "pitch_deg", "fov_deg") if key in camera}
+            for camera in run.get("rig", {}).get("cameras", [])
+        ],
+    }
+
+
+def _gradients(run: Mapping[str, Any]) -> dict[str, Any]:
+    """A run that has measured gradients and found no rig."""
+    return {name: run[name] for name in ("arm", "seed", "gradients", "renders")}
+
+
+def _rounded(value: float | None) -> float | None:
+    return round(value, _DIGITS) if isinstance(value, float) else value
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The summary of an experiment.
+
+    Raises:
+        InputError: There is none, or it is of another version.
+    """
+    file = folder / SUMMARY
+    if not file.is_file():
+        raise InputError(
+            f"{folder}: expected the folder of an experiment with a {SUMMARY}, got none; run warpav experiment open, "
+            "ablations, correlation, rescore or a table first"
+        )
+    summary = read_json(file)
+    if not isinstance(summary, dict) or summary.get("schema") != SCHEMA:
+        found = summary.get("schema") if isinstance(summary, dict) else None
+        raise InputError(f"{file}: schema: expected {SCHEMA}, got {found!r}; run the experiment's command again")
+    return summary
+
+
+def write_results_page(folders: Sequence[Path], page: Path) -> Path:
+    """Write the results of experiments as a page, with a copy of every summary in a folder beside it.
+
+    Args:
+        folders: Their folders, in the order of the page.
+        page: Markdown file.
+
+    Raises:
+        InputError: A folder is missing or without a summary, two experiments have one name, or the page cannot be
+            written.
+    """
+    if not folders:
+        raise InputError("experiment results: expected folders of experiments such as runs/open, got none")
+    summaries = [read_summary(folder) for folder in folders]
+    names = [summary["experiment"] for summary in summaries]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{page}: expected experiments of different names, got {name} twice")
+    if page.suffix != ".md":
+        raise InputError(f"{page}: --out: expected a Markdown file such as docs/results.md, got {page.name!r}")
+    parts = [_HEAD, _overview(summaries)]
+    try:
+        (page.parent / page.stem).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{page}: --out: expected a folder that can be made, got: {error.strerror}") from None
+    for summary in summaries:
+        file = page.parent / page.stem / f"{_file_stem(summary['experiment'])}.json"
+        write_json(file, summary)
+        parts.append(_section(summary, file.relative_to(page.parent)))
+    write_text(page, "\n".join(parts))
+    return page
+
+
+_HEAD = """# Results
+
+What `warpav experiment` found, every number from the runs named below; nothing is edited by hand. Goals that are not
+reached are said to be so. `warpav experiment results FOLDER... --out PAGE` writes this page.
+"""
+
+
+def _overview(summaries: Sequence[Mapping[str, Any]]) -> str:
+    lines = ["| experiment | runs | goals reached |", "| --- | ---: | ---: |"]
+    for summary in summaries:
+        goals = summary["goals"]
+        reached = f"{sum(goal['reached'] is True for goal in goals)} of {len(goals)}" if goals else "-"
+        lines.append(f"| {summary['experiment']} | {len(summary['runs'])} | {reached} |")
+    return "\n".join([*lines, ""])
+
+
+def _section(summary: Mapping[str, Any], file: Path) -> str:
+    versions, options = summary["versions"], summary["options"]
+    seeds = {name: _seeds_text(options.get(f"scenes.{name}_seeds")) for name in ("train", "validation", "test")}
+    runs = sorted({run["seed"] for run in summary["runs"]})
+    commit = f", commit {versions['git_commit']}" if versions.get("git_commit") else ""
+    return "\n".join(
+        [
+            f"## {summary['experiment']}",
+            "",
+            f"- Command: `{summary['command']}`",
+            f"- Date: {summary['date']}; warpav {versions['warpav']}{commit}, Python {versions['python']}, "
+            f"{versions['platform']}, {versions['device']}",
+            f"- Scenes: {options.get('scenes.source')}; seeds of training {seeds['train']}, validation "
+            f"{seeds['validation']}, test {seeds['test']}; run seeds {_seeds_text(runs)}",
+            f"- Every run with its numbers, seeds, cameras and all options: [{file.as_posix()}]({file.as_posix()})",
+            "",
+            summary["table"].strip(),
+            "",
+        ]
+    )
+
+
+def _seeds_text(seeds: Any) -> str:  # noqa: ANN401 (as configurations hold them)
+    if isinstance(seeds, list):
+        is_range = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1))
+        return f"{seeds[0]}..{seeds[-1]}" if is_range else ", ".join(map(str, seeds))
+    return "none" if seeds is None else str(seeds)
+
+
+def _file_stem(name: str) -> str:
+    return "_".join(name.replace(os.sep, " ").split())

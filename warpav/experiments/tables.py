@@ -1,0 +1,390 @@
+"""Tables of an experiment's results: the thesis's with its own numbers beside ours, and arms against each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
+from warpav.experiments.gradient_magnitude import LOSS_OF, pooled_magnitudes
+from warpav.experiments.thesis_tables import WARNING, thesis_table
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+Results = Mapping[str, Sequence[Mapping[str, Any]]]
+"""Results by arm, and of each arm by run seed (`warpav.experiments.experiment.read_results`)."""
+
+_METRICS = {
+    "avg_map50": ("map50_average", "average mAP@50"),
+    "min_camera_map50": ("map50_min_camera", "min camera mAP@50"),
+    "max_camera_map50": ("map50_max_camera", "max camera mAP@50"),
+    "tp_detection_rate": ("tp_detection_rate", "TP detection rate"),
+    "tp_in_frame_rate": ("tp_in_frame_rate", "TP in-frame rate"),
+    "detection_confidence": ("detection_confidence", "detection confidence"),
+    "optimisable_loss": ("objective", "optimisable loss"),
+}
+"""Columns of tables II and IV: the thesis's name, the field of our metrics, the heading."""
+
+_CONSTRAINTS = {"constraint_loss": "constraint loss", "min_pair_distance_m": "min camera pair distance (m)"}
+_GRADIENTS = {"positional": "positional", "rotational": "rotational"}
+
+NOTES = {
+    "I": "Ours: mean over all gradient values that are not 0, of all runs together, ± standard deviation of the runs' "
+    "own means.",
+    "II": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
+    "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
+    "in the thesis; the rig that is handed over is the nearest one within the constraints.",
+    "IV": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
+    "V": "As table I, with all losses taking part.",
+}
+"""What a reader has to know about our numbers."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A number of a table.
+
+    Attributes:
+        mean: The number, a mean over runs; None where there is none.
+        std: Standard deviation over runs; None for fewer than two.
+    """
+
+    mean: float | None
+    std: float | None
+
+    def __str__(self) -> str:
+        if self.mean is None:
+            return "-"
+        return f"{self.mean:.3f}" + ("" if self.std is None else f" ±{self.std:.3f}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table.
+
+    Attributes:
+        labels: What it is about, as the thesis writes it.
+        runs: Number of our runs.
+        ours: Our numbers by column.
+        thesis: The thesis's; empty where it has none.
+    """
+
+    labels: tuple[str, ...]
+    runs: int
+    ours: dict[str, Cell]
+    thesis: dict[str, Cell]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table in the thesis's layout.
+
+    Attributes:
+        number: Its Roman number.
+        caption: Its caption.
+        label_headings: Headings of the labels.
+        columns: Headings of the columns by key.
+        rows: Its rows, in the thesis's order, ours alone last.
+        notes: What a reader has to know.
+    """
+
+    number: str
+    caption: str
+    label_headings: tuple[str, ...]
+    columns: dict[str, str]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+
+    def markdown(self) -> str:
+        """The table as Markdown; every row of ours has the thesis's below."""
+        head = [*self.label_headings, "", "runs", *self.columns.values()]
+        lines = [f"**Table {self.number}. {self.caption}**", "", _markdown_row(head)]
+        left = len(self.label_headings) + 1
+        lines.append(_markdown_row(["---"] * left + ["---:"] * (len(head) - left)))
+        for row in self.rows:
+            lines += [_markdown_row(cells) for cells in self._lines(row)]
+        return "\n".join([*lines, "", *self.notes, ""])
+
+    def terminal(self) -> Group:
+        """The table for the console."""
+        from rich import box
+        from rich.console import Group
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        for heading in (*self.label_headings, ""):
+            table.add_column(heading, no_wrap=True)
+        for heading in ("runs", *self.columns.values()):
+            table.add_column(heading, justify="right", overflow="fold")
+        for row in self.rows:
+            for k, cells in enumerate(self._lines(row)):
+                table.add_row(*map(Text, cells), style="dim" if k else None)
+        return Group(Text(f"Table {self.number}. {self.caption}", "bold"), table, *map(Text, self.notes))
+
+    def data(self) -> dict[str, Any]:
+        """The table for a JSON file."""
+        return asdict(self)
+
+    def _lines(self, row: Row) -> list[list[str]]:
+        ours = [*row.labels, "ours", str(row.runs), *(str(row.ours[key]) for key in self.columns)]
+        if not row.thesis:
+            return [ours]
+        blank = [""] * len(row.labels)
+        return [ours, [*blank, "thesis", "", *(str(row.thesis[key]) for key in self.columns)]]
+
+
+def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, str]]) -> Table:
+    """One of the thesis's tables.
+
+    Args:
+        number: ``I`` to ``V``.
+        results: Results by arm; arms that the thesis has not get a row without its numbers.
+        labels: For tables II to IV: method and loss by arm, as the thesis writes them.
+
+    Raises:
+        ValueError: There is no such table.
+    """
+    if number in ("I", "V"):
+        return _gradient_table(number, results)
+    thesis = thesis_table(number)
+    printed = {(row["method"], row["loss"]): row for row in thesis["rows"]}
+    columns = _CONSTRAINTS if number == "III" else {key: heading for key, (_, heading) in _METRICS.items()}
+    rows = []
+    for arm, found in results.items():
+        row_labels = labels.get(arm, (arm, "as configured"))
+        row = printed.get(row_labels)
+        rows.append(
+            Row(
+                row_labels,
+                len(found),
+                {key: _cell([_value(key, result) for result in found]) for key in columns},
+                {} if row is None else {key: Cell(row[key]["mean"], row[key]["std"]) for key in columns},
+            )
+        )
+    caption = "Constraint results" if number == "III" else thesis["caption"]  # it is printed as table I's
+    return Table(number, caption, ("method", "loss"), dict(columns), tuple(rows), _notes(number, thesis))
+
+
+def _gradient_table(number: str, results: Results) -> Table:
+    thesis = thesis_table(number)
+    runs = [result["gradients"] for found in results.values() for result in found if "gradients" in result]
+    pooled = pooled_magnitudes(runs)
+    rows = []
+    for row in thesis["rows"]:
+        name = LOSS_OF[row["loss"]]
+        ours = {
+            key: Cell(
+                None if name not in pooled else getattr(pooled[name], key),
+                run_spread([run[name][key] for run in runs]).value if name in pooled else None,
+            )
+            for key in _GRADIENTS
+        }
+        rows.append(Row((row["loss"],), len(runs), ours, {key: Cell(row[key], None) for key in _GRADIENTS}))
+    return Table(number, thesis["caption"], ("loss",), dict(_GRADIENTS), tuple(rows), _notes(number, thesis))
+
+
+def _value(key: str, result: Mapping[str, Any]) -> float | None:
+    """The number of one run in a column of tables II to IV."""
+    if key == "constraint_loss":
+        return result.get("unprojected_constraint_loss", result["constraint_loss"])
+    if key == "min_pair_distance_m":
+        return result["metrics"]["min_camera_distance_m"]
+    return result["metrics"][_METRICS[key][0]]
+
+
+def _cell(numbers: Sequence[float | None]) -> Cell:
+    finite = [number for number in numbers if number is not None and math.isfinite(number)]
+    return Cell(float(np.mean(finite)) if finite else None, run_spread(finite).value)
+
+
+def _notes(number: str, thesis: Mapping[str, Any]) -> tuple[str, ...]:
+    printed = () if number == "III" else (f"Thesis: {thesis['note']}.",)
+    return (*printed, NOTES[number], WARNING)
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+COMPARED = {
+    "tp_detection_rate": "recall of the rig",
+    "ap50_pooled": "AP50",
+    "tp_in_frame_rate": "in frame",
+    "detection_confidence": "confidence",
+    "false_alarms_per_frame": "false alarms a frame",
+    "objective": "objective",
+}
+"""Metrics in which arms are compared, and their headings; all of them exist scene by scene."""
+
+RATES_OF_OBJECTS = ("tp_detection_rate", "tp_in_frame_rate")
+"""Those whose scenes weigh by their objects."""
+
+
+@dataclass(frozen=True)
+class ArmsTable:
+    """Arms on the same test scenes, and how one of them differs from all others.
+
+    Attributes:
+        reference: The arm that the others are compared with.
+        runs: Number of runs by arm.
+        numbers: By metric and arm: mean over runs, and standard deviation.
+        intervals: By metric and arm: the mean's 95 % interval over scenes and runs.
+        violation_m: Worst violation of the constraints in any run, by arm [m].
+        renders: Mean scene renders of a search, by arm.
+        seconds: Mean time of a search, by arm [s].
+        differences: By metric and arm: the reference less the arm, with its 95 % interval; p-values are corrected by
+            Holm's method for the number of arms, metric by metric.
+        missing: Arms without a result.
+        remarks: What else a reader has to know.
+    """
+
+    reference: str
+    runs: dict[str, int]
+    numbers: dict[str, dict[str, Cell]]
+    intervals: dict[str, dict[str, Difference]]
+    violation_m: dict[str, float | None]
+    renders: dict[str, float | None]
+    seconds: dict[str, float | None]
+    differences: dict[str, dict[str, Difference]]
+    missing: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader has to know."""
+        gone = (f"No result: {', '.join(self.missing)}.",) if self.missing else ()
+        return (
+            "An arm's first line: mean over runs ± standard deviation from run to run; second: its 95 % interval; "
+            f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
+            "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
+            "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
+            "Violation: the worst run. Renders (scenes, in all cameras) and seconds: of a search, on average.",
+            *self.remarks,
+            *gone,
+        )
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        head = ["arm", "runs", *self._headings]
+        lines = [_markdown_row(head), _markdown_row(["---"] + ["---:"] * (len(head) - 1))]
+        lines += [_markdown_row(cells) for arm in self.runs for cells in self._lines(arm)]
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
+
+    def terminal(self) -> Group:
+        """The table for the console."""
+        from rich import box
+        from rich.console import Group
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table.add_column("arm", no_wrap=True)
+        for heading in ("runs", *self._headings):
+            table.add_column(heading, justify="right", overflow="fold")
+        for arm in self.runs:
+            for k, cells in enumerate(self._lines(arm)):
+                table.add_row(*map(Text, cells), style="dim" if k else "bold" if arm == self.reference else None)
+            table.add_section()
+        return Group(table, *map(Text, self.notes))
+
+    def data(self) -> dict[str, Any]:
+        """The table for a JSON file."""
+        return asdict(self)
+
+    @property
+    def _headings(self) -> list[str]:
+        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "renders", "seconds"]
+
+    def _lines(self, arm: str) -> list[list[str]]:
+        ends = ["-" if end is None else form.format(end) for end, form in self._ends(arm)]
+        numbers = [arm, str(self.runs[arm]), *(str(self.numbers[metric][arm]) for metric in self.numbers), *ends]
+        blank = [""] * len(ends)
+        lines = [numbers, ["", "", *(self._interval_text(metric, arm) for metric in self.numbers), *blank]]
+        if arm != self.reference:
+            found = [_difference_text(self.differences[metric][arm]) for metric in self.numbers]
+            lines.append(["", "", *found, *blank])
+        return lines
+
+    def _interval_text(self, metric: str, arm: str) -> str:
+        interval, number = self.intervals[metric][arm], self.numbers[metric][arm].mean
+        if interval.mean is None or interval.low is None or number is None:
+            return ""
+        mean = f"{interval.mean:.3f} " if abs(interval.mean - number) > 5e-4 else ""
+        return f"{mean}[{interval.low:.3f}, {interval.high:.3f}]"
+
+    def _ends(self, arm: str) -> list[tuple[float | None, str]]:
+        return [(self.violation_m[arm], "{:g}"), (self.renders[arm], "{:.0f}"), (self.seconds[arm], "{:.0f}")]
+
+
+def compare_results(
+    results: Results, reference: str, *, metrics: Sequence[str] = tuple(COMPARED), resamples: int = RESAMPLES
+) -> ArmsTable:
+    """How an arm differs from all others on the same test scenes.
+
+    Args:
+        results: Results by arm, all from the same test scenes; arms without any are only named.
+        reference: The arm.
+        metrics: Out of `COMPARED`.
+        resamples: Of the bootstrap.
+
+    Raises:
+        ValueError: The reference has no result.
+    """
+    there = {arm: runs for arm, runs in results.items() if runs}
+    if reference not in there:
+        raise ValueError(f"reference must be an arm with results, out of {', '.join(there)}, got {reference!r}")
+    objects = there[reference][0]["objects_of_scene"]
+    numbers, intervals, differences = {}, {}, {}
+    for metric in metrics:
+        tables = {
+            arm: np.array([run["metrics"]["per_scene"][metric] for run in runs], np.float64)
+            for arm, runs in there.items()
+        }
+        numbers[metric] = {arm: _cell([run["metrics"][metric] for run in runs]) for arm, runs in there.items()}
+        weight = objects if metric in RATES_OF_OBJECTS else None
+        nothing = np.zeros(len(objects))
+        intervals[metric] = {
+            arm: paired_difference(table, nothing, weight=weight, resamples=resamples) for arm, table in tables.items()
+        }
+        differences[metric] = compare_arms(
+            tables[reference],
+            {arm: table for arm, table in tables.items() if arm != reference},
+            weight=weight,
+            resamples=resamples,
+        )
+    return ArmsTable(
+        reference=reference,
+        runs={arm: len(runs) for arm, runs in there.items()},
+        numbers=numbers,
+        intervals=intervals,
+        violation_m={
+            arm: max(_each(runs, "metrics", "constraint_violation"), default=None) for arm, runs in there.items()
+        },
+        renders={arm: _cell([run.get("renders") for run in runs]).mean for arm, runs in there.items()},
+        seconds={arm: _cell(_each(runs, "seconds", "search")).mean for arm, runs in there.items()},
+        differences=differences,
+        missing=tuple(arm for arm in results if arm not in there),
+    )
+
+
+def _each(runs: Sequence[Mapping[str, Any]], part: str, name: str) -> list[float]:
+    """A number of every run that has it."""
+    found = [run.get(part, {}).get(name) for run in runs]
+    return [number for number in found if number is not None]
+
+
+def _difference_text(difference: Difference) -> str:
+    if difference.mean is None:
+        return "-"
+    text = f"{difference.mean:+.3f}"
+    if difference.low is not None and difference.high is not None:
+        text += f" [{difference.low:+.3f}, {difference.high:+.3f}]"
+    if difference.p_holm is None:
+        return text
+    return f"{text} p={difference.p_holm:.2g}" + ("*" if difference.p_holm < 0.05 else "")

@@ -1,1 +1,0 @@
-"""Floor 1: frames, meshes and the mount surface, in plain NumPy."""

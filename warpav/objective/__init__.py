@@ -1,1 +1,0 @@
-"""Floor 5: constraints and the losses of the thesis."""

@@ -1,0 +1,525 @@
+"""Where cameras may stand: on the mount surface, and apart from each other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import OptionError
+from warpav.optimisation.mount import RISE_M, X_M, Y_M, HeldCameras, PlacedViews
+from warpav.rig.mount_surface import MountSurface
+from warpav.rig.rig import Rig, RigCamera
+from warpav_kernels.placement import constraint_losses
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
+PROJECTION_ROUNDS = 200
+SHAKE_EVERY = 20  # rounds
+RANDOM_TRIES = 1000
+
+# a rig file keeps micrometres; what is smaller is rounding, not a violation
+_ROUNDING_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far a rig is from breaking one constraint.
+
+    Attributes:
+        kind: ``border``, the distance of a camera to the border of where it may stand, negative outside; or
+            ``spacing``, the distance of two cameras.
+        cameras: Names of the cameras.
+        value_m: The distance [m].
+        limit_m: What it has to be at least [m].
+        slack_m: By how much it is more [m]; negative where the constraint is broken.
+        is_kept: Whether it holds, but for the rounding of rig files.
+    """
+
+    kind: str
+    cameras: tuple[str, ...]
+    value_m: float
+    limit_m: float
+    slack_m: float
+    is_kept: bool
+
+    @classmethod
+    def of(cls, kind: str, cameras: Sequence[RigCamera], value_m: float, limit_m: float) -> Margin:
+        """The margin of some cameras."""
+        slack_m = float(value_m) - limit_m
+        names = tuple(camera.name for camera in cameras)
+        return cls(kind, names, float(value_m), limit_m, slack_m, slack_m >= -_ROUNDING_M)
+
+
+class Constraints(ABC):
+    """What a rig must satisfy. A kind of constraints says which places are allowed, and what a violation costs.
+
+    Attributes:
+        surface: What the cameras stand on.
+        min_spacing_m: Least distance between two camera centres [m].
+        margin_m: Least distance of a camera's centre to the border of where it may stand [m].
+        are_inequalities: Whether the losses are inequalities g <= 0 [m], negative where there is room to spare; or else
+            penalties, 0 where the constraint holds and positive otherwise. `lagrangian_of` treats them differently.
+    """
+
+    are_inequalities: bool
+
+    def __init__(self, surface: MountSurface, *, min_spacing_m: float, held: HeldCameras | None = None) -> None:
+        """Constraints on a surface.
+
+        Args:
+            surface: What the cameras stand on.
+            min_spacing_m: Least distance between two camera centres [m], positive.
+            held: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
+                them.
+
+        Raises:
+            ValueError: ``min_spacing_m`` is not positive.
+        """
+        if not min_spacing_m > 0.0:
+            raise ValueError(f"min_spacing_m must be positive, got {min_spacing_m}")
+        self.surface = surface
+        self.min_spacing_m = min_spacing_m
+        self.margin_m = 0.0
+        self.held = held
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Names of the losses in their order; every one has a multiplier of its own."""
+
+    @abstractmethod
+    def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
+        """The losses, recorded on the active tape.
+
+        Args:
+            views: Placed views.
+            rotation_count: Views per camera.
+
+        Returns:
+            float [constraint] in the order of `names`; gradients flow to the mount pose.
+        """
+
+    @abstractmethod
+    def contains(self, place_m: np.ndarray) -> np.ndarray:
+        """Which places [..., 2] [m] may hold a camera that is alone; bool [...]."""
+
+    @abstractmethod
+    def do_not_fit(self, camera_count: int) -> OptionError:
+        """The error for more cameras than there is room for."""
+
+    def violation_m(self, rig: Rig) -> float:
+        """By how much a rig breaks the constraints [m]: all excess over the borders plus all missing spacing.
+
+        Exactly 0 if it breaks none. The rig may have any number of cameras. What is held breaks none by itself.
+        """
+        position_m = np.array([camera.position_m for camera in rig.cameras])
+        is_held = self._stands_held(position_m)
+        missing = sum(
+            max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
+            for i, j in itertools.combinations(range(len(position_m)), 2)
+            if not (is_held[i] and is_held[j])
+        )
+        violation = float(self._excess_m(position_m[~is_held, :2]).sum() + missing)
+        return violation if violation > _ROUNDING_M else 0.0
+
+    def margins(self, rig: Rig) -> list[Margin]:
+        """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.
+
+        The rig may have any number of cameras. What is held has none of its own.
+        """
+        position_m = np.array([camera.position_m for camera in rig.cameras])
+        is_held = self._stands_held(position_m)
+        border_m = self._border_distance_m(position_m[:, :2])
+        free = [
+            Margin.of("border", [camera], border_m[k], self.margin_m)
+            for k, camera in enumerate(rig.cameras)
+            if not is_held[k]
+        ]
+        pairs = [
+            Margin.of("spacing", [one, other], math.dist(one.position_m, other.position_m), self.min_spacing_m)
+            for (i, one), (j, other) in itertools.combinations(enumerate(rig.cameras), 2)
+            if not (is_held[i] and is_held[j])
+        ]
+        return free + pairs
+
+    def project(self, place_m: np.ndarray, rise_m: np.ndarray | None = None) -> np.ndarray:
+        """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
+
+        Args:
+            place_m: x and y of the cameras [m], float [camera, 2].
+            rise_m: Height above the surface of each over that of the others [m], float [camera]; None: all alike.
+
+        Returns:
+            float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
+            distance in the plane, which is never more than the distance in space. Cameras that are held stand where
+            they are held.
+
+        Raises:
+            InputError: The cameras do not fit.
+        """
+        place = np.array(place_m, np.float64)
+        rise = np.zeros(len(place)) if rise_m is None else np.array(rise_m, np.float64)
+        is_held = self._put_held(place, rise)
+        wanted_m = self.min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
+        rng = np.random.default_rng(0)
+        for projection_round in range(1, PROJECTION_ROUNDS + 1):
+            if projection_round % SHAKE_EVERY == 0:
+                # cameras on one line, such as an edge of the surface, would push each other along it for ever
+                shaken = rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
+                place[~is_held] += shaken[~is_held]
+            place[~is_held] = self._brought_in(place[~is_held])
+            moved = False
+            for i, j in itertools.combinations(range(len(place)), 2):
+                if is_held[i] and is_held[j]:
+                    continue
+                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]]) + rise[[i, j]]]
+                if math.dist(points[0], points[1]) >= self.min_spacing_m + 1e-6:
+                    continue
+                between = place[j] - place[i]
+                distance = float(np.linalg.norm(between))
+                # two cameras at one point part along x
+                direction = between / distance if distance > 1e-9 else np.array([1.0, 0.0])
+                push = (wanted_m - distance) * direction
+                # one that is held stays, and the other one goes the whole way
+                place[i] -= (0.0 if is_held[i] else 1.0 if is_held[j] else 0.5) * push
+                place[j] += (0.0 if is_held[j] else 1.0 if is_held[i] else 0.5) * push
+                moved = True
+            if not moved:
+                return place
+        raise self.do_not_fit(len(place))
+
+    def random_place(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
+        """Places that satisfy the constraints, uniform among all that do.
+
+        Args:
+            camera_count: Number of cameras.
+            rng: Random numbers.
+
+        Returns:
+            x and y [m], float64 [camera, 2].
+
+        Raises:
+            InputError: The cameras do not fit.
+        """
+        for _ in range(RANDOM_TRIES):
+            place, rise = self._drawn(camera_count, rng), np.zeros(camera_count)
+            is_held = self._put_held(place, rise)
+            point_m = np.c_[place, self.surface.height_at_m(place) + rise]
+            if all(
+                math.dist(point_m[i], point_m[j]) >= self.min_spacing_m
+                for i, j in itertools.combinations(range(camera_count), 2)
+                if not (is_held[i] and is_held[j])
+            ):
+                return place
+        raise self.do_not_fit(camera_count)
+
+    def _put_held(self, place: np.ndarray, rise: np.ndarray) -> np.ndarray:
+        """Put what is held into places [camera, 2] and rises [camera]; tells which cameras that are, bool [camera]."""
+        held = self.held
+        if held is None:
+            return np.zeros(len(place), bool)
+        if len(place) != len(held.is_held):
+            raise ValueError(f"expected {len(held.is_held)} cameras, some of them held, got {len(place)}")
+        place[held.is_held] = held.mount_pose[held.is_held][:, [X_M, Y_M]]
+        rise[held.is_held] = held.mount_pose[held.is_held, RISE_M]
+        return held.is_held
+
+    def _stands_held(self, position_m: np.ndarray) -> np.ndarray:
+        """Which cameras stand exactly where some are held, bool [camera]; position_m [camera, 3]."""
+        if self.held is None:
+            return np.zeros(len(position_m), bool)
+        offset_m = position_m[:, None] - self.held.position_m
+        return (np.linalg.norm(offset_m, axis=-1) <= _ROUNDING_M).any(axis=1)
+
+    @abstractmethod
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        """Distance of places [camera, 2] to the border of where a camera may stand [m], [camera]; negative outside."""
+
+    @abstractmethod
+    def _excess_m(self, place: np.ndarray) -> np.ndarray:
+        """By how much places [camera, 2] lie beyond the borders [m], of any shape."""
+
+    @abstractmethod
+    def _brought_in(self, place: np.ndarray) -> np.ndarray:
+        """The nearest places within the borders, with room for the rounding to float32."""
+
+    @abstractmethod
+    def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
+        """Places within the borders, uniform and independent, float64 [camera, 2]."""
+
+
+class BoundsAndSpacing(Constraints):
+    """The thesis's: inside the mount surface's bounding rectangle, and apart; one loss for each, over all cameras."""
+
+    are_inequalities = False
+
+    def __init__(self, surface: MountSurface, *, min_spacing_m: float = 0.2) -> None:
+        """As in `Constraints`; the thesis keeps 0.2 m."""
+        super().__init__(surface, min_spacing_m=min_spacing_m)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As in `Constraints`."""
+        return ("out_of_bounds", "camera_spacing")
+
+    def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
+        """Out-of-bounds and camera-spacing loss (thesis Eqs. 5 to 9), as in `Constraints`."""
+        device = views.mount_pose.device
+        loss = wp.zeros(len(self.names), dtype=float, device=device, requires_grad=True)
+        low_m, high_m = self.surface.bounds_m
+        wp.launch(
+            constraint_losses.out_of_bounds_loss_kernel,
+            dim=1,
+            inputs=[views.mount_pose, wp.vec2(*low_m), wp.vec2(*high_m)],
+            outputs=[loss],
+            device=device,
+        )
+        wp.launch(
+            constraint_losses.camera_spacing_loss_kernel,
+            dim=1,
+            inputs=[views.position_ego_m, rotation_count, self.min_spacing_m],
+            outputs=[loss],
+            device=device,
+        )
+        return loss
+
+    def contains(self, place_m: np.ndarray) -> np.ndarray:
+        """As in `Constraints`."""
+        low_m, high_m = self.surface.bounds_m
+        place_m = np.asarray(place_m, np.float64)
+        return ((place_m >= low_m) & (place_m <= high_m)).all(axis=-1)
+
+    def do_not_fit(self, camera_count: int) -> OptionError:
+        """As in `Constraints`."""
+        size = np.diff(self.surface.bounds_m, axis=0)[0]
+        return _do_not_fit(f"the mount surface of {size[0]:.2f} m x {size[1]:.2f} m", self.min_spacing_m, camera_count)
+
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        low_m, high_m = self.surface.bounds_m
+        return np.minimum(place - low_m, high_m - place).min(axis=-1)
+
+    def _excess_m(self, place: np.ndarray) -> np.ndarray:
+        low_m, high_m = self.surface.bounds_m
+        return np.maximum(low_m - place, 0.0) + np.maximum(place - high_m, 0.0)
+
+    def _brought_in(self, place: np.ndarray) -> np.ndarray:
+        low_m, high_m = self.surface.bounds_m
+        return np.clip(place, low_m + 1e-6, high_m - 1e-6)
+
+    def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
+        return rng.uniform(*self.surface.bounds_m, size=(camera_count, 2))
+
+
+class ZoneAndSpacing(Constraints):
+    """The default method's: inside the mountable zone, and apart; one inequality for every camera and every pair.
+
+    The zone has the shape of what can carry a camera, such as roof and bonnet; it need not be in one piece.
+    """
+
+    are_inequalities = True
+
+    def __init__(
+        self,
+        surface: MountSurface,
+        *,
+        camera_count: int,
+        min_spacing_m: float = 0.2,
+        margin_m: float = 0.0,
+        held: HeldCameras | None = None,
+    ) -> None:
+        """Constraints for rigs of ``camera_count`` cameras.
+
+        Args:
+            surface: Its mountable zone is where cameras may stand.
+            camera_count: Number of cameras, at least 1.
+            min_spacing_m: Least distance between two camera centres [m], positive.
+            margin_m: Least distance of a camera's centre to the border of the zone [m], at least 0.
+            held: As in `Constraints`.
+
+        Raises:
+            InputError: No place of the zone is so far from its border.
+            ValueError: An option is out of its range.
+        """
+        super().__init__(surface, min_spacing_m=min_spacing_m, held=held)
+        if held is not None and len(held.is_held) != camera_count:
+            raise ValueError(f"held must be of a rig of {camera_count} cameras, got {len(held.is_held)}")
+        if camera_count < 1:
+            raise ValueError(f"camera_count must be at least 1, got {camera_count}")
+        if not margin_m >= 0.0:
+            raise ValueError(f"margin_m must be at least 0, got {margin_m}")
+        self.camera_count = camera_count
+        self.margin_m = margin_m
+        widest_m = float(surface.border_distance_m.max())
+        if widest_m < self._kept_m:
+            raise OptionError(
+                "mount.margin_m",
+                f"expected less than {widest_m:.3g} m, the largest distance to the border of the mountable zone, "
+                f"got {margin_m:g}",
+            )
+        self._raster: dict[str, wp.array] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``zone_<camera>``, then ``spacing_<camera>_<camera>``, as in `Constraints`; none of held cameras alone."""
+        cameras, is_held = range(self.camera_count), self._is_held
+        zone = (f"zone_{camera}" for camera in cameras if not is_held[camera])
+        pairs = itertools.combinations(cameras, 2)
+        return (*zone, *(f"spacing_{i}_{j}" for i, j in pairs if not (is_held[i] and is_held[j])))
+
+    @property
+    def _is_held(self) -> np.ndarray:
+        return np.zeros(self.camera_count, bool) if self.held is None else self.held.is_held
+
+    @property
+    def _kept(self) -> np.ndarray:
+        """Which of the losses of all cameras and pairs count, int32 [constraint]."""
+        is_held = self._is_held
+        pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
+        return np.flatnonzero(~np.concatenate([is_held, is_held[pairs].all(axis=1)])).astype(np.int32)
+
+    def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
+        """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close.
+
+        Raises:
+            ValueError: The views are of another number of cameras.
+        """
+        if views.mount_pose.shape[0] != self.camera_count:
+            raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
+        device = views.mount_pose.device
+        raster = self._raster.get(str(device))
+        if raster is None:
+            raster = wp.array(self.surface.border_distance_m, dtype=float, device=device)
+            self._raster[str(device)] = raster
+        count = self.camera_count * (self.camera_count + 1) // 2
+        excess_m = wp.zeros(count, dtype=float, device=device, requires_grad=True)
+        wp.launch(
+            constraint_losses.zone_excess_kernel,
+            dim=self.camera_count,
+            inputs=[views.mount_pose, raster, wp.vec2(*self.surface.origin_m), self.surface.cell_m, self.margin_m],
+            outputs=[excess_m],
+            device=device,
+        )
+        wp.launch(
+            constraint_losses.spacing_excess_kernel,
+            dim=1,
+            inputs=[views.position_ego_m, rotation_count, self.min_spacing_m],
+            outputs=[excess_m],
+            device=device,
+        )
+        if self.held is None:
+            return excess_m
+        kept_m = wp.zeros(len(self.names), dtype=float, device=device, requires_grad=True)
+        wp.launch(
+            constraint_losses.keep_excess_kernel,
+            dim=len(kept_m),
+            inputs=[excess_m, wp.array(self._kept, dtype=wp.int32, device=device)],
+            outputs=[kept_m],
+            device=device,
+        )
+        return kept_m
+
+    def contains(self, place_m: np.ndarray) -> np.ndarray:
+        """As in `Constraints`."""
+        return self.surface.zone_distance_m(place_m) >= self.margin_m
+
+    def do_not_fit(self, camera_count: int) -> OptionError:
+        """As in `Constraints`."""
+        area_m2 = np.count_nonzero(self.surface.border_distance_m >= self.margin_m) * self.surface.cell_m**2
+        return _do_not_fit(f"the mountable zone of {area_m2:.2f} m2", self.min_spacing_m, camera_count)
+
+    @property
+    def _kept_m(self) -> float:
+        """The distance to the border that projected places keep [m], with room for the rounding to float32."""
+        return self.margin_m + 1e-6
+
+    def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
+        return self.surface.zone_distance_m(place)
+
+    def _excess_m(self, place: np.ndarray) -> np.ndarray:
+        return np.maximum(self.margin_m - self.surface.zone_distance_m(place), 0.0)
+
+    def _brought_in(self, place: np.ndarray) -> np.ndarray:
+        place = place.copy()
+        is_outside = self.surface.zone_distance_m(place) < self._kept_m
+        outside = place[is_outside]
+        if len(outside):
+            # the nearest place of a fine grid is near the nearest of all; uphill lies the nearest of all, as a rule
+            _, nearest = self._border_tree.query(outside)
+            inside = np.stack([self._border_places[nearest], self._uphill(outside)])
+            found = self._first_inside(outside, inside)
+            is_uphill_nearer = np.less(*np.linalg.norm(found - outside, axis=-1)[::-1])
+            place[is_outside] = np.where(is_uphill_nearer[:, None], found[1], found[0])
+        return place
+
+    def _uphill(self, place: np.ndarray) -> np.ndarray:
+        """Places reached by going up the distance to the border; most of them are inside."""
+        step_m = 0.25 * self.surface.cell_m
+        reached = place.copy()
+        look = step_m * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        for _ in range(8):
+            here, *around = self.surface.zone_distance_m(reached + look[:, None])
+            if (here >= self._kept_m).all():
+                break
+            along = np.stack([around[0] - around[1], around[2] - around[3]], axis=-1)
+            along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+            reached += 1.001 * np.maximum(self._kept_m - here, 0.0)[:, None] * along
+        return reached
+
+    def _first_inside(self, outside: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """The first place inside on the way from outside to inside, shape [..., 2]; inf where that is not inside."""
+        is_inside = self.surface.zone_distance_m(inside) >= self._kept_m
+        low, high = np.zeros(is_inside.shape), np.ones(is_inside.shape)
+        for _ in range(24):  # to less than a micrometre
+            share = 0.5 * (low + high)
+            is_far = self.surface.zone_distance_m(outside + share[..., None] * (inside - outside)) >= self._kept_m
+            low, high = np.where(is_far, low, share), np.where(is_far, share, high)
+        # at the whole way rounding must not lead past the end
+        met = np.where((high < 1.0)[..., None], outside + high[..., None] * (inside - outside), inside)
+        return np.where(is_inside[..., None], met, np.inf)
+
+    @cached_property
+    def _border_places(self) -> np.ndarray:
+        """Places all along the border, a quarter of a cell apart, just inside [m], float64 [place, 2]."""
+        surface = self.surface
+        x_m, y_m = (
+            origin + np.arange(4 * (n - 1) + 1) * (0.25 * surface.cell_m)
+            for origin, n in zip(surface.origin_m, surface.height_m.shape, strict=True)
+        )
+        place = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+        distance_m = surface.zone_distance_m(place)
+        return place[(distance_m >= self._kept_m) & (distance_m <= self._kept_m + surface.cell_m)]
+
+    @cached_property
+    def _border_tree(self) -> KDTree:
+        from scipy.spatial import KDTree
+
+        return KDTree(self._border_places)
+
+    def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
+        place = np.zeros((0, 2))
+        while len(place) < camera_count:
+            drawn = rng.uniform(*self.surface.bounds_m, size=(4 * camera_count, 2))
+            place = np.concatenate([place, drawn[self.contains(drawn)]])
+        return place[:camera_count]
+
+
+def min_camera_distance_m(position_m: np.ndarray) -> float:
+    """Smallest distance between two of the points [camera, 3] [m]; inf for a single camera."""
+    return min((math.dist(a, b) for a, b in itertools.combinations(position_m, 2)), default=math.inf)
+
+
+def _do_not_fit(where: str, min_spacing_m: float, camera_count: int) -> OptionError:
+    return OptionError(
+        "rig.cameras",
+        f"expected a number that fits on {where} at rig.min_spacing_m={min_spacing_m:g}, got {camera_count}; "
+        "lower one of the two",
+    )

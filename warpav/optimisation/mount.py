@@ -1,0 +1,357 @@
+"""Cameras on the mount surface: from the numbers that are optimised to the poses of all views."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpav.raster.camera import CameraModel, rotational_additions
+from warpav.raster.lens import Lens
+from warpav.rig.mount_surface import MountSurface
+from warpav.rig.rig import Rig, RigCamera
+from warpav_kernels.placement import mount_pose as kernels
+
+X_M, Y_M, YAW_RAD = int(kernels.X_M), int(kernels.Y_M), int(kernels.YAW_RAD)
+PITCH_RAD, ROLL_RAD = int(kernels.PITCH_RAD), int(kernels.ROLL_RAD)
+RISE_M, LOG_ZOOM = int(kernels.RISE_M), int(kernels.LOG_ZOOM)
+MOUNT_POSE_SIZE = int(kernels.MOUNT_POSE_SIZE)
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class PlacedViews:
+    """Poses of all views of a rig: view = camera * rotation_count + rotational addition.
+
+    Attributes:
+        mount_pose: x, y [m], yaw, pitch, roll [rad], rise [m], log zoom of every camera, float [camera, 7].
+        position_ego_m: Centre of every view [m], vec3 [view].
+        camera_from_ego: Rotation from ego to camera axes of every view, mat33 [view].
+        log_zoom: Logarithm of every view's focal length over that of the mount's camera, float [view].
+    """
+
+    mount_pose: wp.array
+    position_ego_m: wp.array
+    camera_from_ego: wp.array
+    log_zoom: wp.array
+
+
+@dataclass(frozen=True)
+class FreeRanges:
+    """What may differ from camera to camera besides x, y and yaw, and how far: low and high; None: it stays fixed.
+
+    Attributes:
+        pitch_rad: Pitch, nose-down positive [rad].
+        height_m: Height of the camera's centre above the mount surface [m].
+        fov_rad: Horizontal field of view [rad], of a pinhole alone.
+    """
+
+    pitch_rad: tuple[float, float] | None = None
+    height_m: tuple[float, float] | None = None
+    fov_rad: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name, pair in vars(self).items():
+            if pair is not None and not -math.inf < pair[0] < pair[1] < math.inf:
+                raise ValueError(f"{name} must be a range, the lower end first, got {pair}")
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCameras:
+    """Cameras of a rig that stay as they are, wherever they stand.
+
+    Attributes:
+        camera: Every camera of the rig in its order; those that may move give their names alone.
+        is_held: Which of them stay, bool [camera].
+        mount_pose: Their mount poses, float32 [camera, 7]; those of the others mean nothing.
+    """
+
+    camera: tuple[RigCamera, ...]
+    is_held: np.ndarray
+    mount_pose: np.ndarray
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Centres of those that stay [m], float64 [held, 3]."""
+        places = [camera.position_m for camera, held in zip(self.camera, self.is_held, strict=True) if held]
+        return np.array(places, np.float64).reshape(-1, 3)
+
+
+class CameraMount:
+    """A mount surface on the device, and the cameras that stand above it.
+
+    A camera is seven numbers, its mount pose: x, y [m], yaw, pitch, roll [rad]; its rise, by how much it stands higher
+    above the surface than configured [m]; its log zoom, the logarithm of its focal length over the configured one.
+    """
+
+    def __init__(
+        self,
+        surface: MountSurface,
+        *,
+        camera: CameraModel,
+        height_offset_m: float,
+        device: str = "cpu",
+        free: FreeRanges | None = None,
+    ) -> None:
+        """Mount for cameras of one model.
+
+        Args:
+            surface: Height map of the ego vehicle.
+            camera: The model of all cameras at log zoom 0; the narrowest field of view gives the rotational additions.
+            height_offset_m: Height of the camera centres above the surface at rise 0 [m].
+            device: Warp device.
+            free: What else may differ from camera to camera; None: nothing.
+
+        Raises:
+            ValueError: A range of ``free`` does not hold what is configured, or the lens is no pinhole and its field of
+                view is free.
+        """
+        self.surface = surface
+        self.camera = camera
+        self.height_offset_m = height_offset_m
+        self.device = device
+        self.free = free = free or FreeRanges()
+        if free.fov_rad is not None and camera.lens is not Lens.PINHOLE:
+            raise ValueError(f"the field of view of a {camera.lens} lens cannot be free")
+        narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
+        self.held: HeldCameras | None = None
+        self._narrowest_rad = narrowest_rad
+        self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
+        self.low, self.high = self._ends()
+        self._height_m = wp.array(surface.height_m, dtype=float, device=device)
+
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest mount pose, float32 [7]; infinite where a number has no ends of its own."""
+        low, high = (np.full(MOUNT_POSE_SIZE, end, np.float32) for end in (-np.inf, np.inf))
+        free, camera = self.free, self.camera
+        ranges: dict[int, tuple[float, float]] = {}
+        if free.pitch_rad is not None:
+            ranges[PITCH_RAD] = free.pitch_rad
+        if free.height_m is not None:
+            ranges[RISE_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
+        if free.fov_rad is not None:
+            tangent = math.tan(0.5 * camera.fov_rad)
+            ranges[LOG_ZOOM] = (
+                math.log(tangent / math.tan(0.5 * free.fov_rad[1])),
+                math.log(tangent / math.tan(0.5 * free.fov_rad[0])),
+            )
+        for number, (least, greatest) in ranges.items():
+            if least > _ROUNDING or greatest < -_ROUNDING:
+                raise ValueError(f"the free ranges must hold what is configured, got {free}")
+            # rounded inwards, so that single precision is within as well
+            low[number], high[number] = least, greatest
+            if float(low[number]) < least:
+                low[number] = np.nextafter(low[number], np.float32(np.inf))
+            if float(high[number]) > greatest:
+                high[number] = np.nextafter(high[number], np.float32(-np.inf))
+        return low, high
+
+    @property
+    def is_free(self) -> np.ndarray:
+        """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
+        return np.isfinite(self.low)
+
+    def holding(self, rig: Rig, names: Collection[str]) -> CameraMount:
+        """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere.
+
+        Args:
+            rig: Its cameras give those of the mount their order and their names.
+            names: Which of them stay.
+
+        Raises:
+            ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
+                camera: all share image size and lens.
+        """
+        is_held = np.array([camera.name in names for camera in rig.cameras])
+        if is_held.sum() != len(set(names)) or is_held.all():
+            raise ValueError(f"names must be some of the rig's cameras and not all, got {sorted(names)}")
+        held = [camera for camera in rig.cameras if camera.name in names]
+        for camera in held:
+            if not camera.model.fits_beside(self.camera):
+                raise ValueError(
+                    f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
+                )
+        mount = copy.copy(self)
+        mount.held = HeldCameras(rig.cameras, is_held, self.mount_pose_of_rig(rig))
+        narrowest_rad = min(self._narrowest_rad, *(camera.model.fov_rad for camera in held))
+        mount.rotation_count, mount.rotation_step_rad = rotational_additions(narrowest_rad)
+        return mount
+
+    @property
+    def has_one_field(self) -> bool:
+        """Whether all cameras have one field of view: none is free, and none that stays has another."""
+        zooms = () if self.held is None else self.held.mount_pose[self.held.is_held, LOG_ZOOM]
+        return self.free.fov_rad is None and not np.any(zooms)
+
+    def within(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The nearest mount poses [camera, 7] within the free ranges, of the same type; what is held is as it is."""
+        pose = np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
+        if self.held is not None:
+            pose[self.held.is_held] = self.held.mount_pose[self.held.is_held]
+        return pose
+
+    def has_model(self, model: CameraModel) -> bool:
+        """Whether a camera of this model can be one of the mount's."""
+        if model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera)):
+            return True
+        held = self.held
+        return held is not None and any(held.camera[k].model == model for k in np.flatnonzero(held.is_held))
+
+    def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
+        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
+
+        Args:
+            mount_pose: Of every camera, float [camera, 7].
+            rotation_count: Views of every camera; None: all rotational additions.
+
+        Raises:
+            ValueError: Not so many numbers for a camera.
+        """
+        if mount_pose.ndim != 2 or mount_pose.shape[1] != MOUNT_POSE_SIZE:
+            raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
+        camera_count = mount_pose.shape[0]
+        rotation_count = self.rotation_count if rotation_count is None else rotation_count
+        view_count = camera_count * rotation_count
+        position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
+        camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
+        log_zoom = wp.zeros(view_count, dtype=float, device=self.device, requires_grad=True)
+        wp.launch(
+            kernels.place_on_surface_kernel,
+            dim=camera_count,
+            inputs=[
+                mount_pose,
+                self._height_m,
+                wp.vec2(*self.surface.origin_m),
+                self.surface.cell_m,
+                self.height_offset_m,
+                rotation_count,
+                self.rotation_step_rad,
+            ],
+            outputs=[position_ego_m, camera_from_ego, log_zoom],
+            device=self.device,
+        )
+        return PlacedViews(mount_pose, position_ego_m, camera_from_ego, log_zoom)
+
+    @property
+    def windows_move(self) -> bool:
+        """Whether the fields of view move over the panoramas, see `windows`: with free zooms and pitches."""
+        return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
+
+    def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
+        """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
+
+        A field of view becomes a rectangle of azimuth and elevation around the optical axis. Recorded on the active
+        tape; gradients flow to the views' rotations and zooms.
+
+        Args:
+            views: Placed here, or by `views_of_rig`.
+            requires_grad: Whether gradients flow through the windows; without, they are mere numbers.
+
+        Returns:
+            vec4 [view].
+        """
+        view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
+        window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
+        wp.launch(
+            kernels.place_windows_kernel,
+            dim=camera_count,
+            inputs=[
+                views.camera_from_ego,
+                views.log_zoom,
+                view_count // camera_count,
+                wp.vec2(*self.camera.half_field_rad),
+            ],
+            outputs=[window_rad],
+            device=self.device,
+        )
+        return window_rad
+
+    def rig(self, mount_pose: np.ndarray) -> Rig:
+        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
+
+        Where some are held, all have the names of the rig that these are of, and these are the same to the last bit.
+        """
+        held = self.held
+        height_m = self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, RISE_M]
+        return Rig.create(
+            [
+                held.camera[i]
+                if held is not None and held.is_held[i]
+                else RigCamera(
+                    name=f"camera_{i}" if held is None else held.camera[i].name,
+                    position_m=np.array([pose[X_M], pose[Y_M], height_m[i]], np.float64),
+                    yaw_rad=float(pose[YAW_RAD]),
+                    pitch_rad=float(pose[PITCH_RAD]),
+                    roll_rad=float(pose[ROLL_RAD]),
+                    model=self.camera.zoomed(float(pose[LOG_ZOOM])),
+                )
+                for i, pose in enumerate(mount_pose)
+            ]
+        )
+
+    def mount_pose_of_rig(self, rig: Rig) -> np.ndarray:
+        """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
+
+        Cameras of another model than the mount's give the zoom at which the mount's has their focal length.
+        """
+        rows = []
+        for camera in rig.cameras:
+            x_m, y_m, z_m = camera.position_m
+            rise_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
+            log_zoom = camera.model.log_zoom_over(self.camera)
+            rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, rise_m, log_zoom])
+        return np.array(rows, np.float32)
+
+    def start_pose_of_rig(self, rig: Rig) -> np.ndarray:
+        """The mount poses nearest to a rig's cameras that this mount allows, float32 [camera, 7].
+
+        Height and field of view are as configured where they are not free.
+        """
+        pose = self.mount_pose_of_rig(rig)
+        for number in (RISE_M, LOG_ZOOM):
+            if not self.is_free[number]:
+                pose[:, number] = 0.0
+        return self.within(pose)
+
+
+def views_of_rig(
+    rig: Rig,
+    *,
+    rotation_count: int,
+    rotation_step_rad: float,
+    device: str = "cpu",
+    mount: CameraMount | None = None,
+) -> PlacedViews:
+    """Poses of all views of a rig that stands anywhere; nothing is taped.
+
+    Args:
+        rig: The rig.
+        rotation_count: Rotational additions per camera.
+        rotation_step_rad: Angle between them about the vertical [rad].
+        device: Warp device.
+        mount: Height and zoom count from its own; None: they count from the rig's own, and are 0.
+    """
+    position, rotation = [], []
+    for camera in rig.cameras:
+        transform = camera.ego_from_camera
+        for a in range(rotation_count):
+            cosine, sine = np.cos(a * rotation_step_rad), np.sin(a * rotation_step_rad)
+            turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            position.append(transform[:3, 3])
+            rotation.append((turn @ transform[:3, :3]).T)
+    if mount is not None:
+        pose = mount.mount_pose_of_rig(rig)
+    else:
+        flat = [[*c.position_m[:2], c.yaw_rad, c.pitch_rad, c.roll_rad, 0.0, 0.0] for c in rig.cameras]
+        pose = np.array(flat, np.float32)
+    return PlacedViews(
+        wp.array(pose, dtype=float, device=device),
+        wp.array(np.array(position, np.float32), dtype=wp.vec3, device=device),
+        wp.array(np.array(rotation, np.float32), dtype=wp.mat33, device=device),
+        wp.array(np.repeat(pose[:, LOG_ZOOM], rotation_count), dtype=float, device=device),
+    )

@@ -1,0 +1,46 @@
+"""Launches that are recorded once as a CUDA graph and replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import warp as wp
+
+from warpav.raster.graph import record_graph
+from warpav.raster.renderer import Held, Renderer
+
+
+class Recording:
+    """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
+
+    The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
+    moved its buffers, this starts again. After every call the renderer knows what it holds, as if it had been launched.
+    """
+
+    def __init__(self, function: Callable[[], None], renderer: Renderer, *, enabled: bool | None = None) -> None:
+        """Record ``function``, which may use ``renderer``.
+
+        Args:
+            function: Launches kernels; neither reads arrays on the host nor depends on numbers that change.
+            renderer: Its buffers' addresses are part of a recording.
+            enabled: Whether to record; None: wherever it can be done, on a GPU and on the CPU with one thread.
+        """
+        self._function = function
+        self._renderer = renderer
+        self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled
+        self._graph: wp.Graph | None = None
+        self._held: Held | None = None
+        self._generation = -1
+
+    def __call__(self) -> None:
+        """Run the function."""
+        if not self._enabled or self._generation != self._renderer.generation:
+            self._graph = None
+            self._function()
+            self._generation = self._renderer.generation
+            return
+        if self._graph is None:
+            self._graph = record_graph(self._function, self._renderer.device)
+            self._held = self._renderer.held
+        wp.capture_launch(self._graph)
+        self._renderer.held = self._held

@@ -1,0 +1,359 @@
+"""Rival searches: they need nothing of an objective but its value, and all get the same budget of renders.
+
+Each is a `Search`: it looks at rigs through a `BudgetedValue` until the budget is spent. Those that take options are
+bound with `functools.partial`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warpav.core.errors import OptionError
+from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.gradient import Descent, OptimiserSettings
+from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
+from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.search import BudgetedValue, BudgetSpentError
+
+FIRST_STEP = 0.2
+"""First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
+
+SEEN_SHARE = 0.9
+"""How surely a camera of a greedy rig is taken to see what it once saw; the rest rewards a second sight."""
+
+
+def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
+    """The cameras around the highest point; costs one look, whatever the budget."""
+    del rng
+    space = value.space
+    pose = highest_mount_pose(space.constraints, space.camera_count)
+    value(space.in_order(pose))
+
+
+def random_search(value: BudgetedValue, rng: np.random.Generator) -> None:
+    """The best of as many random rigs as the budget allows."""
+    while value.values_left:
+        value(value.space.random(rng))
+
+
+def sobol_search(value: BudgetedValue, rng: np.random.Generator) -> None:
+    """The best of as many rigs of a scrambled Sobol sequence, each moved to the nearest feasible one."""
+    from scipy.stats import qmc
+
+    count, size = value.values_left, value.space.size
+    if count == 0:
+        return
+    sequence = qmc.Sobol(size, scramble=True, rng=rng) if size else None
+    points = sequence.random_base2(math.ceil(math.log2(count))) if sequence else np.zeros((count, 0))
+    for unit in points[:count]:
+        value(value.space.pose_of(unit))
+
+
+def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> None:
+    """SciPy's differential evolution, every trial moved to the nearest feasible rig, without a final polish.
+
+    The population is an eighth of the rigs that the budget allows, from 5 to 15 for each free number, so that even a
+    small budget lets it evolve.
+    """
+    from scipy.optimize import differential_evolution as evolve
+    from scipy.stats import qmc
+
+    space = value.space
+    failure: list[Exception] = []
+
+    def value_of(unit: np.ndarray) -> float:
+        try:
+            return value(space.pose_of(unit))
+        except Exception as error:  # SciPy would dress up some of them as errors of its own
+            failure.append(error)
+            raise _Stopped from None
+
+    population = max(5, min(15 * space.size, value.values_left // 8))
+    first = qmc.Sobol(space.size, scramble=True, rng=rng).random_base2(math.ceil(math.log2(population)))[:population]
+    bounds = [(0.0, 1.0)] * space.size
+    try:  # it never converges: the end of the budget ends it
+        evolve(
+            value_of,
+            bounds,
+            init=first,  # pyright: ignore[reportArgumentType]  (an array is as good as a name)
+            maxiter=10**9,
+            tol=0.0,
+            atol=-1,
+            polish=False,
+            rng=rng,
+        )
+    except _Stopped:
+        raise failure[0] from None
+
+
+class _Stopped(Exception):  # noqa: N818 (it ends a loop of SciPy's and is no error)
+    """A look at a rig raised; what it raised is kept aside."""
+
+
+def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray | None = None) -> None:
+    """CMA-ES with restarts, each with twice the population of the one before, until the budget is spent.
+
+    Constraints are kept by projection: a sample has the value of the nearest feasible rig. What CMA-ES learns from has
+    a penalty on top, so that the samples do not drift away from the rigs: the spread of the generation's values (its
+    interquartile range), times the squared distance that the projection moved the sample, in standard deviations,
+    mean over the numbers. Yaws without ends just go round.
+
+    Args:
+        value: Where to look.
+        rng: Random numbers; NumPy's global ones are left alone.
+        start: Where the first search starts, float [camera, 7]; None, and after a restart: at the best of as many
+            random rigs as a generation has, since where nothing is seen nothing can be learnt.
+
+    Raises:
+        OptionError: The package ``cma`` is not installed.
+    """
+    try:
+        import cma
+    except ImportError:
+        raise OptionError("arm cma", "expected the package cma, got none; pip install 'warpav[rivals]'") from None
+    space = value.space
+    if space.size < 2:
+        raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
+    population = 4 + int(3.0 * math.log(space.size))
+    while value.values_left:
+        if start is None:
+            start = _best_of(population, value, rng)
+        first, start = space.unit_of(start), None
+        options = {
+            "popsize": population,
+            "seed": math.nan,  # leaves NumPy's global numbers alone
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        evolution = cma.CMAEvolutionStrategy(first, FIRST_STEP, options)
+        while not evolution.stop():
+            samples = evolution.ask()
+            deviation = np.asarray(evolution.stds)
+            found, moved = [], []
+            for unit in samples:
+                pose = space.pose_of(unit)
+                found.append(value(pose))
+                step = np.where(space.goes_round, 0.0, space.unit_of(pose) - unit) / deviation
+                moved.append(float(np.mean(step**2)))
+            evolution.tell(samples, _with_penalty(np.array(found), np.array(moved)).tolist())
+        population *= 2
+
+
+def _best_of(count: int, value: BudgetedValue, rng: np.random.Generator) -> np.ndarray:
+    """The best of some random rigs, float64 [camera, 7]."""
+    poses = [value.space.random(rng) for _ in range(count)]
+    return poses[int(np.argmin([value(pose) for pose in poses]))]
+
+
+def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray:
+    """The values of a generation with what their samples pay for lying beyond the constraints."""
+    is_finite = np.isfinite(value)
+    if not is_finite.any():
+        return np.zeros_like(value) + squared_distance
+    worst = value[is_finite].max()
+    low, high = np.percentile(value[is_finite], [25.0, 75.0])
+    return np.where(is_finite, value, worst + (high - low)) + (high - low) * squared_distance
+
+
+Sights = Callable[[np.ndarray], np.ndarray]
+"""What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
+
+
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Sights:
+    """Which objects the detector finds in the images of which camera; costs as many renders as there are scenes."""
+
+    def sights(mount_pose: np.ndarray) -> np.ndarray:
+        rig = objective.mount.rig(mount_pose)
+        return np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
+
+    return sights
+
+
+def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sights, yaw_count: int = 8) -> None:
+    """Greedy set cover on a discretised mount surface.
+
+    Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they see; a render of a rig
+    asks for as many of them as it has cameras. Then one camera after the other is chosen, the one that adds most
+    objects; one that was seen before adds a little, which breaks ties. A place may be chosen several times: in the end
+    the rig is moved to the nearest feasible one and looked at. The grid is as fine as the budget allows; the last
+    look is paid from it as well.
+
+    Args:
+        value: Where to look.
+        rng: Breaks the last ties.
+        sights: See `detections_of`; a call costs what a value costs.
+        yaw_count: Directions at each place, at least 1, the first at yaw 0.
+
+    Raises:
+        ValueError: Yaws are not free over the whole circle, or the budget does not pay for one place.
+    """
+    space = value.space
+    round_the_circle = space.high[:, YAW_RAD] - space.low[:, YAW_RAD]
+    if not (round_the_circle >= 2.0 * math.pi - 1e-9).all():
+        raise ValueError("greedy_cover needs yaws that are free over the whole circle")
+    questions = value.values_left - 1
+    place_count = questions * space.camera_count // yaw_count
+    if place_count < 1:
+        raise ValueError(
+            f"greedy_cover needs at least {-(-yaw_count // space.camera_count) + 1} values, got {value.values_left}"
+        )
+    candidate = _candidates(value, place_count, yaw_count)
+    rows = []
+    for first in range(0, len(candidate), space.camera_count):
+        asked = candidate[first : first + space.camera_count]
+        filled = np.concatenate([asked, np.repeat(asked[-1:], space.camera_count - len(asked), axis=0)])
+        value.spend(value.renders_per_value)
+        rows.append(sights(filled)[: len(asked)])
+    seen = np.concatenate(rows)
+    chance_missed = np.ones(seen.shape[1])
+    chosen = []
+    order = rng.permutation(len(seen))
+    for _ in range(space.camera_count):
+        gain = seen @ (SEEN_SHARE * chance_missed)
+        best = order[np.argmax(np.round(gain[order], 9))]
+        chosen.append(best)
+        chance_missed[seen[best]] *= 1.0 - SEEN_SHARE
+    value(space.in_order(candidate[chosen]))
+
+
+def _candidates(value: BudgetedValue, place_count: int, yaw_count: int) -> np.ndarray:
+    """Single cameras on a grid of nearly square cells, in every direction, float64 [candidate, 5]."""
+    space = value.space
+    place_m = _grid(space.constraints, place_count)
+    yaw_rad = 2.0 * math.pi * np.arange(yaw_count) / yaw_count
+    middle = 0.5 * (space.low + space.high)[0]
+    candidate = np.tile(middle, (len(place_m) * yaw_count, 1))
+    candidate[:, [X_M, Y_M]] = np.repeat(place_m, yaw_count, axis=0)
+    candidate[:, YAW_RAD] = np.tile(yaw_rad, len(place_m))
+    return candidate
+
+
+def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
+    """The allowed places of the finest grid of nearly square cells that has at most so many, float64 [place, 2]."""
+    low_m, high_m = constraints.surface.bounds_m
+    length_m, width_m = high_m - low_m
+
+    def middles(rows: int, columns: int) -> np.ndarray:
+        x_m = low_m[0] + (np.arange(rows) + 0.5) / rows * length_m
+        y_m = low_m[1] + (np.arange(columns) + 0.5) / columns * width_m
+        return np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    finest = None
+    for rows in itertools.count(1):
+        place_m = middles(rows, max(1, round(rows * width_m / length_m)))
+        place_m = place_m[constraints.contains(place_m)]
+        if len(place_m) > place_count:
+            break
+        if len(place_m):
+            finest = place_m
+    if finest is None:  # even the coarsest has more
+        finest = np.concatenate([constraints.project(place_m[None]) for place_m in middles(1, place_count)])
+    return finest
+
+
+def gradient_renders(settings: OptimiserSettings, scene_count: int) -> int:
+    """Scene renders of a whole run at most, with all looks at all of so many scenes on which its rigs are compared."""
+    looks = settings.starts if settings.starts > 1 else 0
+    looks += 2 * settings.descents  # before the first step and after the last
+    looks += settings.descents > 1  # at the mixture of what the descents found
+    if settings.keep == "best":
+        # as many as there can be: patience may end a descent early and leave its steps to the next
+        looks += max(settings.iterations - settings.descents, 0) // settings.check_every
+    return settings.iterations * settings.batch_size + looks * scene_count
+
+
+def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int) -> int:
+    """Iterations of a descent that so many renders pay for, see `gradient_renders`; maybe none."""
+    count = 0
+    while gradient_renders(replace(settings, iterations=count + 1), scene_count) <= renders:
+        count += 1
+    return count
+
+
+@dataclass(frozen=True)
+class GradientStage:
+    """The gradient method as a search: as many iterations as the budget pays for.
+
+    An iteration costs a render for each scene of its batch, a look at all scenes as much as a value. Going back through
+    a render is no render.
+
+    Attributes:
+        objective: What is lowered; on ``scenes`` it is the value of the search.
+        scenes: The scenes of the value, from which batches are drawn.
+        settings: How to step; ``iterations`` is replaced, and with it the schedule's length.
+    """
+
+    objective: RigObjective
+    scenes: Sequence[AssignedScene]
+    settings: OptimiserSettings
+
+    def iterations(self, renders: int) -> int:
+        """Number of iterations that so many renders pay for, with all looks."""
+        return affordable_iterations(self.settings, len(self.scenes), renders)
+
+    def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
+        """Descend from a rig, float [camera, 7], with what is left of the budget.
+
+        Raises:
+            BudgetSpentError: It does not pay for one iteration.
+            InputError: The loss is no longer finite.
+        """
+        iterations = self.iterations(value.render_budget - value.renders)
+        if iterations == 0:
+            raise BudgetSpentError
+        settings = replace(self.settings, iterations=iterations)
+        descent = Descent(self.objective, self.scenes, settings, np.asarray(start, np.float32), rng)
+        recorded = 0
+        try:
+            for _ in range(iterations):
+                descent.step()
+                recorded = self._record(descent, value, recorded)
+                value.spend(settings.batch_size)
+            descent.finish()
+        finally:
+            self._record(descent, value, recorded)
+
+    def _record(self, descent: Descent, value: BudgetedValue, recorded: int) -> int:
+        for candidate in descent.candidates[recorded:]:
+            value.spend(len(self.scenes))
+            value.record(candidate.mount_pose, candidate.training_objective)
+        return len(descent.candidates)
+
+
+def gradient_search(
+    value: BudgetedValue, rng: np.random.Generator, *, stage: GradientStage, start: np.ndarray | None = None
+) -> None:
+    """The gradient method from a rig, float [camera, 7]; None: a random one."""
+    stage.run(value, rng, start=value.space.random(rng) if start is None else start)
+
+
+def cma_then_gradient(
+    value: BudgetedValue,
+    rng: np.random.Generator,
+    *,
+    stage: GradientStage,
+    start: np.ndarray | None = None,
+    cma_share: float = 0.5,
+) -> None:
+    """CMA-ES with a share of the budget, then the gradient method from the best rig with the rest.
+
+    Args:
+        value: Where to look.
+        rng: Random numbers.
+        stage: The gradient method.
+        start: See `cma_es`.
+        cma_share: Share of the budget that CMA-ES may spend, in (0, 1); it looks at one rig at least.
+    """
+    renders = int(cma_share * (value.render_budget - value.renders))
+    with value.within(max(renders, value.renders_per_value)):
+        cma_es(value, rng, start=start)
+    best = value.best_mount_pose
+    if best is not None:
+        stage.run(value, rng, start=best)

@@ -1,0 +1,361 @@
+"""What all searches for a rig share: where its cameras may stand, what looking at a rig costs, and what was found."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from warpav.optimisation.baselines import random_mount_pose
+from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.mount import MOUNT_POSE_SIZE, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import AssignedScene, RigObjective
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSpace:
+    """All rigs that a search may try.
+
+    Searches without gradients work in the unit cube of the numbers that are free, those with ``low < high``.
+
+    Attributes:
+        mount: Where the cameras may stand.
+        constraints: What the rigs must satisfy.
+        low: Least mount pose of every camera, float64 [camera, 7]; x and y are the mount surface's.
+        high: Greatest mount pose of every camera, likewise. A yaw that is free over the whole circle has no ends.
+    """
+
+    mount: CameraMount
+    constraints: Constraints
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def over(
+        cls,
+        mount: CameraMount,
+        camera_count: int,
+        *,
+        constraints: Constraints,
+        yaw_rad: np.ndarray | None = None,
+        yaw_reach_rad: float = math.pi,
+    ) -> SearchSpace:
+        """Cameras anywhere on the mount surface, as configured but for what is free.
+
+        Args:
+            mount: Where the cameras may stand, and what else is free.
+            camera_count: Number of cameras, at least 1.
+            constraints: What the rigs must satisfy.
+            yaw_rad: Middle of every camera's range of directions [rad], [camera]; None: evenly round the vehicle.
+            yaw_reach_rad: How far a camera may turn from there [rad], 0..pi; 0 leaves the directions as they are.
+        """
+        low = np.zeros((camera_count, MOUNT_POSE_SIZE))
+        high = np.zeros((camera_count, MOUNT_POSE_SIZE))
+        low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
+        middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
+        low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
+        low[:, mount.is_free], high[:, mount.is_free] = mount.low[mount.is_free], mount.high[mount.is_free]
+        if mount.held is not None:
+            is_held = mount.held.is_held
+            low[is_held] = high[is_held] = mount.held.mount_pose[is_held]
+        return cls(mount, constraints, low, high)
+
+    def __post_init__(self) -> None:
+        if self.low.shape != self.high.shape or self.low.shape[1:] != (MOUNT_POSE_SIZE,) or not len(self.low):
+            raise ValueError(
+                f"low and high must be [camera, {MOUNT_POSE_SIZE}], got {self.low.shape} and {self.high.shape}"
+            )
+        if not (self.low <= self.high).all():
+            raise ValueError("low must not exceed high")
+
+    @property
+    def camera_count(self) -> int:
+        """Number of cameras."""
+        return len(self.low)
+
+    @property
+    def is_held(self) -> np.ndarray:
+        """Which cameras stay as they are, bool [camera]."""
+        held = self.mount.held
+        return np.zeros(self.camera_count, bool) if held is None else held.is_held
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Which numbers are searched, bool [camera, 7]."""
+        return self.high > self.low
+
+    @cached_property
+    def goes_round(self) -> np.ndarray:
+        """Which free numbers are yaws without ends, bool [free]."""
+        is_yaw = np.zeros_like(self.free)
+        is_yaw[:, YAW_RAD] = self.high[:, YAW_RAD] - self.low[:, YAW_RAD] >= 2.0 * math.pi - 1e-9
+        return is_yaw[self.free]
+
+    @property
+    def size(self) -> int:
+        """How many numbers are searched."""
+        return int(np.count_nonzero(self.free))
+
+    def pose_of(self, unit: np.ndarray) -> np.ndarray:
+        """The feasible rig nearest to a point of the unit cube, float32 [camera, 7].
+
+        Args:
+            unit: The free numbers, camera by camera, any finite values [free]; those beyond 0..1 are brought back, yaws
+                without ends by whole turns.
+        """
+        pose = self.low.copy()
+        inside = np.where(self.goes_round, np.mod(unit, 1.0), np.clip(unit, 0.0, 1.0))
+        pose[self.free] += inside * (self.high - self.low)[self.free]
+        return self.feasible(pose)
+
+    def unit_of(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The point of the unit cube of a rig, float64 [free]."""
+        free = self.free
+        unit = (np.asarray(mount_pose, np.float64)[free] - self.low[free]) / (self.high - self.low)[free]
+        return np.where(self.goes_round, np.mod(unit, 1.0), unit)
+
+    def feasible(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The nearest rig that satisfies all constraints, float32 [camera, 7], the precision that objectives keep.
+
+        Yaws are brought to -pi..pi.
+
+        Raises:
+            InputError: The cameras do not fit on the mount surface.
+        """
+        pose = np.array(mount_pose, np.float64)
+        rise_m = self.mount.within(pose.astype(np.float32))[:, RISE_M]
+        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]], rise_m)
+        pose[:, YAW_RAD] = (pose[:, YAW_RAD] + math.pi) % (2.0 * math.pi) - math.pi
+        return self.mount.within(pose.astype(np.float32))
+
+    def violation_m(self, mount_pose: np.ndarray) -> float:
+        """By how much a rig breaks the constraints [m]; exactly 0 if it does not."""
+        return self.constraints.violation_m(self.mount.rig(mount_pose))
+
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        """A feasible rig, uniform among them, float64 [camera, 7]; places as `random_mount_pose` draws them.
+
+        Raises:
+            InputError: The cameras do not fit on the mount surface.
+        """
+        middle_rad = 0.5 * (self.low + self.high)[:, YAW_RAD]
+        pose = random_mount_pose(self.constraints, middle_rad, rng=rng)
+        others = self.free.copy()
+        others[:, [X_M, Y_M]] = False
+        pose[others] = rng.uniform(self.low[others], self.high[others])
+        kept = np.ones(MOUNT_POSE_SIZE, bool)
+        kept[[X_M, Y_M, YAW_RAD]] = False
+        fixed = ~self.free & kept
+        pose[fixed] = self.low[fixed]
+        return pose
+
+    def in_order(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The same rig with its cameras in the order of the ranges of yaw; those that are held keep their places.
+
+        Cameras that were chosen one by one, or come from elsewhere, may be asked to answer for the vehicles in certain
+        directions. The sum of the squared angles to the middles of the ranges is smallest.
+        """
+        from scipy.optimize import linear_sum_assignment
+
+        pose, movable = np.array(mount_pose), np.flatnonzero(~self.is_held)
+        middle_rad = 0.5 * (self.low + self.high)[movable, YAW_RAD]
+        difference = middle_rad[:, None] - pose[None, movable, YAW_RAD]
+        _, order = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
+        pose[movable] = pose[movable[order]]
+        return pose
+
+
+class BudgetSpentError(Exception):
+    """The next look would cost more than what is left of the budget."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The state of a search after a look at a rig.
+
+    Attributes:
+        renders: Scene renders so far.
+        best_value: Lowest value so far; inf before the first finite one.
+        seconds: Wall time so far [s].
+    """
+
+    renders: int
+    best_value: float
+    seconds: float = field(compare=False)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    Attributes:
+        mount_pose: The best rig, which satisfies all constraints, float32 [camera, 7].
+        value: Its value.
+        renders: Scene renders that were spent, never more than the budget.
+        history: One entry for each rig that was looked at.
+        error: What ended the search early; None if nothing did.
+    """
+
+    mount_pose: np.ndarray
+    value: float
+    renders: int
+    history: tuple[Progress, ...]
+    error: str | None = None
+
+
+class BudgetedValue:
+    """The value of a rig, lower is better, at a price: it counts scene renders and remembers the best rig.
+
+    A scene render is one scene drawn once in all views of a rig. Rigs are made feasible before they are looked at.
+
+    Attributes:
+        space: The rigs that may be tried.
+        renders_per_value: Scene renders that a look costs.
+        render_budget: Scene renders that all looks together may cost.
+        renders: Scene renders so far.
+        history: One entry for each rig that was looked at.
+    """
+
+    def __init__(
+        self,
+        value: Callable[[np.ndarray], float],
+        space: SearchSpace,
+        *,
+        renders_per_value: int,
+        render_budget: int,
+    ) -> None:
+        """A fresh budget.
+
+        Args:
+            value: Of a mount pose, float32 [camera, 7], always on the same scenes. What is not finite is never best.
+            space: The rigs that may be tried.
+            renders_per_value: Scene renders that a value costs, at least 1: the number of scenes.
+            render_budget: Scene renders that may be spent, enough for at least one value.
+
+        Raises:
+            ValueError: The budget is too small for one value.
+        """
+        if not 1 <= renders_per_value <= render_budget:
+            raise ValueError(
+                f"render_budget must be at least one value's {max(renders_per_value, 1)} renders, got {render_budget}"
+            )
+        self.space = space
+        self.renders_per_value = renders_per_value
+        self.render_budget = render_budget
+        self.renders = 0
+        self.history: list[Progress] = []
+        self._value = value
+        self._best_pose: np.ndarray | None = None
+        self._best_value = math.inf
+        self._began = time.perf_counter()
+
+    @classmethod
+    def of(
+        cls, objective: RigObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, render_budget: int
+    ) -> BudgetedValue:
+        """The objective on fixed scenes; a value costs as many renders as there are scenes."""
+        return cls(
+            lambda pose: objective.evaluate(pose, scenes).objective,
+            space,
+            renders_per_value=len(scenes),
+            render_budget=render_budget,
+        )
+
+    @property
+    def values_left(self) -> int:
+        """How many rigs can still be looked at."""
+        return (self.render_budget - self.renders) // self.renders_per_value
+
+    @property
+    def best_mount_pose(self) -> np.ndarray | None:
+        """The best rig so far, float32 [camera, 7]; None before the first finite value."""
+        return None if self._best_pose is None else self._best_pose.copy()
+
+    def __call__(self, mount_pose: np.ndarray) -> float:
+        """Value of the feasible rig nearest to a mount pose; inf where it is not finite.
+
+        Raises:
+            BudgetSpentError: There is not enough left for it.
+        """
+        pose = self.space.feasible(mount_pose)
+        self.spend(self.renders_per_value)
+        found = float(self._value(pose.copy()))
+        self.record(pose, found)
+        return found if math.isfinite(found) else math.inf
+
+    def spend(self, renders: int) -> None:
+        """Count renders that gave no value, before they are made.
+
+        Raises:
+            BudgetSpentError: There are fewer left; none is counted.
+        """
+        if self.renders + renders > self.render_budget:
+            raise BudgetSpentError
+        self.renders += renders
+
+    def record(self, mount_pose: np.ndarray, value: float) -> None:
+        """Remember a rig whose renders have been counted.
+
+        Args:
+            mount_pose: It must satisfy the constraints.
+            value: Its value on the scenes of this object.
+
+        Raises:
+            ValueError: It does not satisfy them.
+        """
+        if math.isfinite(value) and value < self._best_value:
+            if self.space.violation_m(mount_pose) > 0.0:
+                raise ValueError("only rigs that satisfy the constraints can be the best")
+            self._best_pose, self._best_value = np.array(mount_pose, np.float32), value
+        self.history.append(Progress(self.renders, self._best_value, time.perf_counter() - self._began))
+
+    @contextmanager
+    def within(self, renders: int) -> Iterator[None]:
+        """At most so many more renders inside the block; running out of them ends the block, not the search."""
+        whole = self.render_budget
+        self.render_budget = min(whole, self.renders + renders)
+        try:
+            yield
+        except BudgetSpentError:
+            pass
+        finally:
+            self.render_budget = whole
+
+    def result(self, error: str | None = None) -> SearchResult:
+        """What was found so far.
+
+        Raises:
+            ValueError: No rig had a finite value.
+        """
+        if self._best_pose is None:
+            raise ValueError(f"none of {len(self.history)} rigs had a finite value" + (f"; {error}" if error else ""))
+        return SearchResult(self._best_pose, self._best_value, self.renders, tuple(self.history), error)
+
+
+Search = Callable[[BudgetedValue, np.random.Generator], None]
+"""Looks at rigs until it is content or the budget is spent; deterministic in the generator."""
+
+
+def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -> SearchResult:
+    """Search until the budget is spent.
+
+    A search that fails keeps what it found before; the result says why it ended.
+
+    Raises:
+        Exception: Whatever the search or the value raises before the first rig with a finite value.
+    """
+    error = None
+    try:
+        search(value, rng)
+    except BudgetSpentError:
+        pass
+    except Exception as failure:
+        if value.best_mount_pose is None:
+            raise
+        error = f"{type(failure).__name__}: {failure}"
+    return value.result(error)

@@ -1,0 +1,143 @@
+"""Which camera answers for which vehicle, and which scenes make a batch (thesis section III.B)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
+from warpav.optimisation.objective import AssignedScene
+from warpav.raster.camera import CameraModel
+from warpav.raster.device_scene import DeviceScene
+from warpav.raster.renderer import AMODAL_AREA, Content, Renderer
+
+
+@dataclass(frozen=True)
+class Segregation:
+    """Orientations that share the vehicles among the cameras.
+
+    Attributes:
+        yaw_rad: Orientation of every camera, ascending in 0..2 pi, float64 [camera].
+        rotation: Its index among those that were to choose from, int64 [camera].
+        seen_instances: Vehicles of the scenes that at least one orientation sees.
+        duplicates: How often a vehicle is seen by more orientations than one, summed.
+    """
+
+    yaw_rad: np.ndarray
+    rotation: np.ndarray
+    seen_instances: int
+    duplicates: int
+
+
+def areas_around(
+    scenes: Sequence[DeviceScene], yaw_rad: np.ndarray, viewpoint_ego_m: np.ndarray, camera: CameraModel, *, device: str
+) -> list[np.ndarray]:
+    """Area of every vehicle alone [px^2] from one point in several directions, one [vehicle, direction] per scene."""
+    renderer = Renderer([camera] * len(yaw_rad), device=device)
+    rotation = np.stack([(rotation_from_yaw_pitch_roll(yaw, 0.0, 0.0) @ FLU_FROM_RDF).T for yaw in yaw_rad])
+    camera_from_ego = wp.array(rotation.astype(np.float32), dtype=wp.mat33, device=device)
+    place = np.tile(np.asarray(viewpoint_ego_m, np.float32), (len(yaw_rad), 1))
+    position_ego_m = wp.array(place, dtype=wp.vec3, device=device)
+    areas = []
+    for scene in scenes:
+        renderer.render(scene, position_ego_m, camera_from_ego, content=Content.VEHICLES)
+        areas.append(renderer.measure(scene).value.numpy()[:, :, AMODAL_AREA].T)
+    return areas
+
+
+def choose_orientations(
+    areas: Sequence[np.ndarray], camera_count: int, rotation_count: int, rng: np.random.Generator
+) -> Segregation:
+    """The set of orientations that sees most vehicles.
+
+    Among sets that see as many, the one with the fewest duplicates; among those, one at random.
+
+    Args:
+        areas: Area of every vehicle in every orientation, one [vehicle, rotation] per scene.
+        camera_count: Number of orientations to choose, at most ``rotation_count``.
+        rotation_count: Orientations to choose from, evenly spread from yaw 0.
+        rng: Breaks the last ties.
+    """
+    visible = np.concatenate([np.asarray(area) > 0.0 for area in areas]).astype(np.float32)
+    best_seen, best_duplicates, ties = -1, 0, []
+    # every set is a 0/1 row; chunks keep the products small
+    combinations = itertools.combinations(range(rotation_count), camera_count)
+    while chunk := list(itertools.islice(combinations, 4096)):
+        chosen = np.zeros((len(chunk), rotation_count), np.float32)
+        np.put_along_axis(chosen, np.array(chunk), 1.0, axis=1)
+        times_seen = chosen @ visible.T
+        seen = (times_seen > 0.0).sum(axis=1)
+        duplicates = np.maximum(times_seen - 1.0, 0.0).sum(axis=1).astype(int)
+        for k in np.flatnonzero(seen == seen.max()):
+            key = (int(seen[k]), -int(duplicates[k]))
+            if key > (best_seen, -best_duplicates) or best_seen < 0:
+                best_seen, best_duplicates, ties = key[0], -key[1], [chunk[k]]
+            elif key == (best_seen, -best_duplicates):
+                ties.append(chunk[k])
+    winner = np.array(ties[rng.integers(len(ties))])
+    return Segregation(winner * (2.0 * math.pi / rotation_count), winner, best_seen, best_duplicates)
+
+
+def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) -> list[AssignedScene]:
+    """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it.
+
+    Args:
+        scenes: The scenes.
+        areas: Area of every vehicle in the orientation of every camera (`areas_around`), one [vehicle, camera] per
+            scene.
+    """
+    assigned = []
+    for scene, area in zip(scenes, areas, strict=True):
+        camera_of_vehicle = np.where((area > 0.0).any(axis=1), area.argmax(axis=1), -1) if len(area) else np.zeros(0)
+        assigned.append(AssignedScene(scene, camera_of_vehicle.astype(np.int32)))
+    return assigned
+
+
+class BatchChooser:
+    """Informed batches: every camera gets scenes with a vehicle of its own."""
+
+    def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
+        """Chooser over ``scenes``; cameras without any vehicle in any scene are left out."""
+        self._scenes = scenes
+        self._rng = rng
+        self._scenes_of_camera = [
+            [k for k, scene in enumerate(scenes) if np.any(scene.assigned_camera == camera)]
+            for camera in range(camera_count)
+        ]
+        self._cameras = [camera for camera in range(camera_count) if self._scenes_of_camera[camera]]
+
+    def choose(self, batch_size: int) -> list[int]:
+        """Indices of the scenes of the next batch.
+
+        If the batch holds as many scenes as there are cameras, every camera gets one of its scenes, and what is left
+        over goes to random cameras; otherwise all of it does.
+        """
+        if not self._cameras:
+            return [int(k) for k in self._rng.integers(len(self._scenes), size=batch_size)]
+        cameras = list(self._cameras) if batch_size >= len(self._cameras) else []
+        while len(cameras) < batch_size:
+            cameras.append(self._cameras[self._rng.integers(len(self._cameras))])
+        return [int(self._rng.choice(self._scenes_of_camera[camera])) for camera in cameras]
+
+
+class ShuffledBatches:
+    """Batches that go through all scenes in random order before any comes again."""
+
+    def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
+        """Chooser over ``scenes``; which camera answers for what does not matter."""
+        del camera_count
+        self._count = len(scenes)
+        self._rng = rng
+        self._waiting: list[int] = []
+
+    def choose(self, batch_size: int) -> list[int]:
+        """Indices of the scenes of the next batch."""
+        while len(self._waiting) < batch_size:
+            self._waiting += [int(k) for k in self._rng.permutation(self._count)]
+        batch, self._waiting = self._waiting[:batch_size], self._waiting[batch_size:]
+        return batch

@@ -1,1 +1,0 @@
-"""Floor 6: segregation, gradient descent with multipliers, baselines, and rival searches."""

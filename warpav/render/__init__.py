@@ -1,1 +1,0 @@
-"""Floor 3: the renderer owns its buffers and the order of launches."""

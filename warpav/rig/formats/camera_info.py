@@ -1,0 +1,122 @@
+"""ROS camera_info YAML: image and lens of one camera, without its place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.raster.lens import Lens
+from warpav.rig.formats.format import Losses, PlacedCamera, RigFormat, file_for_each
+from warpav.rig.formats.optics import Optics, camera_matrix, optics_of_matrix
+from warpav.rig.formats.record import Record, read_yaml_record, yaml_number
+
+FOLDER = "camera_info"
+"""Where exports put these files, and where imports look for them."""
+
+_MODELS = {
+    "plumb_bob": (Lens.BROWN_CONRADY, (0, 4, 5)),
+    "rational_polynomial": (Lens.BROWN_CONRADY, (8,)),
+    "equidistant": (Lens.FISHEYE, (4,)),
+}
+
+
+def read_camera_infos(path: Path) -> dict[str, Optics]:
+    """The optics in a camera_info file or in all those of a folder.
+
+    Args:
+        path: A file; or a folder with ``NAME.yaml`` or ``NAME/camera_info.yaml`` for every camera.
+
+    Returns:
+        Optics by the name of the camera: the file's, or its folder's if it is called camera_info, and ``camera_name``.
+
+    Raises:
+        InputError: A file cannot be used, or there is none.
+    """
+    files = [path]
+    if path.is_dir():
+        files = sorted(file for end in ("yaml", "yml") for file in (*path.glob(f"*.{end}"), *path.glob(f"*/*.{end}")))
+        if not files:
+            raise InputError(f"{path}: expected a folder with camera_info YAML files, got none in it")
+    found: dict[str, Optics] = {}
+    for file in files:
+        record = read_yaml_record(file)
+        optics = optics_of_info(record)
+        found[file.parent.name if file.stem == "camera_info" else file.stem] = optics
+        if record.at("camera_name").value is not None:
+            found.setdefault(record.at("camera_name").text(), optics)
+    return found
+
+
+def optics_of_info(record: Record) -> Optics:
+    """The optics of a camera_info mapping."""
+    record.mapping("a camera_info mapping with image_width, image_height, camera_matrix and distortion_model")
+    model = record.at("distortion_model")
+    if model.value not in _MODELS:
+        raise model.refused(f"one of {', '.join(_MODELS)}")
+    lens, counts = _MODELS[model.value]
+    coefficients = record.at("distortion_coefficients").at("data")
+    distortion = coefficients.numbers(*counts) if coefficients.value is not None or 0 not in counts else []
+    return optics_of_matrix(
+        record.at("camera_matrix").at("data"),
+        lens=lens,
+        distortion=distortion,
+        width_px=record.at("image_width").whole(),
+        height_px=record.at("image_height").whole(),
+    )
+
+
+def camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
+    """The file of one camera.
+
+    Raises:
+        InputError: ROS has no model for its lens.
+    """
+    model = camera.model
+    if model.lens is Lens.PANORAMA:
+        raise losses.refuse(camera.name, "a panorama lens")
+    wanted = {Lens.FISHEYE: 4}.get(model.lens, 8 if len(model.distortion) == 8 else 5)
+    distortion = [*model.distortion, *(0.0,) * (wanted - len(model.distortion))]
+    name = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}[wanted]
+    matrix = np.array(camera_matrix(model))
+    lines = [
+        f"image_width: {model.width_px}",
+        f"image_height: {model.height_px}",
+        f"camera_name: {json.dumps(camera.name)}",
+        *_matrix("camera_matrix", matrix),
+        f"distortion_model: {name}",
+        *_matrix("distortion_coefficients", np.array([distortion])),
+        *_matrix("rectification_matrix", np.eye(3)),
+        *_matrix("projection_matrix", np.c_[matrix, np.zeros(3)]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _matrix(name: str, matrix: np.ndarray) -> list[str]:
+    numbers = ", ".join(yaml_number(value) for value in matrix.flat)
+    return [f"{name}:", f"  rows: {matrix.shape[0]}", f"  cols: {matrix.shape[1]}", f"  data: [{numbers}]"]
+
+
+def camera_info_files(cameras: Sequence[PlacedCamera], folder: Path, losses: Losses) -> dict[Path, bytes]:
+    """The files of all cameras, ``NAME.yaml`` each."""
+    return {folder / f"{camera.name}.yaml": camera_info_text(camera, losses).encode() for camera in cameras}
+
+
+def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+    """One file a camera; places are left out, because camera_info has none by its nature."""
+    files = file_for_each(cameras, target, (".yaml", ".yml"))
+    losses.notes.append("camera_info holds no places; they go into urdf or autoware")
+    return {file: camera_info_text(camera, losses).encode() for file, camera in zip(files, cameras, strict=True)}
+
+
+FORMAT = RigFormat(
+    "camera-info",
+    frame="cameras x right, y down, z forward, pixels; no places",
+    origin="none",
+    is_ego_origin=True,
+    read=None,
+    write=write,
+)

@@ -1,0 +1,324 @@
+"""Import and export of rigs: finds the format, places its frame on the vehicle, completes lenses, guards sides.
+
+A file's frame is placed by one transform, ``ego_from_file``: where its origin lies in warpav's ego frame (on the ground
+below the middle of the rear axle) and how its axes are turned there. All formats go through it, both ways.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.frames import rotation_from_yaw_pitch_roll
+from warpav.raster.camera import CameraModel
+from warpav.rig.check import FAR_M, mirrored_cameras
+from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
+from warpav.rig.formats.format import FoundCamera, Losses, PlacedCamera, RigFormat
+from warpav.rig.formats.optics import Optics
+from warpav.rig.rig import Rig, RigCamera, replace_file
+
+_PLACES = {
+    "nuscenes": ("nuscenes", "FORMAT"),
+    "argoverse2": ("argoverse2", "FORMAT"),
+    "urdf": ("urdf", "FORMAT"),
+    "camera-info": ("camera_info", "FORMAT"),
+    "autoware": ("autoware", "FORMAT"),
+    "carla-ros-bridge": ("carla", "ROS_BRIDGE"),
+    "carla-python": ("carla", "PYTHON"),
+    "kitti": ("kitti", "FORMAT"),
+    "opencv": ("opencv", "FORMAT"),
+    "kalibr": ("kalibr", "FORMAT"),
+}
+FORMAT_NAMES = tuple(_PLACES)
+"""Names of all formats."""
+
+_OTHER_NAMES = {
+    "av2": "argoverse2",
+    "argoverse-2": "argoverse2",
+    "ros2-urdf": "urdf",
+    "carla-leaderboard": "carla-python",
+    "kitti-object": "kitti",
+}
+_UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a file does not say.
+
+    Attributes:
+        origin_m: Where its origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of its axes in the ego frame [deg], about fixed axes.
+        width_px: Image width [px] of cameras without one.
+        height_px: Image height [px] of cameras without one.
+        fov_deg: Horizontal field of view [deg] of cameras without a lens.
+        intrinsics: camera_info YAML, or a folder of such: it replaces what the file says of those cameras.
+        part: Which of several rigs in the file.
+        accept_mirrored: Take cameras that lie or look to the side that their name denies.
+    """
+
+    origin_m: tuple[float, float, float] | None = None
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    width_px: int | None = None
+    height_px: int | None = None
+    fov_deg: float | None = None
+    intrinsics: Path | None = None
+    part: str | None = None
+    accept_mirrored: bool = False
+
+
+def find_format(name: str) -> RigFormat:
+    """The format of a name.
+
+    Raises:
+        InputError: There is none, or the name leaves CARLA's dialect open.
+    """
+    plain = name.strip().lower().replace("_", "-")
+    plain = _OTHER_NAMES.get(plain, plain)
+    if plain == "carla":
+        raise InputError(
+            "command line (--format carla): expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
+            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which"
+        )
+    if plain not in _PLACES:
+        near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(
+            f"command line (--format {name}): expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}"
+        )
+    module, attribute = _PLACES[plain]
+    return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)
+
+
+def import_rig(path: str | Path, format_name: str, options: ImportOptions | None = None) -> tuple[Rig, list[str]]:
+    """The rig in another tool's file.
+
+    Args:
+        path: File or folder.
+        format_name: One of `FORMAT_NAMES`.
+        options: What the file does not say.
+
+    Returns:
+        The rig in the ego frame; and sentences for the user: in which frame the file was read, what was assumed.
+
+    Raises:
+        InputError: The file cannot be used; one line with file and field.
+    """
+    options = options or ImportOptions()
+    file = Path(path).expanduser()
+    form = find_format(format_name)
+    if form.read is None:
+        raise InputError(
+            f"{file}: {form.name}: expected a format with places, got one without; import the file that has them, such "
+            f"as --format urdf or autoware, with --intrinsics {file}"
+        )
+    if not file.exists():
+        raise InputError(f"{file}: expected a file or folder of the format {form.name}, got no such file")
+    if options.part is not None and form.parts is None:
+        raise InputError(f"command line (--part): {form.name} files hold one rig, got {options.part!r}; leave it out")
+    ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
+    found = form.read(file, options.part)
+    lenses = _lenses(file, options)
+    cameras = [
+        RigCamera.at(
+            _fit_name(camera.name), ego_from_file @ camera.file_from_camera, _model(camera, lenses, options, file)
+        )
+        for camera in found.cameras
+    ]
+    for camera in cameras:
+        if np.linalg.norm(camera.position_m) > FAR_M:
+            position = ", ".join(f"{value:g}" for value in camera.position_m)
+            raise InputError(
+                f"{file}: camera {camera.name!r}: expected a place within {FAR_M:g} m of the rear axle, got "
+                f"[{position}]; are these millimetres, or places in the world?"
+            )
+    mirrored = [] if options.accept_mirrored else list(mirrored_cameras(cameras))
+    if mirrored:
+        more = f" ({len(mirrored)} cameras like this)" if len(mirrored) > 1 else ""
+        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} --accept-mirrored takes it as it is")
+    count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
+    notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes]
+    renamed = [camera.name for camera in found.cameras if camera.name != _fit_name(camera.name)]
+    if renamed:
+        notes.append(f"names keep letters, digits, '_', '-' and '.': {renamed[0]!r} becomes {_fit_name(renamed[0])!r}")
+    notes += _origin_notes(form, options.origin_m)
+    return Rig.create(cameras, name=str(file)), notes
+
+
+def export_rig(
+    rig: Rig,
+    format_name: str,
+    target: str | Path,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approximate: bool = False,
+    overwrite: bool = False,
+) -> tuple[list[Path], list[str]]:
+    """Write a rig for another tool.
+
+    Args:
+        rig: The cameras.
+        format_name: One of `FORMAT_NAMES`.
+        target: File or folder, as the format has it; folders are made.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of its axes in the ego frame [deg], about fixed axes.
+        approximate: Leave out what the format cannot hold, instead of refusing the rig.
+        overwrite: Replace files that are there already.
+
+    Returns:
+        The files, and sentences for the user.
+
+    Raises:
+        InputError: The format cannot hold the rig, a file is there already, or cannot be written.
+    """
+    form = find_format(format_name)
+    losses = Losses(form.name, approximate)
+    files = content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
+    for file in files:
+        check_target(file, overwrite=overwrite)
+    for file, content in files.items():
+        _write(file, content)
+    return list(files), [f"frame: {form.frame}", *losses.notes, *_origin_notes(form, origin_m)]
+
+
+def check_target(file: Path, *, overwrite: bool) -> None:
+    """Refuse to write a file where there is something else.
+
+    Raises:
+        InputError: It is a folder, or there already and not to be replaced, or would have to lie in what is a file.
+    """
+    if file.is_dir():
+        raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
+    if file.exists() and not overwrite:
+        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
+    for folder in file.parents:
+        if folder.is_file():
+            raise InputError(f"{folder}: expected a folder to write to, got a file; name another place")
+
+
+def content_of(
+    rig: Rig,
+    form: RigFormat,
+    target: Path,
+    losses: Losses,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> dict[Path, bytes]:
+    """The files that hold a rig, unwritten.
+
+    Raises:
+        InputError: The format cannot hold it.
+    """
+    if form.write is None:
+        names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
+        raise InputError(
+            f"command line (--format {form.name}): expected one of {names}; {form.name} is for import only"
+        )
+    file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
+    placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
+    return form.write(placed, target, losses)
+
+
+def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
+    """The formats that can be exported and hold a rig without loss, and why the others do not."""
+    fit, unfit = [], {}
+    for name in FORMAT_NAMES:
+        form = find_format(name)
+        if form.write is None:
+            continue
+        try:
+            content_of(rig, form, Path("rig"), Losses(name))
+            fit.append(name)
+        except InputError as error:
+            unfit[name] = str(error).removeprefix(f"{name}: ")
+    return fit, unfit
+
+
+def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple[float, float, float]) -> np.ndarray:
+    """The transform from a file's coordinates to the ego frame, [4, 4].
+
+    Raises:
+        InputError: A number is not finite.
+    """
+    for name, numbers in (("--origin-m", origin_m or ()), ("--origin-rpy-deg", origin_rpy_deg)):
+        if not all(map(math.isfinite, numbers)):
+            raise InputError(f"command line ({name}): expected three finite numbers, got {numbers}")
+    roll, pitch, yaw = map(math.radians, origin_rpy_deg)
+    transform = np.eye(4)
+    transform[:3, :3] = rotation_from_yaw_pitch_roll(yaw, pitch, roll)
+    transform[:3, 3] = origin_m or (0.0, 0.0, 0.0)
+    return transform
+
+
+def _origin_notes(form: RigFormat, origin_m: tuple[float, float, float] | None) -> list[str]:
+    if origin_m is not None:
+        x, y, z = origin_m
+        return [f"origin: {form.origin}; it lies at ({x:g}, {y:g}, {z:g}) m from below the middle of the rear axle"]
+    if form.is_ego_origin:
+        return []
+    return [
+        f"warning: the file's origin is {form.origin}; without --origin-m X Y Z, which says where that lies, it is "
+        "taken to be warpav's, on the ground below the middle of the rear axle"
+    ]
+
+
+def _lenses(file: Path, options: ImportOptions) -> dict[str, Optics]:
+    """The optics that come from camera_info files, by name of the camera."""
+    beside = (file if file.is_dir() else file.parent) / FOLDER
+    path = options.intrinsics or (beside if beside.is_dir() else None)
+    if path is None:
+        return {}
+    return {_key(name): optics for name, optics in read_camera_infos(path.expanduser()).items()}
+
+
+def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOptions, file: Path) -> CameraModel:
+    place = f"{file}: camera {camera.name!r}"
+    beside = lenses.get(_key(camera.name))
+    optics = beside if camera.optics is None or (beside and options.intrinsics) else camera.optics
+    if optics is None:
+        if None in (options.width_px, options.height_px, options.fov_deg):
+            raise InputError(
+                f"{place}: expected its image and lens, which the file does not hold; give --width-px, --height-px and "
+                "--fov-deg, or --intrinsics with camera_info YAML files"
+            )
+        assert options.fov_deg is not None
+        if not 0.0 < options.fov_deg < 180.0:
+            raise InputError(
+                f"command line (--fov-deg): expected a number of degrees between 0 and 180, got {options.fov_deg}"
+            )
+        optics = Optics(options.width_px, options.height_px, fov_rad=math.radians(options.fov_deg))
+    if optics.width_px is None or optics.height_px is None:
+        if options.width_px is None or options.height_px is None:
+            raise InputError(
+                f"{place}: expected the image's size, which the file does not hold; give --width-px and --height-px"
+            )
+        optics = dataclasses.replace(optics, width_px=options.width_px, height_px=options.height_px)
+    return optics.model(place)
+
+
+def _key(name: str) -> str:
+    return _fit_name(name).casefold()
+
+
+def _fit_name(name: str) -> str:
+    """The name with all that rig files do not take made ``_``."""
+    fit = _UNFIT.sub("_", name).strip("_") or "camera"
+    return fit if fit[0].isalnum() else f"_{fit}"
+
+
+def _write(file: Path, content: bytes) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
+    replace_file(file, content)

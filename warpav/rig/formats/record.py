@@ -1,0 +1,214 @@
+"""Values in users' files, with the place where they stand, so that every message can name it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.frames import rotation_from_quaternion
+from warpav.core.yaml_file import Location, dotted, read_yaml
+
+_ROTATION_TOLERANCE = 1e-3  # files round to four decimals
+
+
+class Record:
+    """A value, and where it stands.
+
+    Attributes:
+        value: Plain data: mapping, list, text, number, or None where the file has nothing.
+    """
+
+    def __init__(
+        self,
+        file: Path | str,
+        value: Any,  # noqa: ANN401
+        location: Location = (),
+        line_of: Mapping[Location, int] | None = None,
+    ) -> None:
+        """The value at ``location`` of a file; ``line_of`` knows the lines of values, as `read_yaml` gives them."""
+        self.value = value
+        self._file = file
+        self._location = location
+        self._line_of = line_of or {}
+
+    @property
+    def place(self) -> str:
+        """File, line where it is known, and field."""
+        line = next((self._line_of[part] for part in self._outwards() if part in self._line_of), None)
+        file = f"{self._file}" if line is None or not self._location else f"{self._file}:{line}"
+        return f"{file}: {dotted(self._location)}" if self._location else file
+
+    def _outwards(self) -> Iterator[Location]:
+        return (self._location[:n] for n in range(len(self._location), -1, -1))
+
+    def refused(self, expected: str, got: str | None = None) -> InputError:
+        """The error that says what was expected here, and what came."""
+        text = repr(self.value)
+        shown = got or ("nothing" if self.value is None else text if len(text) <= 60 else f"{text:.60}...")
+        return InputError(f"{self.place}: expected {expected}, got {shown}")
+
+    def at(self, key: str | int) -> Record:
+        """The value of a key or index; of None where there is none."""
+        value = None
+        if isinstance(self.value, dict):
+            value = self.value.get(key)
+        elif isinstance(self.value, list) and isinstance(key, int) and key < len(self.value):
+            value = self.value[key]
+        return Record(self._file, value, (*self._location, str(key)), self._line_of)
+
+    def first_of(self, *keys: str) -> Record:
+        """The value of the first key that is there; of None, by the first key, where none is."""
+        return self.at(next((key for key in keys if self.at(key).value is not None), keys[0]))
+
+    def mapping(self, expected: str = "a mapping") -> dict[str, Record]:
+        """The records of a mapping, in the file's order."""
+        if not isinstance(self.value, dict):
+            raise self.refused(expected)
+        return {key: self.at(key) for key in self.value}
+
+    def items(self, expected: str = "a list") -> list[Record]:
+        """The records of a list."""
+        if not isinstance(self.value, list):
+            raise self.refused(expected)
+        return [self.at(i) for i in range(len(self.value))]
+
+    def text(self, default: str | None = None) -> str:
+        """A text that is not empty."""
+        if self.value is None and default is not None:
+            return default
+        if not isinstance(self.value, str) or not self.value.strip():
+            raise self.refused("a text")
+        return self.value.strip()
+
+    def number(self, default: float | None = None) -> float:
+        """A finite number."""
+        if self.value is None and default is not None:
+            return default
+        if not is_number(self.value):
+            raise self.refused("a finite number")
+        return float(self.value)
+
+    def whole(self, default: int | None = None) -> int:
+        """A whole number, also where it is written with a point."""
+        value = self.value
+        if value is None and default is not None:
+            return default
+        if not is_number(value) or float(value) != int(value):
+            raise self.refused("a whole number")
+        return int(value)
+
+    def numbers(self, *counts: int) -> list[float]:
+        """A list of finite numbers, as many as one of ``counts`` says (any, if none is given)."""
+        value = self.value
+        is_fit = isinstance(value, list) and all(map(is_number, value)) and (not counts or len(value) in counts)
+        if not is_fit:
+            wanted = f"{' or '.join(map(str, counts))} " if counts else ""
+            raise self.refused(f"a list of {wanted}finite numbers")
+        return [float(number) for number in value]
+
+    def matrix(self, rows: int, columns: int) -> list[list[float]]:
+        """A matrix of finite numbers: a list of rows, or of all numbers row by row."""
+        value = self.value
+        if isinstance(value, list) and len(value) == rows and all(isinstance(row, list) for row in value):
+            value = [number for row in value for number in row] if {len(row) for row in value} == {columns} else None
+        if not isinstance(value, list) or len(value) != rows * columns or not all(map(is_number, value)):
+            raise self.refused(f"a {rows} x {columns} matrix of finite numbers")
+        return [[float(number) for number in value[i : i + columns]] for i in range(0, rows * columns, columns)]
+
+    def transform(self, rows: int = 4) -> np.ndarray:
+        """A rigid transform that the file writes as 3 x 4 or 4 x 4 matrix, [4, 4]."""
+        matrix = np.array(self.matrix(rows, 4))
+        if rows == 4 and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-6):
+            raise self.refused("a transform whose last row is 0, 0, 0, 1", f"{matrix[3].tolist()}")
+        return rigid_transform(matrix[:3, :3], matrix[:3, 3], self)
+
+    def unit_quaternion(self, quaternion: Sequence[float]) -> np.ndarray:
+        """The rotation of a quaternion ``w, x, y, z`` that the file holds here, [3, 3]."""
+        length = math.hypot(*quaternion)
+        if abs(length - 1.0) > _ROTATION_TOLERANCE:
+            raise self.refused("a quaternion of length 1", f"{list(quaternion)} of length {length:.6g}")
+        return rotation_from_quaternion(np.array(quaternion))
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether it is a finite number of a size that can mean something."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+
+
+def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[float], record: Record) -> np.ndarray:
+    """The transform of a rotation and a position, [4, 4].
+
+    Args:
+        rotation: Shape [3, 3]; what rounding has left of it, it is made orthonormal.
+        position_m: Shape [3].
+        record: Where it stands.
+
+    Raises:
+        InputError: It is no rotation, or one with a mirror.
+    """
+    rotation = np.asarray(rotation, dtype=np.float64)
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if error > _ROTATION_TOLERANCE:
+        raise record.refused("a rotation, whose columns are orthonormal", f"one that is off by {error:.2g}")
+    if np.linalg.det(rotation) < 0.0:
+        raise record.refused("a rotation", "one with a mirror; is the file left-handed?")
+    left, _, right = np.linalg.svd(rotation)
+    transform = np.eye(4)
+    transform[:3, :3] = rotation if error < 1e-12 else left @ right
+    transform[:3, 3] = position_m
+    return transform
+
+
+def read_text(file: Path, kind: str) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: There is none, or it is no text; ``kind`` says what was expected.
+    """
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InputError(f"{file}: expected {kind}, got: {reason}") from None
+
+
+def read_json(file: Path, kind: str, *, parse: Callable[[str], Any] = json.loads) -> Record:
+    """The data of a JSON file.
+
+    Args:
+        file: The file.
+        kind: What it should be, for messages.
+        parse: Another parser, which raises ValueError.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    text = read_text(file, kind)
+    try:
+        return Record(file, parse(text))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{file}:{error.lineno}: expected valid JSON ({kind}), got: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: expected {kind}, got: {' '.join(str(error).split())}") from None
+
+
+def read_yaml_record(file: Path) -> Record:
+    """The data of a YAML file, with lines.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    data, line_of = read_yaml(file)
+    return Record(file, data, (), line_of)
+
+
+def yaml_number(value: float) -> str:
+    """The number in full, with a point before any exponent, as every YAML reader wants it."""
+    text = repr(float(value))
+    return text if "." in text else text.replace("e", ".0e")

@@ -1,0 +1,372 @@
+"""Where cameras may stand: height and borders of the vehicle's upward-facing surface, as rasters over the ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+
+SAMPLES_PER_CELL = 2
+"""Surface points per cell and axis."""
+
+MIN_PATCH_FRACTION = 0.1
+"""A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
+
+MAX_EXTENT_M = 40.0
+"""A vehicle longer or wider than this was not given in metres."""
+
+
+@dataclass(frozen=True)
+class MountSurface:
+    """A height map over the ego frame's ground plane.
+
+    Attributes:
+        height_m: Height of the surface above the ground [m], float32, shape [row, column], at least 2 x 2; rows run
+            along x (forward), columns along y (left).
+        origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
+        cell_m: Edge of a cell [m]; cell (i, j) has its centre at ``origin_m + (i, j) * cell_m``.
+        is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
+    """
+
+    height_m: np.ndarray
+    origin_m: np.ndarray
+    cell_m: float
+    is_mountable: np.ndarray | None = None
+
+    @property
+    def bounds_m(self) -> np.ndarray:
+        """Centres of the extreme cells: [[x_min, y_min], [x_max, y_max]] [m]; cameras stay within."""
+        last = np.array(self.height_m.shape) - 1
+        return np.stack([self.origin_m, self.origin_m + last * self.cell_m])
+
+    def height_at_m(self, position_m: np.ndarray) -> np.ndarray:
+        """Height of the surface, bilinear between cell centres, that of the nearest border point outside.
+
+        Args:
+            position_m: x and y [m], shape [..., 2].
+
+        Returns:
+            Height above the ground [m], float64, shape [...].
+        """
+        return self._bilinear(self.height_m, position_m)
+
+    @cached_property
+    def border_distance_m(self) -> np.ndarray:
+        """Distance from every cell's centre to the nearest border of the mountable zone [m], float32 [row, column].
+
+        Positive inside. Borders run along the edges between cells that can and cells that cannot carry a camera, and
+        along the rectangle `bounds_m`: no part of the zone lies beyond it.
+        """
+        is_inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
+        to_edge = _cells_to_edge(is_inside)
+        rows, columns = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in is_inside.shape)
+        to_rectangle = np.minimum(rows[:, None], columns[None, :])
+        return np.ascontiguousarray(self.cell_m * np.minimum(to_edge, to_rectangle), np.float32)
+
+    def zone_distance_m(self, position_m: np.ndarray) -> np.ndarray:
+        """Distance to the border of the mountable zone, positive inside.
+
+        Bilinear between cell centres; beyond the rectangle that of its nearest point, less the distance to it.
+
+        Args:
+            position_m: x and y [m], shape [..., 2].
+
+        Returns:
+            Signed distance [m], float64, shape [...].
+        """
+        low_m, high_m = self.bounds_m
+        position_m = np.asarray(position_m, np.float64)
+        beyond_m = np.linalg.norm(position_m - np.clip(position_m, low_m, high_m), axis=-1)
+        return self._bilinear(self.border_distance_m, position_m) - beyond_m
+
+    def _bilinear(self, raster: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+        """Value of a raster between its cell centres, that of the nearest border point outside; float64 [...]."""
+        size = np.array(raster.shape)
+        cell = np.clip((np.asarray(position_m, np.float64) - self.origin_m) / self.cell_m, 0.0, size - 1.0)
+        low = np.minimum(cell.astype(np.int64), size - 2)
+        row, column = low[..., 0], low[..., 1]
+        u, v = np.moveaxis(cell - low, -1, 0)
+        near = raster[row, column] * (1.0 - v) + raster[row, column + 1] * v
+        far = raster[row + 1, column] * (1.0 - v) + raster[row + 1, column + 1] * v
+        return near * (1.0 - u) + far * u
+
+    def highest_point_m(self) -> np.ndarray:
+        """The highest cell centre [m], shape [3]; on a flat top, the one nearest the middle of the top.
+
+        Cells within 1 mm of the maximum count as the top, which hides the noise of rounding.
+        """
+        cell = np.argwhere(self.height_m >= self.height_m.max() - 1e-3)
+        row, column = cell[np.linalg.norm(cell - cell.mean(axis=0), axis=1).argmin()]
+        x, y = self.origin_m + np.array([row, column]) * self.cell_m
+        return np.array([x, y, self.height_m[row, column]], dtype=np.float64)
+
+
+def mount_surface_from_mesh(
+    mesh: Mesh,
+    *,
+    cell_m: float = 0.02,
+    min_upward_normal: float = 0.9,
+    min_zone_normal: float = 0.9,
+    min_height_m: float = 0.0,
+    smoothing_tolerance_m: float = 1e-4,
+) -> MountSurface:
+    """The surface that faces upwards and is seen from straight above: roof and bonnet (thesis, 3D Surface Positioning).
+
+    Points are taken where vertical lines first meet the mesh from above, and kept where the face looks upwards. Each
+    cell of the raster takes the height of its highest point. Cells without points, such as those over the glass, are
+    filled from the cells around them and smoothed until nothing moves by more than the tolerance.
+
+    Cells with points can carry a camera if what they show looks upwards by ``min_zone_normal`` too. Gaps of up to two
+    cells, such as a crease of the roof, are no border.
+
+    Args:
+        mesh: The vehicle in the ego frame [m]; faces may look either way, the surface seen from above counts.
+        cell_m: Edge of a cell [m], positive.
+        min_upward_normal: Least z of a face's unit normal, in (0, 1]: 0.9 keeps slopes up to 26 degrees, which a
+            windscreen exceeds.
+        min_zone_normal: The same for cells that can carry a camera, in (0, 1]; below ``min_upward_normal`` it does
+            nothing.
+        min_height_m: Lower points are left out [m].
+        smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive; inf:
+            cells without points keep the height of the nearest one with.
+
+    Returns:
+        The surface, cropped to the cells that hold points.
+
+    Raises:
+        InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
+        ValueError: An option is out of its range.
+    """
+    if not smoothing_tolerance_m > 0.0:
+        raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
+    if not 0.0 < min_zone_normal <= 1.0:
+        raise ValueError(f"min_zone_normal must lie in (0, 1], got {min_zone_normal}")
+    measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    is_measured = np.isfinite(measured_m)
+    filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
+    is_mountable = _without_gaps(_without_small_patches(is_measured & (upward >= min_zone_normal)))
+    if not is_mountable.any():
+        raise InputError(
+            f"ego mesh: expected faces that can carry a camera (normal z of at least {min_zone_normal}), got none with "
+            f"more than {upward[is_measured].max():.3f}"
+        )
+    return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m, float(cell_m), is_mountable)
+
+
+def measured_surface(
+    mesh: Mesh, *, cell_m: float = 0.02, min_upward_normal: float = 0.9, min_height_m: float = 0.0
+) -> MountSurface:
+    """The same as `mount_surface_from_mesh` before its holes are filled: NaN where nothing was measured.
+
+    Args:
+        mesh: The vehicle in the ego frame [m].
+        cell_m: Edge of a cell [m], positive.
+        min_upward_normal: Least z of a face's unit normal, in (0, 1].
+        min_height_m: Lower points are left out [m].
+
+    Raises:
+        InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
+        ValueError: An option is out of its range.
+    """
+    measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
+
+
+def _measured(
+    mesh: Mesh, cell_m: float, min_upward_normal: float, min_height_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What vertical lines meet from above, cell by cell.
+
+    Returns:
+        Heights [m], float64 [row, column], NaN where there is none; z of the unit normal of the flattest face,
+        likewise, -inf where there is none; centre of cell (0, 0) [m], shape [2].
+    """
+    if not cell_m > 0.0:
+        raise ValueError(f"cell_m must be positive, got {cell_m}")
+    if not 0.0 < min_upward_normal <= 1.0:
+        raise ValueError(f"min_upward_normal must lie in (0, 1], got {min_upward_normal}")
+    low_m, high_m = mesh.bounds_m().astype(np.float64)[:, :2]
+    extent_m = high_m - low_m
+    if extent_m.max() > MAX_EXTENT_M:
+        raise InputError(
+            f"ego mesh: expected a vehicle in metres, got {extent_m[0]:.6g} x {extent_m[1]:.6g}; scale it to metres"
+        )
+    # The raster lies symmetrically about the middle of the mesh, so a symmetric vehicle keeps its symmetry.
+    size = np.maximum(2, np.ceil(extent_m / cell_m - 1e-3).astype(int))
+    origin_m = 0.5 * (low_m + high_m) - 0.5 * (size - 1) * cell_m
+
+    sample_m, sample_upward = _first_upward_height(
+        mesh, origin_m - 0.5 * cell_m, size * SAMPLES_PER_CELL, cell_m / SAMPLES_PER_CELL, min_upward_normal
+    )
+    sample_m[sample_m < min_height_m] = -np.inf
+    sample_upward[sample_m == -np.inf] = -np.inf
+    in_cells = (size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL)
+    height_m = sample_m.reshape(in_cells).max(axis=(1, 3))
+    upward = sample_upward.reshape(in_cells).max(axis=(1, 3))
+    is_measured = _without_small_patches(np.isfinite(height_m))
+    if not is_measured.any():
+        raise InputError(
+            f"ego mesh: expected faces that look upwards (normal z of at least {min_upward_normal}, "
+            f"height of at least {min_height_m} m), got none among {len(mesh.triangle)}; check that z points up"
+        )
+    kept = (_used_range(is_measured, 0), _used_range(is_measured, 1))
+    first = np.array([kept[0].start, kept[1].start])
+    upward = np.where(is_measured, upward, -np.inf)
+    return np.where(is_measured, height_m, np.nan)[kept], upward[kept], origin_m + first * cell_m
+
+
+def _used_range(is_measured: np.ndarray, axis: int) -> slice:
+    """From the first to the last index on ``axis`` that holds a true element, stretched to two where it is one."""
+    first, last = np.flatnonzero(is_measured.any(axis=1 - axis))[[0, -1]]
+    if first == last:
+        first, last = (first, last + 1) if last + 1 < is_measured.shape[axis] else (first - 1, last)
+    return slice(int(first), int(last) + 1)
+
+
+def _first_upward_height(
+    mesh: Mesh, corner_m: np.ndarray, size: np.ndarray, step_m: float, min_upward_normal: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where vertical lines first meet the mesh from above, and how much the face looks upwards there.
+
+    Args:
+        mesh: The vehicle.
+        corner_m: Low corner of the first sample's square [m], shape [2]; a line runs through the middle of each square.
+        size: Number of lines along x and y.
+        step_m: Distance between lines [m].
+        min_upward_normal: Least absolute z of the unit normal.
+
+    Returns:
+        Height [m], -inf where a line misses or the face looks sideways; absolute z of the face's unit normal, -inf
+        likewise; both float64 [row, column].
+    """
+    corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]  # [triangle, corner, xyz]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    doubled_area = np.linalg.norm(normal, axis=1)
+    # A face on edge has no extent from above; a line meets its neighbours.
+    seen = np.flatnonzero(np.abs(normal[:, 2]) > 1e-9 * np.maximum(doubled_area, 1e-12))
+    corner, normal, doubled_area = corner[seen], normal[seen], doubled_area[seen]
+    plane = corner[:, :, :2].copy()
+    plane = (plane - corner_m) / step_m - 0.5  # in units of samples: line k lies at k
+    low = np.maximum(np.ceil(plane.min(axis=1) - 1e-9), 0).astype(np.int64)
+    high = np.minimum(np.floor(plane.max(axis=1) + 1e-9), size - 1).astype(np.int64)
+    span = np.maximum(high - low + 1, 0)
+
+    # Every line in every face's bounding rectangle, as one flat list.
+    count = span[:, 0] * span[:, 1]
+    face = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    column_count = span[face, 1]
+    row = low[face, 0] + within // column_count
+    column = low[face, 1] + within % column_count
+
+    turn = np.sign(normal[:, 2])
+    for i in range(3):
+        start = plane[:, i]
+        edge = (plane[:, (i + 1) % 3] - start) * turn[:, None]
+        at_zero = edge[:, 1] * start[:, 0] - edge[:, 0] * start[:, 1]
+        side = edge[face, 0] * column - edge[face, 1] * row + at_zero[face]
+        is_inside = side >= -1e-9  # a line through a shared edge meets at least one of its faces
+        face, row, column = face[is_inside], row[is_inside], column[is_inside]
+    slope = -normal[:, :2] / normal[:, 2:] * step_m  # height change per sample
+    offset = np.stack([row, column], axis=1) - plane[face, 0]
+    height_m = corner[face, 0, 2] + (slope[face] * offset).sum(axis=1)
+
+    line = row * size[1] + column
+    top_m = np.full(size[0] * size[1], -np.inf)
+    np.maximum.at(top_m, line, height_m)
+    is_upward = (np.abs(normal[:, 2]) >= min_upward_normal * doubled_area)[face]
+    is_top = is_upward & (height_m >= top_m[line] - 1e-6)
+    upward = np.full(len(top_m), -np.inf)
+    np.maximum.at(upward, line[is_top], (np.abs(normal[:, 2]) / doubled_area)[face[is_top]])
+    return np.where(upward > -np.inf, top_m, -np.inf).reshape(size), upward.reshape(size)
+
+
+def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
+    """The mask without slivers thinner than three cells and without small patches; the largest patch always stays."""
+    from scipy import ndimage
+
+    opened = ndimage.binary_opening(is_measured, structure=np.ones((3, 3)))
+    is_measured = opened if opened.any() else is_measured
+    label = np.zeros(is_measured.shape, dtype=np.int32)
+    ndimage.label(is_measured, structure=np.ones((3, 3)), output=label)
+    area = np.bincount(label.ravel())
+    area[0] = 0
+    return is_measured & (area >= MIN_PATCH_FRACTION * area.max())[label]
+
+
+def _without_gaps(is_inside: np.ndarray) -> np.ndarray:
+    """The mask with gaps of up to two cells closed."""
+    from scipy import ndimage
+
+    closed = ndimage.binary_closing(np.pad(is_inside, 2), structure=np.ones((3, 3)))
+    return closed[2:-2, 2:-2]
+
+
+def _cells_to_edge(is_inside: np.ndarray) -> np.ndarray:
+    """Distance from every cell's centre to the nearest edge between inside and outside, in cells, positive inside.
+
+    Seen from a centre, the nearest point of an edge is its middle or one of its ends, so the nearest of these points
+    is the nearest of all. Beyond the raster is outside.
+    """
+    from scipy import ndimage
+
+    # the raster at twice the resolution: centres at odd places, edges and corners at even ones
+    touched, filled = is_inside, is_inside
+    for axis in (0, 1):
+        touched = _between(touched, np.logical_or, axis)
+        filled = _between(filled, np.logical_and, axis)
+    distance = np.zeros(touched.shape)
+    ndimage.distance_transform_edt(~(touched & ~filled), distances=distance)
+    return 0.5 * np.where(is_inside, 1.0, -1.0) * distance[1::2, 1::2]
+
+
+def _between(is_inside: np.ndarray, of_both: np.ufunc, axis: int) -> np.ndarray:
+    """A mask with what lies between its elements put in between them, and before the first and after the last."""
+    is_inside = np.moveaxis(is_inside, axis, 0)
+    result = np.zeros((2 * len(is_inside) + 1, *is_inside.shape[1:]), bool)
+    outside = np.zeros((1, *is_inside.shape[1:]), bool)
+    result[0::2] = of_both(np.concatenate([outside, is_inside]), np.concatenate([is_inside, outside]))
+    result[1::2] = is_inside
+    return np.moveaxis(result, 0, axis)
+
+
+def _filled(height_m: np.ndarray, is_known: np.ndarray, tolerance_m: float) -> np.ndarray:
+    """The raster with unknown cells smoothed until none moves by more than the tolerance in one step.
+
+    An unknown cell starts at the nearest known cell's height; each step moves it towards the mean of its four
+    neighbours, and beyond it (successive over-relaxation), which needs a hundredth of the steps of plain averaging.
+    Beyond the border the raster repeats its edge.
+    """
+    from scipy import ndimage
+
+    distance = np.zeros(is_known.shape)
+    nearest = np.zeros((2, *is_known.shape), dtype=np.int32)
+    ndimage.distance_transform_edt(~is_known, return_indices=True, distances=distance, indices=nearest)
+    filled_m = height_m[tuple(nearest)]
+    # The best over-relaxation for a hole of this width between known cells, or half of it against the border.
+    relaxation = 2.0 / (1.0 + math.sin(math.pi / (2.0 * max(1.0, float(distance.max())) + 1.0)))
+    row, column = np.nonzero(~is_known)
+    last_row, last_column = np.array(filled_m.shape) - 1
+    neighbour = np.stack(
+        [
+            np.ravel_multi_index((np.clip(row + i, 0, last_row), np.clip(column + j, 0, last_column)), filled_m.shape)
+            for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1))
+        ]
+    )
+    cell = np.ravel_multi_index((row, column), filled_m.shape)
+    # Like a chessboard: the four neighbours of one colour have the other, so each half updates at once.
+    halves = [(cell[half], neighbour[:, half]) for half in ((row + column) % 2 == 0, (row + column) % 2 == 1)]
+    flat_m = filled_m.ravel()
+    change_m = math.inf
+    while change_m > tolerance_m:
+        change_m = 0.0
+        for own, around in halves:
+            step_m = flat_m[around].mean(axis=0) - flat_m[own]
+            flat_m[own] += relaxation * step_m
+            change_m = max(change_m, float(np.abs(step_m).max(initial=0.0)))
+    return np.clip(flat_m, height_m[is_known].min(), height_m[is_known].max()).reshape(filled_m.shape)

@@ -1,0 +1,1 @@
+"""Jobs from a configuration: objects, run folder, report, progress."""

@@ -1,0 +1,218 @@
+"""Train the shipped detector, and measure any detector on pictures of town scenes: the model card's figures."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from warpav.core.errors import InputError
+from warpav.detection.detector import ROAD_USERS
+from warpav.detection.training.data import SUBSETS, load_pictures, write_pictures
+from warpav.detection.training.evaluate import evaluate
+from warpav.runs.config import Config
+from warpav.runs.run_folder import write_json
+from warpav.runs.sources import load_detector
+
+LEAST_CONFIDENCE = 0.01
+"""Detections from here on take part in the average precision."""
+
+_SUBSETS = {"test": "direct", "test_reconstructed": "reconstructed"}
+_FIGURES = {
+    "objects": "objects",
+    "objects_headline": "of these in the headline",
+    "ap50_headline": "**AP50, headline**",
+    "ap50": "AP50, all",
+    "recall": "recall",
+    "precision": "precision",
+    "false_alarms_per_image": "false alarms per image",
+    "right_label": "right label, of those found",
+}
+_TABLES = {
+    "ap50_by_height_px": ("AP50 by the height of the visible box", "px"),
+    "ap50_by_visible_fraction": ("AP50 of the headline by the share of the object that nothing hides", ""),
+    "ap50_by_distance_m": ("AP50 of the headline by distance", "m"),
+    "recall_by_visible_fraction": ("Recall by the share of the object that nothing hides", ""),
+    "recall_by_distance_m": ("Recall by distance", "m"),
+}
+
+
+def train_detector(
+    out: Path,
+    *,
+    pictures: Path | None,
+    device: str,
+    processes: int,
+    steps: int,
+    batch_size: int,
+    seed: int,
+    stop_after_minutes: float,
+    say: Callable[[str], None],
+) -> None:
+    """Make the pictures, train, write ``detector.onnx``; an interrupted training goes on from its checkpoint.
+
+    Args:
+        out: Folder for ``checkpoint.pt`` and ``detector.onnx``.
+        pictures: Folder of the pictures, made where they are missing; None: ``pictures`` in ``out``.
+        device: ``cpu`` or ``cuda:0``.
+        processes: That render, at least 1.
+        steps: Length of the training, at least 1.
+        batch_size: Images of 256 px a step, at least 1; of larger ones as many as have the same number of pixels.
+        seed: Of the weights and of the batches, at least 0.
+        stop_after_minutes: Stop before the end after so long [min], above 0.
+        say: Shows a line.
+
+    Raises:
+        InputError: PyTorch is missing, the device is not there, a number is below its least, a folder cannot be
+            written to, or a checkpoint is of another training.
+    """
+    missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"detector train: expected the package{'s' if len(missing) > 1 else ''} {' and '.join(missing)}, got no "
+            "such module; pip install 'warpav[train]'"
+        )
+    for option, value, least in (
+        ("processes", processes, 1),
+        ("steps", steps, 1),
+        ("batch-size", batch_size, 1),
+        ("seed", seed, 0),
+    ):
+        if value < least:
+            raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
+    if not stop_after_minutes > 0.0:
+        raise InputError(f"command line (--stop-after-minutes): expected more than 0, got {stop_after_minutes:g}")
+    import torch  # pyright: ignore[reportMissingImports]
+
+    from warpav.detection.training import train
+
+    devices = ("cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count())))
+    if device not in devices:
+        raise InputError(
+            f"command line (--device): expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}"
+        )
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    picture_folder = _made_folders(out, pictures)
+    file = train.train_detector(
+        out,
+        pictures=picture_folder,
+        device=device,
+        processes=processes,
+        step_count=steps,
+        batch_size=batch_size,
+        seed=seed,
+        stop_after_minutes=stop_after_minutes,
+    )
+    say(f"wrote {file}" if file else f"stopped before the end; the same command goes on from {out / 'checkpoint.pt'}")
+
+
+def measure_detector(
+    config: Config,
+    out: Path,
+    *,
+    pictures: Path | None,
+    processes: int,
+    image_count: int | None,
+    say: Callable[[str], None],
+) -> None:
+    """Judge the configured detector on the test pictures, and write ``evaluation.json`` and ``evaluation.md``.
+
+    Args:
+        config: Its section ``detector`` says which network, and how its boxes are suppressed; the least confidence is
+            always `LEAST_CONFIDENCE`.
+        out: Folder to write to.
+        pictures: See `train_detector`.
+        processes: That render, at least 1.
+        image_count: Only so many images of every size; None: all.
+        say: Shows a line.
+
+    Raises:
+        InputError: The detector cannot be used, a number is below its least, or a folder cannot be written to.
+    """
+    for option, value in (("processes", processes), ("images", image_count)):
+        if value is not None and value < 1:
+            raise InputError(f"command line (--{option}): expected at least 1, got {value}")
+    found = config.model_copy(
+        update={"detector": config.detector.model_copy(update={"confidence_min": LEAST_CONFIDENCE})}
+    )
+    detector = load_detector(found, every_road_user=True)
+    folder = _made_folders(out, pictures)
+    report: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, title in _SUBSETS.items():
+        say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
+        write_pictures(SUBSETS[name], folder / name, processes=processes)
+        report[title] = {
+            str(side_px): evaluate(detector, each.first(image_count))
+            for side_px, each in load_pictures(folder / name).items()
+        }
+    write_json(out / "evaluation.json", report)
+    text = tables(report)
+    (out / "evaluation.md").write_text(text, encoding="utf-8")
+    say(text)
+    say(f"wrote {out / 'evaluation.json'} and {out / 'evaluation.md'}")
+
+
+def tables(report: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """The figures of a report as Markdown, a column for every kind of scene and size of image.
+
+    Args:
+        report: What `warpav.detection.training.evaluate.evaluate` returned, by kind of scene and side of the image.
+    """
+    columns = [(kind, side, figures) for kind, by_side in report.items() for side, figures in by_side.items()]
+    lines = []
+    for road_user in ROAD_USERS:
+        held = [(f"{kind}, {side} px", each, each[road_user]) for kind, side, each in columns if road_user in each]
+        if not held:
+            continue
+        heads = [head for head, _, _ in held]
+        lines += [f"### {road_user.title()}s", "", *_table("", heads, {
+            "images": [each["images"] for _, each, _ in held],
+            **{text: [figures[name] for _, _, figures in held] for name, text in _FIGURES.items()},
+        })]  # fmt: skip
+        for name, (title, unit) in _TABLES.items():
+            bins = held[0][2][name]
+            rows = {_bin_text(key, unit): [figures[name][key] for _, _, figures in held] for key in bins}
+            lines += [f"{title}:", "", *_table("", heads, rows)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(corner: str, heads: Sequence[str], rows: Mapping[str, Sequence[float | None]]) -> list[str]:
+    lines = [f"| {corner} | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    lines += [f"| {name} | {' | '.join(map(_number, values))} |" for name, values in rows.items()]
+    return [*lines, ""]
+
+
+def _bin_text(key: str, unit: str) -> str:
+    low, high = key.split("-")
+    unit = f" {unit}" if unit else ""
+    return f"from {low}{unit}" if high == "inf" else f"{low} to {high}{unit}"
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
+
+
+def _made_folders(out: Path, pictures: Path | None) -> Path:
+    """Make both folders, and return that of the pictures.
+
+    Raises:
+        InputError: One of them cannot be written to.
+    """
+    folders = {"out": out, "pictures": out / "pictures" if pictures is None else pictures}
+    for option, folder in folders.items():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"command line (--{option}): expected a folder to write to, got {str(folder)!r} ({error.strerror})"
+            ) from None
+        if not os.access(folder, os.W_OK):
+            raise InputError(
+                f"command line (--{option}): expected a folder to write to, got {str(folder)!r}, which is read-only"
+            )
+    return folders["pictures"]

@@ -1,0 +1,226 @@
+"""What a run shows: a live table in a terminal, plain lines when piped, and the verdict at the end."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.measure import Measurement
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from warpav.runs.run_folder import ARM_ROWS, recall_rows
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.progress import TaskID
+
+Item = TypeVar("Item")
+Record = TypeVar("Record")
+
+_ONLY_LIVE = ("multiplier ", "gradient ")  # rows that plain lines leave out; events.jsonl has them
+REFRESH_PER_SECOND = 4
+PLAIN_LINES_PER_STAGE = 10
+
+
+class RunDisplay:
+    """Shows the stages of a run and its iterations; a context manager.
+
+    In a terminal it redraws one table in place. Elsewhere it prints whole lines: one when a stage starts, and one for
+    about every tenth of its steps.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        # in a notebook, and below one, which sets FORCE_COLOR, nothing can be redrawn either
+        is_terminal = sys.stdout.isatty()
+        self.console = console or Console(
+            highlight=False, soft_wrap=True, force_terminal=is_terminal, force_jupyter=False
+        )
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=32),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[speed]}"),
+            TimeRemainingColumn(),
+            console=self.console,
+        )
+        self._numbers: Table | None = None
+        self._task: TaskID | None = None
+        self._live = Live(
+            console=self.console,
+            refresh_per_second=REFRESH_PER_SECOND,
+            transient=True,
+            get_renderable=self._render,
+        )
+
+    def __enter__(self) -> RunDisplay:
+        if self.console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self.console.is_terminal:
+            self._live.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the table."""
+        self.console.print(text, markup=False)
+
+    def show(self, content: RenderableType) -> None:
+        """Print tables and text within the terminal's width, or where output is piped as wide as they are."""
+        console = self.console
+        if not console.is_terminal:
+            wide = console.options.update(width=1000)
+            width = Measurement.get(console, wide, content).maximum
+            console = Console(file=console.file, width=width, force_terminal=False, force_jupyter=False)
+        console.print(content, soft_wrap=False)
+
+    def stage(self, description: str) -> None:
+        """Show that something without countable steps begins."""
+        self._start(description, None)
+
+    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+        """Pass ``items`` on and show how many of ``count`` have come."""
+        self._start(description, count)
+        every = max(1, count // PLAIN_LINES_PER_STAGE) if count > PLAIN_LINES_PER_STAGE else count
+        began = time.perf_counter()
+        for number, item in enumerate(items, start=1):
+            self._advance(number, began)
+            if not self.console.is_terminal and number % every == 0 and number < count:
+                self.say(f"{description}: {number}/{count}")
+            yield item
+
+    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+        """Pass the records of an optimisation on and show their numbers.
+
+        Args:
+            records: Iteration records: loss, terms, multipliers, gradient norms, positions, seconds.
+            count: How many are expected.
+            min_spacing_m: Least allowed distance between cameras [m], shown beside the actual one.
+        """
+        self._start("optimising", count)
+        every = max(1, count // PLAIN_LINES_PER_STAGE)
+        began = time.perf_counter()
+        for number, record in enumerate(records, start=1):
+            speed = (time.perf_counter() - began) / number
+            rows = iteration_rows(record, min_spacing_m=min_spacing_m)
+            self._numbers = _grid(rows)
+            self._advance(number, began)
+            if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
+                left_s = speed * (count - number)
+                text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
+                self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
+            yield record
+        self._numbers = None
+
+    def _start(self, description: str, count: int | None) -> None:
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._numbers = None
+        self._task = self._progress.add_task(description, total=count, speed="")
+        if not self.console.is_terminal:
+            self.say(description if count is None else f"{description}: {count}")
+
+    def _advance(self, number: int, began: float) -> None:
+        if self._task is not None:
+            speed = (time.perf_counter() - began) / number
+            self._progress.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
+
+    def _render(self) -> RenderableType:
+        return Group(self._progress, self._numbers) if self._numbers is not None else self._progress
+
+
+def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
+    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
+    spacing_m = getattr(record, "min_camera_distance_m", None)
+    terms, multipliers = getattr(record, "terms", {}), getattr(record, "multipliers", {})
+    # inequalities with room to spare and nothing to push are many, and say nothing
+    idle = {name for name, value in multipliers.items() if not value and terms.get(name, 0.0) < 0.0}
+    return {
+        "loss": _number(getattr(record, "loss", None)),
+        **{name: _number(value) for name, value in terms.items() if name not in idle},
+        **{f"multiplier {name}": _number(value) for name, value in multipliers.items() if name not in idle},
+        **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
+        "closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)",
+        "best on all scenes": _number(getattr(record, "best_training_objective", None)),
+    }
+
+
+def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
+    """A table with one row per metric and one column per arm."""
+    table = Table(title=title or None, title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    for name in arms:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for field, heading in ARM_ROWS.items():
+        table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
+    return table
+
+
+def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
+    """The rig's recall by distance, sector and class, one column per arm; None where the metrics do not hold it."""
+    blocks = recall_rows(arms)
+    if not blocks:
+        return None
+    table = Table(title="recall of the rig", title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    table.add_column("objects", justify="right")
+    for name in arms:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for block in blocks:
+        for row in block:
+            table.add_row(*map(Text, row))
+        table.add_section()
+    return table
+
+
+def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
+    """Print the arms' metrics, whether the constraints are met, and what the run has changed.
+
+    Args:
+        console: Where to.
+        evaluation: The content of ``evaluation.json``.
+    """
+    arms = evaluation["arms"]
+    console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
+    recall = recall_table(arms)
+    if recall is not None:
+        console.print(recall)
+    name, metrics = next(iter(arms.items()))
+    violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
+    met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
+    console.print(met if violation == 0.0 else f"[red]constraints broken[/] by {_number(violation)} m")
+    training = evaluation.get("training_objective")
+    if training:
+        start, end = training["start"], training["optimised"]
+        change = f" ({(end - start) / start:+.1%})" if start else ""
+        console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
+    for other, differences in evaluation.get("paired", {}).items():
+        found = differences["tp_detection_rate"]
+        if found["low"] is not None:
+            console.print(
+                f"recall of the rig, {name} - {other}: {found['mean']:+.4f} "
+                f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
+            )
+
+
+def _grid(rows: Mapping[str, str]) -> Table:
+    grid = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        grid.add_row(f"  {name}", value)
+    return grid
+
+
+def _metric(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{float(value):.4g}"

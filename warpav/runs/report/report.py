@@ -1,0 +1,493 @@
+"""From a run folder to its report: tables, plots and pictures into the page's template."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
+from warpav.runs.config import config_names, load_config, overrides_from
+from warpav.runs.report import plots, words
+from warpav.runs.report.reading import Evaluation, RunContent, View, read_run
+from warpav.runs.run_folder import ARM_ROWS, RunFolder, recall_rows
+from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+MAX_BYTES = 5_000_000
+"""No report is larger."""
+
+PICTURE_BYTES = 3_200_000
+"""All pictures together, before they are written as text."""
+
+SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
+"""Longer side [px] and quality of pictures: the first at which all of them fit."""
+
+ROWS_SHOWN = 30
+"""Vehicles that are listed at once; the others follow folded."""
+
+MOST_ROWS = 1000
+"""Vehicles that are listed at all."""
+
+PICTURES = {
+    "rig": "The rig at the end in a test scene, with the way of its cameras",
+    "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
+    "detections": "A test scene through the cameras, before and after",
+    "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
+}
+"""Figures of a run in the order of the report; others follow by name."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the page.
+
+    Attributes:
+        name: Short name.
+        caption: What it shows, which is its alternative text as well.
+        address: The picture itself, as a ``data:`` address.
+        size_px: Width and height [px], so that a page keeps its place.
+    """
+
+    name: str
+    caption: str
+    address: str
+    size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box on a picture: corner and size [px], and what it says."""
+
+    kind: str
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+def write_report(folder: RunFolder) -> Path:
+    """Write ``report.html`` of a run, from what its folder holds so far; nothing is rendered.
+
+    Args:
+        folder: The run folder, finished or stopped, of this version or an older one.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: The folder holds no iteration and no evaluation yet, or a file of it is not what a run writes.
+    """
+    run = read_run(folder)
+    page = _template().render(_content(folder, run))
+    if len(page.encode()) > MAX_BYTES:
+        raise InputError(
+            f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
+            "move pictures out of its figures folder"
+        )
+    return folder.write_report(page)
+
+
+@cache
+def _template() -> Template:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("warpav.runs.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "number": words.number,
+        "signed": words.signed,
+        "percent": words.percent,
+        "interval": words.interval,
+    }
+    return environment.get_template("page.html.jinja")
+
+
+def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
+    evaluation = run.evaluation
+    pictures = {file.stem: (file, PICTURES.get(file.stem, file.stem)) for file in folder.figures()}
+    has_convergence = run.events and run.events[0].terms is not None
+    for name, is_told in (("detections", run.views), ("loss_curves", has_convergence)):
+        if is_told:
+            pictures.pop(name, None)
+    order = list(PICTURES)
+    named = sorted(pictures, key=lambda name: (order.index(name) if name in order else len(order), name))
+    files = [*(pictures[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
+    encoded = iter(_pictures(files))
+    shown = [Picture(name, pictures[name][1], *next(encoded)) for name in named]
+    return {
+        "run": run,
+        "evaluation": evaluation,
+        "lead": _lead(run),
+        "headline": words.headline(run),
+        "statements": words.summary(run),
+        "cards": _cards(run),
+        "objects": words.objects_name(run),
+        "metrics": _metrics(evaluation) if evaluation else [],
+        "paired": _paired(evaluation) if evaluation else [],
+        "plots": _plots(run),
+        "pictures": [picture for picture in shown if picture.name != "loss_curves"],
+        "old_curves": [picture for picture in shown if picture.name == "loss_curves"],
+        "cameras": _cameras(run),
+        "free": _free(run),
+        "views": _views(run.views, [next(encoded) for _ in run.views]),
+        "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
+        "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
+        "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
+        "rows_shown": ROWS_SHOWN,
+        "most_rows": MOST_ROWS,
+        "margin_name": words.margin_name,
+        "seconds": _seconds(run),
+        "versions": _versions(run.environment),
+        "command": run.environment.get("command"),
+        "again": _command(run),
+        "options": _flat(run.options),
+        "colours": {
+            "found": hex_colour(TRUE_POSITIVE_RGB),
+            "missed": hex_colour(MISS_RGB),
+            "false": hex_colour(FALSE_POSITIVE_RGB),
+            **{outcome.replace(" ", "-"): hex_colour(rgb) for outcome, rgb in OUTCOME_RGB.items()},
+        },
+    }
+
+
+def _lead(run: RunContent) -> str:
+    environment = run.environment
+    parts = [
+        f"{run.options['method']} method" if "method" in run.options else "",
+        f"{len(run.events)} iterations" if run.events else "",
+        f"on {environment['device']}" if environment.get("device") else "",
+        f"warpav {environment['warpav']}" if environment.get("warpav") else "",
+        f"started {environment['started']}" if environment.get("started") else "",
+    ]
+    lead = ", ".join(part for part in parts if part)
+    return lead if run.evaluation else f"{lead} (stopped before the evaluation)"
+
+
+def _cards(run: RunContent) -> list[words.Statement]:
+    """Numbers to see at once: label, value, tone."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return [words.Statement("last loss", words.number(run.events[-1].loss, 4))]
+    first, arm = evaluation.first, evaluation.arms[evaluation.first]
+    before = evaluation.arms["start"].recall if "start" in evaluation.arms else None
+    cards = [
+        words.Statement(
+            f"recall of the rig, {first}" + ("" if before is None else f" (start {words.number(before)})"),
+            words.number(arm.recall),
+        ),
+        words.Statement(f"AP50 of all images, {first}", words.number(arm.numbers["ap50_pooled"])),
+    ]
+    training = evaluation.training_objective
+    if training is not None and training.start and training.optimised is not None:
+        change = round(100.0 * (training.optimised - training.start) / abs(training.start), 1)
+        text = f"{words.signed(change, 1)}{words.SPACE}%" if change else words.percent(0.0)
+        tone = "good" if change < 0.0 else "bad" if change > 0.0 else "open"
+        cards.append(words.Statement(f"objective, {words.search_scenes(run)} scenes", text, tone))
+    if evaluation.ground is not None:
+        text = f"of the ground is blind for {evaluation.ground.heights_m[0]:g} m (a child)"
+        cards.append(words.Statement(text, words.percent(evaluation.ground.share(first, 0))))
+    violation_m = arm.numbers["constraint_violation"]
+    if violation_m is not None:
+        is_kept = violation_m == 0.0
+        cards.append(
+            words.Statement("constraints met", "yes", "good")
+            if is_kept
+            else words.Statement("constraint violation", f"{words.number(violation_m, 4)} m", "bad")
+        )
+    return cards
+
+
+def _metrics(evaluation: Evaluation) -> list[tuple[str, list[str]]]:
+    arms = evaluation.arms.values()
+    return [
+        (heading, [words.number(arm.numbers[name], 4) for arm in arms])
+        for name, heading in ARM_ROWS.items()
+        if any(arm.numbers[name] is not None for arm in arms)
+    ]
+
+
+def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
+    lower = {"false_alarms_per_frame", "objective"}
+    found = evaluation.paired
+    return [
+        (
+            heading + (" (lower is better)" if name in lower else ""),
+            [
+                (words.interval(each[name]), words.verdict(each[name], lower_is_better=name in lower))
+                if name in each
+                else (words.NONE, "open")
+                for each in found.values()
+            ],
+        )
+        for name, heading in ARM_ROWS.items()
+        if any(name in each for each in found.values())
+    ]
+
+
+def _plots(run: RunContent) -> dict[str, list[Picture]]:
+    """The plots of every section."""
+    evaluation = run.evaluation
+    min_distance_m = None if run.config is None else run.config.rig.min_spacing_m
+    found: dict[str, list[Picture]] = {
+        "convergence": [
+            _plot(name, f"{name} over the iterations", svg)
+            for name, svg in plots.convergence(run.events, min_distance_m=min_distance_m).items()
+        ],
+        "metrics": [],
+        "recall": [],
+        "ground": [],
+    }
+    if evaluation is None:
+        return found
+    forest = plots.differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
+    if forest is not None:
+        caption = "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers"
+        found["metrics"].append(_plot("differences", caption, forest))
+    for by, title in (("distance_m", "Recall by distance"), ("sector", "Recall by sector")):
+        svg = plots.recall_of_groups(evaluation.arms, by, title)
+        if svg is not None:
+            found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
+    if run.ground is not None:
+        rigs = {"start": run.start, evaluation.first: run.result}
+        for height, height_m in enumerate(run.ground.heights_m):
+            for arm in (name for name in rigs if name in run.ground.blind_share):
+                svg = plots.blind_ground(run.ground, arm, height, rigs[arm], f"{arm}: {height_m:g} m tall")
+                caption = (
+                    f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
+                    f"someone {height_m:g} m tall"
+                )
+                found["ground"].append(_plot(f"ground {arm} {height_m:g}", caption, svg))
+    return found
+
+
+def _plot(name: str, caption: str, svg: str) -> Picture:
+    address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+    opening = svg[svg.index("<svg") :].partition(">")[0]
+    width, height = (float(opening.partition(f'{side}="')[2].partition("pt")[0]) for side in ("width", "height"))
+    return Picture(name, caption, address, (round(width), round(height)))
+
+
+def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
+    """Pictures as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
+
+    Raises:
+        InputError: A file is none.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    originals = []
+    for file in files:
+        try:
+            with Image.open(file) as image:
+                originals.append(image.convert("RGB"))
+        except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
+            text = " ".join(str(error).split())
+            raise InputError(f"{file}: expected a picture, got: {text}; was the file changed?") from None
+    found: list[tuple[bytes, tuple[int, int]]] = []
+    for side_px, quality in SIZES:
+        found = []
+        for original in originals:
+            image, encoded = original.copy(), io.BytesIO()
+            image.thumbnail((side_px, side_px))
+            image.save(encoded, "WEBP", quality=quality)
+            found.append((encoded.getvalue(), image.size))
+        if sum(len(encoded) for encoded, _ in found) <= PICTURE_BYTES:
+            break
+    return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
+
+
+def _cameras(run: RunContent) -> list[dict[str, Any]]:
+    """Rows of the camera table, start and end of every camera."""
+    if run.result is None:
+        return []
+    has_both = run.start is not None and len(run.start.cameras) == len(run.result.cameras)
+    ways = words.moves(run.start, run.result) if has_both and run.start else []
+    rows = []
+    for k, camera in enumerate(run.result.cameras):
+        stages = {"start": run.start.cameras[k]} if has_both and run.start else {}
+        stages["end"] = camera
+        rows.append(
+            {
+                "name": camera.name,
+                "way_m": ways[k][1] if ways else None,
+                "turn_deg": ways[k][2] if ways else None,
+                "stages": [
+                    (
+                        stage,
+                        [
+                            *(words.number(float(value)) for value in each.position_m),
+                            words.number(math.degrees(each.yaw_rad), 1),
+                            words.number(math.degrees(each.pitch_rad), 1),
+                            words.number(math.degrees(each.roll_rad), 1),
+                            words.number(math.degrees(each.model.fov_rad), 1),
+                        ],
+                    )
+                    for stage, each in stages.items()
+                ],
+            }
+        )
+    return rows
+
+
+def _free(run: RunContent) -> str:
+    """What was free, in words."""
+    if run.config is None:
+        return ""
+    free = run.config.rig.free
+    ranges = (
+        ("pitch", free.pitch_deg, "deg"),
+        ("height above the surface", free.height_m, "m"),
+        ("field of view", free.fov_deg, "deg"),
+    )
+    given = [f", {name} from {pair[0]:g} to {pair[1]:g} {unit}" for name, pair, unit in ranges if pair is not None]
+    text = f"Free were x, y, yaw{''.join(given)}."
+    frozen = run.config.rig.freeze
+    return text + (f" Frozen: {', '.join(frozen)}." if frozen else "")
+
+
+def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]) -> list[tuple[str, dict[str, Any]]]:
+    """What cameras see by camera, every rig one behind the other, of every scene, which is named."""
+    scenes: dict[tuple[int, str], dict[str, Any]] = {}
+    for view, (address, _) in zip(views, encoded, strict=True):
+        boxes = list(_boxes(view))
+        kinds = [box.kind for box in boxes]
+        found, missed, false = (kinds.count(kind) for kind in ("found", "missed", "false"))
+        caption = f"{view.rig}: {found} of {found + missed} found"
+        if false:
+            caption += f", {false} false alarm" + ("" if false == 1 else "s")
+        scenes.setdefault((view.scene_number, view.scene), {}).setdefault(view.camera, []).append(
+            {"rig": view.rig, "caption": caption, "address": address, "size_px": view.size_px, "boxes": boxes}
+        )
+    return [(name, cameras) for (_, name), cameras in scenes.items()]
+
+
+def _boxes(view: View) -> Iterable[Box]:
+    """The boxes of a view, in the order in which they are drawn."""
+    found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
+    for index, box in enumerate(view.detection_box_px):
+        if index not in found:
+            yield _box("false", box)
+    for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False):
+        if truth is None:
+            continue
+        if 0 <= match < len(view.detection_box_px):
+            yield _box("truth", truth)
+            yield _box("found", view.detection_box_px[match])
+        else:
+            yield _box("missed", truth)
+
+
+def _box(kind: str, box_px: Sequence[float]) -> Box:
+    x0, y0, x1, y1 = (round(value, 1) for value in box_px)
+    return Box(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
+
+
+def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
+    ground = evaluation.ground
+    assert ground is not None
+    first = evaluation.first
+    has_start = "start" in ground.blind and first != "start"
+    return [
+        {
+            "height_m": height_m,
+            "arms": [(arm, ground.share(arm, height), ground.area_m2(arm, height)) for arm in ground.blind],
+            "rows": [
+                (
+                    sector,
+                    [
+                        (
+                            ground.share(first, height, s, b),
+                            ground.share("start", height, s, b) if has_start else None,
+                        )
+                        for b in range(len(ground.bands_m))
+                    ],
+                )
+                for s, sector in enumerate(ground.sectors)
+            ],
+        }
+        for height, height_m in enumerate(ground.heights_m)
+    ]
+
+
+def _left(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """The objects that the first arm does not detect, the nearest first."""
+    left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
+    rows = []
+    for seen in sorted(left, key=lambda seen: seen.distance_m):
+        bearing_rad = math.radians(seen.bearing_deg)
+        sector = SECTORS[int(sectors_of(np.array([math.cos(bearing_rad), math.sin(bearing_rad)])))]
+        rows.append(
+            {
+                "scene": seen.scene,
+                "category": seen.category,
+                "distance_m": seen.distance_m,
+                "bearing_deg": seen.bearing_deg,
+                "sector": sector,
+                "outcomes": [str(seen.outcome[arm]) for arm in evaluation.arms],
+            }
+        )
+    return rows
+
+
+def _seconds(run: RunContent) -> list[tuple[str, float]]:
+    """Wall time of the stages, and of the parts of an iteration."""
+    stages = list((run.evaluation.seconds if run.evaluation else {}).items())
+    parts = [name for name in (run.events[0].seconds if run.events else {}) if name != "total"]
+    means = [
+        (f"one iteration: {name}, mean", float(np.mean([event.seconds.get(name, 0.0) for event in run.events])))
+        for name in (*parts, "total")
+        if run.events and name in run.events[0].seconds
+    ]
+    return stages + means
+
+
+def _versions(environment: Mapping[str, Any]) -> list[tuple[str, str]]:
+    flat = _flat(environment)
+    known = ("warpav", "git_commit", "python", "platform", "device", "cpu_count")
+    named = {name: flat[name] for name in known if name in flat}
+    packages = {name.partition(".")[2]: value for name, value in flat.items() if name.startswith("packages.")}
+    return [*named.items(), *packages.items()]
+
+
+def _command(run: RunContent) -> list[str]:
+    """Commands that repeat the run: from a shipped configuration, or from the folder's own."""
+    own = "warpav optimise config.yaml run.out=again"
+    if run.config is None:
+        return [own]
+    shipped = {name: load_config(name) for name in config_names()}
+    given = {
+        name: [each for each in overrides_from(base, run.config) if not each.startswith("run.out=")]
+        for name, base in shipped.items()
+    }
+    name = min(given, key=lambda name: (len(given[name]), name != "quick"))
+    words_ = ["warpav", "optimise", *([] if name == "quick" else [name]), *given[name]]
+    return [shlex.join(words_), own]
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    options: dict[str, str] = {}
+    for name, value in data.items():
+        if isinstance(value, dict):
+            options |= _flat(value, f"{prefix}{name}.")
+        else:
+            options[f"{prefix}{name}"] = "" if value is None else str(value)
+    return options

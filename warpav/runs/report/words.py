@@ -1,0 +1,387 @@
+"""The summary of a run in words, made of its numbers: what was reached, what was not, and what nobody can tell yet."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from warpav.core.frames import wrap_angle_rad
+from warpav.evaluation.metrics import ObjectOutcome
+from warpav.rig.rig import Rig
+from warpav.runs.report.reading import Difference, Evaluation, Margin, RunContent
+
+Tone = Literal["good", "bad", "open"]
+
+MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
+
+LEAST_SCENES = 6
+"""With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
+
+FEW_SCENES = 30
+
+BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
+
+PROVABLE = {
+    "ap50_pooled": ("AP50", False),
+    "false_alarms_per_frame": ("false alarms", True),
+    "tp_in_frame_rate": ("in frame", False),
+}
+"""Metrics that are told besides recall where their difference is proven, and whether less is better."""
+
+WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A sentence or some, under a catchword.
+
+    Attributes:
+        about: The catchword.
+        text: The sentences.
+        tone: Whether that is good or bad news, or neither.
+    """
+
+    about: str
+    text: str
+    tone: Tone = "open"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many decimals, a dash where there is none."""
+    return NONE if value is None else f"{value:.{digits}f}".replace("-", MINUS)
+
+
+def signed(value: float | None, digits: int = 3) -> str:
+    """The same with its sign."""
+    return NONE if value is None else f"{value:+.{digits}f}".replace("-", MINUS)
+
+
+def percent(value: float | None, digits: int = 1) -> str:
+    """A share in percent, a dash where there is none."""
+    return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
+
+
+def interval(difference: Difference) -> str:
+    """A difference with its 95 % interval."""
+    if difference.mean is None or difference.low is None or difference.high is None:
+        return signed(difference.mean)
+    return f"{signed(difference.mean)} [{signed(difference.low)}, {signed(difference.high)}]"
+
+
+def verdict(difference: Difference, *, lower_is_better: bool = False) -> Tone:
+    """Whether a difference is proven, and in whose favour: its interval leaves 0 out, and the scenes are enough."""
+    low, high = difference.low, difference.high
+    if low is None or high is None or difference.scenes < LEAST_SCENES or low <= 0.0 <= high:
+        return "open"
+    return "good" if (high < 0.0) == lower_is_better else "bad"
+
+
+def headline(run: RunContent) -> Statement:
+    """The run in one sentence."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
+    compared = {
+        name: verdict(found["tp_detection_rate"])
+        for name, found in evaluation.paired.items()
+        if "tp_detection_rate" in found
+    }
+    if not compared:
+        return Statement(
+            "", f"Recall of the rig on the test scenes: {number(evaluation.arms[evaluation.first].recall)}."
+        )
+    named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
+    parts = []
+    if named["good"]:
+        parts.append(f"detects more than {_listed(named['good'])}")
+    if named["bad"]:
+        parts.append(f"detects fewer than {_listed(named['bad'])}")
+    if named["open"]:
+        alternatives = _listed(named["open"], "or")
+        parts.append(f"cannot be told from {alternatives} by what it detects")
+    tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
+    return Statement("", f"The {evaluation.first} rig {_listed(parts)}.", tone)
+
+
+def summary(run: RunContent) -> list[Statement]:
+    """The run in a few statements, the most important first."""
+    found: list[Statement | None] = []
+    if run.evaluation is not None:
+        found += [_traffic(run, run.evaluation), _proof(run.evaluation), _objective(run, run.evaluation)]
+    found.append(_moves(run))
+    if run.evaluation is not None:
+        found += [_left(run, run.evaluation), _ground(run.evaluation), _constraints(run.evaluation)]
+    found.append(_end(run))
+    if run.evaluation is not None:
+        found.append(_caution(run.evaluation))
+    if run.config_mistake:
+        text = f"It cannot be used here, and what follows from it is left out: {run.config_mistake}"
+        found.append(Statement("Configuration", text))
+    return [statement for statement in found if statement is not None]
+
+
+def moves(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
+    """How far every camera has moved: its name, the way [m] and the turn in yaw [deg], left positive."""
+    return [
+        (
+            end.name,
+            float(np.linalg.norm(end.position_m - begun.position_m)),
+            math.degrees(float(wrap_angle_rad(end.yaw_rad - begun.yaw_rad))),
+        )
+        for begun, end in zip(start.cameras, result.cameras, strict=True)
+    ]
+
+
+def objects_name(run: RunContent, count: int = 2) -> str:
+    """What the objects of a run are called."""
+    is_vehicles = run.config is None or run.config.scenes.targets == ("vehicle",)
+    return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
+
+
+def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
+    first, *others = evaluation.arms
+    arm = evaluation.arms[first]
+    if arm.objects is None or arm.detected is None:
+        return None
+    name = objects_name(run)
+    text = (
+        f"In {_counted(evaluation.scenes['test'], 'scene')} that no search has seen, the {first} rig detects "
+        f"{arm.detected} of {arm.objects} {name} (recall {number(arm.recall)})"
+    )
+    rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
+    text += f"; {_listed(rest)}." if rest else "."
+    if evaluation.outcomes is not None and "start" in evaluation.arms:
+        pairs = Counter(
+            (seen.outcome["start"] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
+            for seen in evaluation.outcomes
+        )
+        won, lost = pairs[False, True], pairs[True, False]
+        text += f" Against the start it has won {won} and lost {lost}."
+    return Statement("Traffic", text)
+
+
+def _proof(evaluation: Evaluation) -> Statement | None:
+    sentences, tones = [], []
+    for name, differences in evaluation.paired.items():
+        found = differences.get("tp_detection_rate")
+        if found is None or found.mean is None:
+            continue
+        tone = verdict(found)
+        tones.append(tone)
+        if found.low is None or found.high is None:
+            told = "one scene has no interval"
+        elif found.low == found.high == 0.0:
+            told = "the same in every scene"
+        elif tone == "good":
+            told = "the interval leaves 0 out: better"
+        elif tone == "bad":
+            told = "the interval leaves 0 out: worse"
+        elif found.low <= 0.0 <= found.high:
+            told = "the interval holds 0: no difference is proven"
+        else:
+            told = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
+        sentences.append(f"{interval(found)} against {_arm(name)} ({told})")
+    if not sentences:
+        return None
+    overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
+    text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {'; '.join(sentences)}."
+    beyond = [
+        f"{PROVABLE[metric][0]} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
+        for name, differences in evaluation.paired.items()
+        for metric in PROVABLE
+        if metric in differences
+        and (tone := verdict(differences[metric], lower_is_better=PROVABLE[metric][1])) != "open"
+    ]
+    if beyond:
+        text += f" Of the other metrics the interval leaves 0 out for {_listed(beyond)}."
+    return Statement("Proven?", text, overall)
+
+
+def search_scenes(run: RunContent) -> str:
+    """The scenes on which a run compares its rigs before it ends."""
+    return "validation" if run.config is not None and run.config.scenes.validation_seeds else "training"
+
+
+def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
+    training = evaluation.training_objective
+    if training is None or training.start is None or training.optimised is None:
+        return None
+    text = f"What the descent lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
+    arms = evaluation.arms
+    before = arms["start"].numbers["objective"] if "start" in arms else None
+    after = arms[evaluation.first].numbers["objective"]
+    if before is None or after is None:
+        return Statement("Objective", f"{text}.")
+    text += f"; on the test scenes it {_change(before, after)}"
+    found = evaluation.paired.get("start", {}).get("objective")
+    if found is not None and found.low is not None:
+        text += f", a difference of {interval(found)} a scene"
+    tone = "open" if found is None else verdict(found, lower_is_better=True)
+    if tone == "good":
+        text += ": the gain holds on new scenes."
+    elif tone == "bad":
+        text += ": on new scenes the rig is worse by it."
+    elif after < before:
+        text += ": that the gain holds on new scenes is likely at best, not proven."
+    elif training.optimised < training.start:
+        text += ": of the gain nothing is seen on new scenes."
+    else:
+        text += ": there was no gain."
+    return Statement("Objective", text, tone)
+
+
+def _moves(run: RunContent) -> Statement | None:
+    if run.start is None or run.result is None or len(run.start.cameras) != len(run.result.cameras):
+        return None
+    found = moves(run.start, run.result)
+    moved = [each for each in found if each[1] >= WORTH_NAMING_M or abs(each[2]) >= WORTH_NAMING_DEG]
+    if not moved:
+        return Statement("What moved", "Nothing: the rig is the one at the start.")
+    ways = [
+        f"{name} by {100.0 * way_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
+        for name, way_m, turn_deg in moved
+    ]
+    still = len(found) - len(moved)
+    text = f"{_listed(ways)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
+    return Statement("What moved", text)
+
+
+def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
+    if evaluation.outcomes is None:
+        return None
+    count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
+    left = len(evaluation.outcomes) - count[ObjectOutcome.DETECTED]
+    if left == 0:
+        return Statement("Not detected", f"No {objects_name(run, 1)}.", "good")
+    reasons = [
+        f"{count[outcome]} {text}"
+        for outcome, text in (
+            (ObjectOutcome.MISSED, "in plain sight of a camera, and missed by the detector"),
+            (ObjectOutcome.HIDDEN, "hidden behind something"),
+            (ObjectOutcome.OUT_OF_FRAME, "in no camera's image"),
+        )
+        if count[outcome]
+    ]
+    nearest = min(
+        (seen for seen in evaluation.outcomes if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED),
+        key=lambda seen: seen.distance_m,
+    )
+    if left == 1:
+        text = f"1 {objects_name(run, 1)}, {reasons[0].partition(' ')[2]}, {nearest.distance_m:.0f} m away."
+    else:
+        text = f"{left} {objects_name(run)}: {_listed(reasons)}. The nearest is {nearest.distance_m:.0f} m away."
+    return Statement("Not detected", text)
+
+
+def _ground(evaluation: Evaluation) -> Statement | None:
+    ground = evaluation.ground
+    if ground is None:
+        return None
+    first = evaluation.first
+    parts = []
+    for height, height_m in enumerate(ground.heights_m):
+        others = [f"{name} {percent(ground.share(name, height))}" for name in ground.blind if name != first]
+        text = f"{percent(ground.share(first, height))} of the ground for someone {height_m:g} m tall"
+        parts.append(text + (f" ({', '.join(others)})" if others else ""))
+    text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
+    before, after = ground.share("start", 0) if "start" in ground.blind else None, ground.share(first, 0)
+    if before is not None and after is not None and after > before + 0.005:
+        text += " That is more than at the start: the descent looks at traffic, not at the ground."
+    near = [
+        (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
+        for sector in range(len(ground.sectors))
+        for band in range(min(2, len(ground.bands_m)))
+    ]
+    share, _, sector, band = max(near)
+    if share > 0.0:
+        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its middle"
+        text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
+    return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
+
+
+def _constraints(evaluation: Evaluation) -> Statement | None:
+    violation_m = evaluation.arms[evaluation.first].numbers["constraint_violation"]
+    margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
+    if not margins:
+        if violation_m is None:
+            return None
+        is_kept = violation_m == 0.0
+        text = "All hold." if is_kept else f"Broken by {number(violation_m)} m in all."
+        return Statement("Constraints", text, "good" if is_kept else "bad")
+    broken = [margin for margin in margins if not margin.is_kept]
+    tightest = min(margins, key=lambda margin: margin.slack_m)
+    if broken:
+        worst = f"{_margin(tightest)} lacks {_length(-tightest.slack_m)}"
+        return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
+    text = f"All {len(margins)} hold; the tightest is {_margin(tightest)}, with {_length(tightest.slack_m)} to spare."
+    return Statement("Constraints", text, "good")
+
+
+def _end(run: RunContent) -> Statement | None:
+    end = None if run.evaluation is None else run.evaluation.descent
+    if end is None:
+        planned = None if run.config is None else run.config.run.iterations
+        text = f"after {_counted(len(run.events), 'iteration')}"
+        text += f" of {planned}" if planned is not None else ""
+        return Statement("Why it ended", f"It ended {text}; this folder does not tell why.")
+    why = (
+        f"all {end.planned} iterations were taken"
+        if end.ended is None
+        else f"{end.ended}, after {end.iterations} of {end.planned} iterations"
+    )
+    kept = "the rig at the start is kept: none was better" if end.kept == 0 else f"the rig after {end.kept} is kept"
+    return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
+
+
+def _caution(evaluation: Evaluation) -> Statement | None:
+    count = evaluation.scenes["test"]
+    if count >= FEW_SCENES:
+        return None
+    text = f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'} few"
+    if count < LEAST_SCENES:
+        text += f": with fewer than {LEAST_SCENES}, no difference can be proven at 5 %"
+    else:
+        text += ", and the intervals of so few tend to be too short"
+    return Statement("Caution", f"{text}. More say more: scenes.test_seeds=1000..1049.")
+
+
+def margin_name(margin: Margin) -> str:
+    """What a constraint asks, in words."""
+    if margin.kind == "border":
+        return f"{margin.cameras[0]}: distance to the border of where it may stand"
+    return f"{' and '.join(margin.cameras)}: distance"
+
+
+def _margin(margin: Margin) -> str:
+    if margin.kind == "border":
+        return f"the distance of {margin.cameras[0]} to the border of where it may stand"
+    return f"the distance of {' and '.join(margin.cameras)}"
+
+
+def _length(length_m: float) -> str:
+    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
+
+
+def _change(before: float, after: float) -> str:
+    if round(before, 4) == round(after, 4):
+        return f"stayed at {number(after, 4)}"
+    share = f" by {percent(abs(after - before) / before)}" if before > 0.0 else ""
+    return f"{'fell' if after < before else 'rose'}{share} ({number(before, 4)} to {number(after, 4)})"
+
+
+def _arm(name: str) -> str:
+    return BASELINES.get(name, name)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _listed(parts: Iterable[str], word: str = "and") -> str:
+    words: Sequence[str] = list(parts)
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {word} {words[-1]}"

@@ -1,0 +1,165 @@
+"""What ``warpav scenes`` does: build, record, reconstruct and show traffic scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from warpav.core.executor import ExecutorName, Outcome
+from warpav.rig.rig import Rig
+from warpav.runs.config import Config
+from warpav.runs.progress import RunDisplay
+from warpav.runs.run_folder import check_folder
+from warpav.runs.sources import load_scene, plan_settings, reconstruction_settings
+from warpav.scene.store import (
+    CaptureTask,
+    SceneTask,
+    capture_path,
+    capture_scenes,
+    captures_in,
+    make_scenes,
+    scene_path,
+    split_seeds,
+)
+
+_SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
+
+
+def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, worker_count: int | None) -> int:
+    """Build embedded scenes as GLB files that are not there yet; returns the exit status.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    check_folder(out, "--out")
+    tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
+    status = _show_outcomes(
+        "building scenes",
+        (
+            (str(outcome.task.file), outcome)
+            for outcome in make_scenes(tasks, executor=executor, worker_count=worker_count)
+        ),
+        len(tasks),
+    )
+    _say_split(tasks, out)
+    return status
+
+
+def record_scenes(
+    config: Config,
+    seeds: Sequence[int],
+    out: Path,
+    *,
+    server: tuple[str, int] | None,
+    executor: ExecutorName,
+    worker_count: int | None,
+) -> int:
+    """Record situations that are not recorded yet; returns the exit status.
+
+    Args:
+        config: What to record.
+        seeds: Which situations.
+        out: Folder for the captures.
+        server: Host and port of CARLA; None: the embedded town.
+        executor: How the embedded town's situations are spread; CARLA records one after the other.
+        worker_count: Processes.
+
+    Raises:
+        InputError: The folder cannot be written to, or CARLA is not there.
+    """
+    check_folder(out, "--out")
+    tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
+    if server is None:
+        outcomes = capture_scenes(tasks, executor=executor, worker_count=worker_count)
+    else:
+        from warpav.scene.store import capture_carla_scenes
+
+        outcomes = capture_carla_scenes(tasks, host=server[0], port=server[1])
+    return _show_outcomes("recording", ((str(outcome.task.folder), outcome) for outcome in outcomes), len(tasks))
+
+
+def reconstruct_scenes(
+    config: Config, captures: Path, out: Path, *, executor: ExecutorName, worker_count: int | None
+) -> int:
+    """Make scenes of captures that are not there yet; one that cannot be used is refused, the others go on.
+
+    Returns:
+        The exit status: 2 if any was refused.
+
+    Raises:
+        InputError: There are no captures, or the folder cannot be written to.
+    """
+    check_folder(out, "--out")
+    settings = reconstruction_settings(config)
+    tasks = [
+        SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
+    ]
+    outcomes = make_scenes(tasks, executor=executor, worker_count=worker_count)
+    status = _show_outcomes("reconstructing", ((str(outcome.task.file), outcome) for outcome in outcomes), len(tasks))
+    _say_split(tasks, out)
+    return status
+
+
+def show_scene(source: str, out: Path | None) -> Iterator[str]:
+    """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
+
+    Raises:
+        InputError: The scene or the file cannot be used, or this machine cannot draw.
+    """
+    from warpav.view.picture import inspect_rig as show
+
+    scene = load_scene(source)
+    meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
+    triangle_count = sum(len(mesh.triangle) for mesh in meshes)
+    people = f", {len(scene.others)} people" if scene.others else ""
+    yield f"{scene.name}: {len(scene.vehicles)} vehicles{people}, {triangle_count} triangles"
+    for vehicle in (*scene.vehicles, *scene.others):
+        x, y = vehicle.box.center_m[:2]
+        length, width, height = vehicle.box.size_m
+        yield (
+            f"  {vehicle.instance_id:3}  {vehicle.category:10} {math.hypot(x, y):5.1f} m away at "
+            f"{math.degrees(math.atan2(y, x)):+6.1f} deg, {length:.1f} x {width:.1f} x {height:.1f} m"
+        )
+    no_cameras = Rig(())
+    fallback = Path(f"{scene.name}.png")
+    file = show(no_cameras, ego=scene.ego, scene=scene, title=scene.name, out=out, out_without_display=fallback)
+    if file is not None:
+        yield f"wrote {file}"
+
+
+def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
+    """Tell what became of every task, and what was refused once more at the end."""
+    refused: list[str] = []
+    with RunDisplay() as display:
+        for name, outcome in display.steps(title, outcomes, count=count):
+            if outcome.error is not None:
+                refused.append(outcome.error)
+            elif outcome.result:
+                display.say(name)
+            else:
+                display.say(f"{name} is there already")
+        if refused:
+            display.say(f"{count - len(refused)} of {count} done; refused:")
+            for error in refused:
+                display.say(error)
+    return 2 if refused else 0
+
+
+def _say_split(tasks: Sequence[SceneTask], out: Path) -> None:
+    """Tell how to train on some of the scenes that are there now and test on others, if they are enough for that."""
+    seeds = [task.seed for task in tasks if task.file.is_file()]
+    if len(seeds) < _SPLIT_FROM:
+        return
+    split = {name: _seed_text(part) for name, part in split_seeds(seeds).items()}
+    with RunDisplay() as display:
+        display.say(
+            f"to train on 60 % and test on 20 % of them: warpav optimise scenes.source=folder scenes.folder={out} "
+            f"scenes.train_seeds={split['train']} scenes.test_seeds={split['test']}"
+        )
+
+
+def _seed_text(seeds: Sequence[int]) -> str:
+    is_range = list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
+    return f"{seeds[0]}..{seeds[-1]}" if is_range else f"[{','.join(map(str, seeds))}]"

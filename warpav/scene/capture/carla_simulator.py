@@ -1,0 +1,941 @@
+"""CARLA as a simulator: a running server, synchronous and standing still while it is recorded.
+
+Needs the extra ``carla`` (client 0.9.16) and a CARLA 0.9.16 server. Inside this module all poses are right-handed:
+``world`` is CARLA's map frame with y turned around by `warpav.core.frames`, so that every product of poses is one
+of rotations; only what is handed to the client, and what comes from it, is left-handed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib
+import math
+import queue
+import re
+import socket
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import ModuleType, TracebackType
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from warpav.core.errors import InputError
+from warpav.core.frames import (
+    EGO_FROM_CARLA,
+    FLU_FROM_RDF,
+    carla_from_ego_pose,
+    ego_from_carla_pose,
+    rotation_from_yaw_pitch_roll,
+    yaw_pitch_roll_from_rotation,
+)
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
+from warpav.scene.capture.capture import EGO_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
+from warpav.scene.capture.simulator import SpawnPoint
+from warpav.scene.scene import Box
+
+Remote: TypeAlias = Any
+"""Something that the optional package ``carla`` defines; its types cannot be named here."""
+
+DEPTH_RANGE_M = 1000.0
+"""Where the depth camera's 24 bits end [m]."""
+_SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
+
+_REACH_S, _ANSWER_S = 2.5, 2.0  # together below the 5 s within which a missing server is told
+_VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
+_ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
+_STEP_S = 0.05
+_EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehicle.tesla.model3")
+_CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
+_ROLE, _EGO_ROLE = "warpav", "hero"  # large maps stream their tiles around the actor whose role is "hero"
+
+_SAME_PLACE_M = 2.5  # below the distance between the middles of neighbouring lanes
+_DROP_M = 0.4  # vehicles are spawned that far above the road: touching it counts as a collision
+_MIN_REST_TICKS, _MAX_REST_TICKS, _REST_SPEED_MPS = 5, 80, 0.05
+_MAX_DRIFT_M, _MIN_UPRIGHT = 1.5, math.cos(math.radians(20.0))
+_MAX_EGO_PLACES = 20
+
+_LOOK_FROM = ((0.0, 90.0), (0.0, 40.0), (90.0, 40.0), (180.0, 40.0), (270.0, 40.0))  # yaw and nose-down pitch [deg]
+_IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
+_INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may stand out of them
+
+_CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
+_PLAIN_IMAGE = {
+    "lens_flare_intensity": "0.0",
+    "bloom_intensity": "0.0",
+    "motion_blur_intensity": "0.0",
+    "motion_blur_max_distortion": "0.0",
+    "chromatic_aberration_intensity": "0.0",
+}
+"""What is switched off in colour images. The ``lens_*`` distortion stays at its defaults: they are a pinhole's, and
+zeros spoil depth images."""
+
+
+def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
+    """Metres from what CARLA's depth camera sends: 24 bits, red the lowest, over the range of 1 km.
+
+    Args:
+        bgra: uint8 [row, column, 4].
+
+    Returns:
+        Depth along the optical axis [m], float32 [row, column]; inf where nothing is nearer than 999 m.
+    """
+    blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
+    depth_m = (red + 256 * green + 65536 * blue) * (DEPTH_RANGE_M / (2**24 - 1))
+    return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
+
+
+def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
+    """One number per pixel from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
+
+    Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
+    on small maps and the engine's own number on large ones, so only the whole colour is compared.
+
+    Args:
+        bgra: uint8 [row, column, 4].
+
+    Returns:
+        int32 [row, column]; 0 where nothing is.
+    """
+    blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
+    return red + 256 * green + 65536 * blue
+
+
+def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places of normal driving: the map's own spawn points, and points along its driving lanes outside junctions.
+
+    Of places within 2.5 m of each other one stays, the map's own before those of lanes. The order does not depend on
+    the order in which the client lists them, which is none in particular.
+
+    Args:
+        carla_map: A ``carla.Map``.
+        spacing_m: Distance of the points along a lane [m], positive.
+
+    Returns:
+        Position on the ground in the right-handed world [m], float64 [place, 3], and heading [rad], float64 [place].
+    """
+    own, along = [], []
+    for transform in carla_map.get_spawn_points():  # these hang above the road
+        place = _place(transform)
+        lane = carla_map.get_waypoint(transform.location)
+        if lane is not None:
+            ground = _place(lane.transform)
+            if math.hypot(ground[0] - place[0], ground[1] - place[1]) < _SAME_PLACE_M:
+                place = (*place[:2], ground[2], place[3])
+        own.append(place)
+    for waypoint in carla_map.generate_waypoints(spacing_m):
+        if waypoint.lane_type.name == "Driving" and not waypoint.is_junction:
+            along.append(_place(waypoint.transform))
+    places = np.array(sorted(own) + sorted(along), np.float64).reshape(-1, 4)
+    kept = np.ones(len(places), bool)
+    if len(places):
+        tree = KDTree(places[:, :3])
+        for index, position_m in enumerate(places[:, :3]):
+            if kept[index]:
+                near = np.array(tree.query_ball_point(position_m, _SAME_PLACE_M))
+                kept[near[near > index]] = False
+    return places[kept, :3], places[kept, 3]
+
+
+@dataclass(eq=False)
+class _Standing:
+    """A vehicle of ours: its actor, its box in the ego frame, and its colours in instance images."""
+
+    actor: Remote
+    box: Box
+    codes: frozenset[int]
+
+
+@dataclass(eq=False)
+class _Situation:
+    """What one call of `begin` has set up."""
+
+    seed: int
+    random: np.random.Generator
+    world_from_ego: np.ndarray
+    standing: dict[int, _Standing] = field(default_factory=dict)
+    next_id: int = 1
+
+
+class CarlaSimulator:
+    """A CARLA server as a `warpav.scene.capture.simulator.Simulator`.
+
+    Use it in a ``with`` statement: entering connects, makes the server synchronous and prepares the world; leaving, for
+    whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings. A map
+    that was loaded stays loaded.
+
+    A vehicle stands where physics lets it come to rest, and is frozen there. It is known in instance images by the
+    colours that fill its 3D box when it is looked at right after it was spawned.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 2000,
+        map_name: str | None = None,
+        ego_blueprint: str | None = None,
+        rear_axle_m: Sequence[float] | None = None,
+        waypoint_spacing_m: float = 10.0,
+        warm_up_ticks: int = 4,
+        exposure: float | None = None,
+        timeout_s: float = 60.0,
+    ) -> None:
+        """Nothing is connected yet.
+
+        Args:
+            host: Where the server runs.
+            port: Its RPC port; it uses the next one too.
+            map_name: Map to load anew, such as ``Town10HD_Opt``; None keeps the world that the server shows.
+            ego_blueprint: The ego vehicle, such as ``vehicle.lincoln.mkz_2020``; None takes that or, where it does not
+                exist, another car.
+            rear_axle_m: Point on the ground below the middle of the ego vehicle's rear axle [m], forward, left and up
+                from CARLA's origin of the vehicle, shape [3]; None reads it from the wheels.
+            waypoint_spacing_m: Distance of spawn points along lanes [m], positive.
+            warm_up_ticks: Simulation steps from the cameras' spawning to the image before the one that is kept; the
+                engine sharpens textures and edges over several frames.
+            exposure: What the camera's automatic exposure is held at, in its attributes' unit, positive; None takes the
+                middle of the range that the server's camera adapts within.
+            timeout_s: How long an answer of a connected server may take [s], positive.
+
+        Raises:
+            ValueError: A number out of its range.
+        """
+        if not 0 < port < 65535:
+            raise ValueError(f"port must lie between 1 and 65534, got {port}")
+        if rear_axle_m is not None and (len(rear_axle_m) != 3 or not all(map(math.isfinite, rear_axle_m))):
+            raise ValueError(f"rear_axle_m must be three finite numbers, got {rear_axle_m!r}")
+        positive = {"waypoint_spacing_m": waypoint_spacing_m, "exposure": exposure, "timeout_s": timeout_s}
+        for name, value in positive.items():
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive, got {value}")
+        if warm_up_ticks < 0:
+            raise ValueError(f"warm_up_ticks must not be negative, got {warm_up_ticks}")
+        self.name, self.source = "", ""
+        self.world = f"carla {map_name} {ego_blueprint} {rear_axle_m} {waypoint_spacing_m} {warm_up_ticks} {exposure}"
+        self._host, self._port = host, port
+        self._map_name, self._ego_blueprint = map_name, ego_blueprint
+        self._rear_axle_m = None if rear_axle_m is None else np.array(rear_axle_m, np.float64)
+        self._waypoint_spacing_m, self._warm_up_ticks = waypoint_spacing_m, warm_up_ticks
+        self._exposure, self._timeout_s = exposure, timeout_s
+        self._carla: Remote = None
+        self._client: Remote = None
+        self._world: Remote = None
+        self._blueprints: Remote = None
+        self._map_title = ""
+        self._place_m, self._place_yaw_rad = np.zeros((0, 3)), np.zeros(0)
+        self._undo: list[tuple[str, Callable[[], object]]] = []
+        self._found: frozenset[int] = frozenset()
+        self._made: dict[int, Remote] = {}
+        self._situation: _Situation | None = None
+
+    # --------------------------------------------------------------------------------------------- entering and leaving
+
+    def __enter__(self) -> Self:
+        """Connect, take hold of the server, and prepare the world.
+
+        Raises:
+            InputError: The package is missing, the server is missing or of another version, or the map is unknown.
+        """
+        if self._undo:
+            raise RuntimeError("this simulator has been entered already")
+        try:
+            self._connect()
+            self._prepare()
+        except BaseException as error:
+            self._leave(error)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        """Destroy every actor that was made and restore what was changed, whatever has happened.
+
+        Raises:
+            RuntimeError: Something could not be restored; where another error is on its way, it is a note to that.
+        """
+        self._leave(error)
+
+    def _connect(self) -> None:
+        self._carla = _import_carla()
+        place = f"{self._host}:{self._port}"
+        hint = (
+            f"start it with ./CarlaUE4.sh -RenderOffScreen -carla-rpc-port={self._port} (CarlaUE4.exe on Windows), or "
+            "name another host and port"
+        )
+        fault = _unreachable(self._host, self._port)
+        if fault is not None:
+            raise InputError(f"CARLA: expected a server at {place}, got: {fault}; {hint}")
+        try:
+            client = self._carla.Client(self._host, self._port)
+            client.set_timeout(_ANSWER_S)
+            versions = client.get_client_version(), client.get_server_version()
+        except RuntimeError as error:
+            text = " ".join(str(error).split())
+            raise InputError(f"CARLA: expected a CARLA server at {place}, got no answer ({text}); {hint}") from None
+        if _release(versions[0]) != _release(versions[1]):
+            raise InputError(
+                f"CARLA: expected the server at {place} to be of the client's version {versions[0]}, got "
+                f"{versions[1]}; start that version's server, or run: pip install carla=={_release(versions[1])}"
+            )
+        client.set_timeout(self._timeout_s)
+        self._client = client
+
+    def _prepare(self) -> None:
+        """Make the server synchronous and the world clear; each change has its undoing noted before it is made."""
+        self._world = self._open_world()
+        carla, world = self._carla, self._world
+        lights = world.get_lightmanager().get_turned_on_lights(carla.LightGroup.NONE)
+        settings, synchronous = world.get_settings(), world.get_settings()
+        synchronous.synchronous_mode, synchronous.no_rendering_mode = True, False
+        synchronous.fixed_delta_seconds = _STEP_S
+        synchronous.substepping, synchronous.max_substep_delta_time, synchronous.max_substeps = True, 0.01, 10
+        self._change("settings", lambda: world.apply_settings(settings), lambda: world.apply_settings(synchronous))
+        self._tick()  # actors are listed as of the last step, and a server left synchronous has had none for us
+        actors = world.get_actors()
+        self._found = frozenset(actor.id for actor in actors)
+        strangers = [*actors.filter("vehicle.*"), *actors.filter("walker.*")]
+        if strangers:
+            raise InputError(
+                f"CARLA: expected a world without vehicles and walkers at {self._host}:{self._port}, got "
+                f"{len(strangers)} of them; end the programs that made them, or name a map, which is then loaded anew"
+            )
+        self._blueprints = world.get_blueprint_library()
+        carla_map = world.get_map()
+        self._map_title = re.sub(r"[^A-Za-z0-9_-]", "_", carla_map.name.rsplit("/", 1)[-1])
+        self._place_m, self._place_yaw_rad = lane_places(carla_map, spacing_m=self._waypoint_spacing_m)
+
+        if lights:  # those of the map: CARLA does not list lamps of vehicles here
+            manager = world.get_lightmanager()
+            self._change("lights", lambda: (manager.turn_on(lights), self._tick()), lambda: manager.turn_off(lights))
+        weather = world.get_weather()
+        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(_clear_noon(carla)))
+        signals = list(actors.filter("traffic.traffic_light*"))
+        if signals and not signals[0].is_frozen():
+            self._change(
+                "traffic lights",
+                lambda: world.freeze_all_traffic_lights(False),
+                lambda: world.freeze_all_traffic_lights(True),
+            )
+        if self._map_title.endswith("_Opt"):  # only these maps have layers
+            leaves = carla.MapLayer.Foliage
+            self._change("foliage", lambda: world.load_map_layer(leaves), lambda: world.unload_map_layer(leaves))
+            self._tick()
+        plants = {plant.id for plant in world.get_environment_objects(carla.CityObjectLabel.Vegetation)}
+        if plants:
+            self._change(
+                "vegetation",
+                lambda: world.enable_environment_objects(plants, True),
+                lambda: world.enable_environment_objects(plants, False),
+            )
+        world.set_annotations_traverse_translucency(False)  # the server's default: glass is a surface
+        self._undo.append(("actors that an interruption hid", self._sweep))
+        self._undo.append(("actors", lambda: self._destroy(list(self._made))))
+        self._tick()
+
+    def _open_world(self) -> Remote:
+        if self._map_name is None:
+            return self._client.get_world()
+        names = sorted({path.rsplit("/", 1)[-1] for path in self._client.get_available_maps()})
+        if self._map_name.rsplit("/", 1)[-1] not in names:
+            close = difflib.get_close_matches(self._map_name, names, 3)
+            raise InputError(
+                f"CARLA: expected a map of the server at {self._host}:{self._port}, got {self._map_name!r}; "
+                f"{'did you mean' if close else 'it has'} {', '.join(close or names)}"
+            )
+        return self._client.load_world(self._map_name)
+
+    def _change(self, what: str, undo: Callable[[], object], change: Callable[[], object]) -> None:
+        self._undo.append((what, undo))  # first: a change that times out may have happened all the same
+        change()
+
+    def _leave(self, error: BaseException | None) -> None:
+        """Undo everything, newest first; an interruption or a failing step keeps none of the others from it."""
+        failures: list[str] = []
+        interruption: BaseException | None = None
+        is_alive = True
+        while self._undo:
+            what, undo = self._undo.pop()
+            if not is_alive:
+                failures.append(what)
+                continue
+            for is_last in (False, True):
+                try:
+                    undo()
+                except Exception as failure:
+                    is_alive = self._answers()
+                    if is_last or not is_alive:
+                        failures.append(f"{what} ({' '.join(str(failure).split())})")
+                        break
+                except BaseException as failure:  # Ctrl-C: finish first
+                    interruption = failure
+                    if is_last:
+                        failures.append(what)
+                else:
+                    break
+        self._made.clear()
+        self._situation = None
+        self._client = self._world = self._blueprints = None
+        passed_on = error or interruption
+        if failures:
+            text = f"CARLA at {self._host}:{self._port} was left changed: {'; '.join(failures)}; restart the server"
+            if passed_on is None:
+                raise RuntimeError(text)
+            passed_on.add_note(text)
+        if error is None and interruption is not None:
+            raise interruption
+
+    def _answers(self) -> bool:
+        """Whether the server still answers; a dead one must not be waited for at every step."""
+        try:
+            self._client.set_timeout(_ANSWER_S)
+            self._client.get_server_version()
+            self._client.set_timeout(self._timeout_s)
+        except Exception:
+            return False
+        except BaseException:  # Ctrl-C says nothing about the server
+            return True
+        return True
+
+    # ---------------------------------------------------------------------------------------------------- the situation
+
+    def begin(self, seed: int) -> Box:
+        """As in `Simulator`; the seed chooses the ego vehicle's spawn point.
+
+        Raises:
+            ValueError: The seed is negative.
+            InputError: No place of the map takes the ego vehicle, or its rear axle is not known.
+        """
+        if seed < 0:
+            raise ValueError(f"seed must not be negative, got {seed}")
+        self._entered()
+        self._situation = None
+        self._destroy(list(self._made))
+        self._tick()
+        blueprint = self._find_ego()
+        _set_attributes(blueprint, {"role_name": _EGO_ROLE, "color": next(iter(_colours(blueprint)), None)})
+        order = np.random.default_rng([seed, 0]).permutation(len(self._place_m))
+        for place in order[:_MAX_EGO_PLACES]:
+            actor = self._put(blueprint, self._place_m[place], float(self._place_yaw_rad[place]))
+            if actor is None:
+                continue
+            world_from_ego = self._ego_frame(actor)
+            self._situation = _Situation(seed, np.random.default_rng([seed, 1]), world_from_ego)
+            box = self._box(actor)
+            codes = self._identify(box)
+            if codes:
+                self._situation.standing[EGO_INSTANCE] = _Standing(actor, box, frozenset(codes))
+                self.name = f"carla_{self._map_title}_{seed:04d}"
+                self.source = f"CARLA {self._map_title} seed {seed}"
+                return box
+            self._situation = None
+            self._take(actor)
+        raise InputError(
+            f"CARLA: expected a place for {blueprint.id} on the map {self._map_title}, got {len(order)} of which "
+            f"the first {min(len(order), _MAX_EGO_PLACES)} refuse it; name another map or another seed than {seed}"
+        )
+
+    def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
+        """As in `Simulator`; the ego vehicle's own place is left out."""
+        situation = self._begun()
+        ego_from_world = _inverse(situation.world_from_ego)
+        position_m = self._place_m @ ego_from_world[:3, :3].T + ego_from_world[:3, 3]
+        heading = np.stack([np.cos(self._place_yaw_rad), np.sin(self._place_yaw_rad), 0.0 * self._place_yaw_rad], -1)
+        heading = heading @ ego_from_world[:3, :3].T
+        ego = situation.standing[EGO_INSTANCE].box
+        away_m = np.hypot(*(position_m[:, :2] - ego.center_m[:2]).T)
+        free = (np.hypot(*position_m[:, :2].T) <= radius_m) & (away_m > 0.5 * ego.size_m[0])
+        order = np.random.default_rng([situation.seed, 2]).permutation(np.flatnonzero(free))
+        return [SpawnPoint(position_m[k], math.atan2(heading[k, 1], heading[k, 0])) for k in order]
+
+    def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
+        """As in `Simulator`: a random car, van, lorry or bus of a random colour, lamps off, standing still."""
+        situation = self._begun()
+        blueprints = sorted(self._blueprints.filter("vehicle.*"), key=lambda blueprint: blueprint.id)
+        blueprints = [blueprint for blueprint in blueprints if _category(blueprint) is not None]
+        if not blueprints:
+            raise InputError(f"CARLA: expected vehicles in the server at {self._host}:{self._port}, got none")
+        blueprint = blueprints[int(situation.random.integers(len(blueprints)))]
+        colours = _colours(blueprint)
+        colour = colours[int(situation.random.integers(len(colours)))] if colours else None
+        _set_attributes(blueprint, {"role_name": _ROLE, "color": colour})
+        world_from_ego = situation.world_from_ego
+        heading = world_from_ego[:3, :3] @ [math.cos(point.yaw_rad), math.sin(point.yaw_rad), 0.0]
+        position_m = world_from_ego[:3, :3] @ point.position_m + world_from_ego[:3, 3]
+        actor = self._put(blueprint, position_m, math.atan2(heading[1], heading[0]))
+        if actor is None:
+            return None
+        self._freeze(actor)
+        box = self._box(actor)
+        codes: list[int] = []
+        if min(box.size_m) > 0.1 and not any(_overlap(box, other.box) for other in situation.standing.values()):
+            codes = self._identify(box)
+        if not codes or situation.next_id >= EGO_INSTANCE:
+            self._take(actor)
+            return None
+        instance_id = situation.next_id
+        situation.next_id += 1
+        situation.standing[instance_id] = _Standing(actor, box, frozenset(codes))
+        colour_rgb = np.array([codes[0] & 255, codes[0] >> 8 & 255, codes[0] >> 16 & 255], np.uint8)
+        return CapturedVehicle(
+            instance_id, _category(blueprint) or "car", box, np.array(point.position_m), point.yaw_rad, colour_rgb
+        )
+
+    def remove(self, vehicle: CapturedVehicle) -> None:
+        """As in `Simulator`.
+
+        Raises:
+            ValueError: The vehicle is not there.
+        """
+        standing = self._begun().standing.get(vehicle.instance_id)
+        if standing is None or vehicle.instance_id == EGO_INSTANCE:
+            raise ValueError(f"no vehicle with instance id {vehicle.instance_id} stands here")
+        self._take(standing.actor)
+        del self._begun().standing[vehicle.instance_id]
+
+    def look(self, view: CaptureView) -> CapturedImage:
+        """As in `Simulator`.
+
+        Raises:
+            ValueError: The view's camera is no pinhole with square pixels and the principal point in the middle, which
+                is the only one that CARLA has.
+        """
+        situation = self._begun()
+        image = self._shoot(view.ego_from_camera, view.model, tuple(_CAMERAS), self._warm_up_ticks)
+        code = code_from_bgra(image["code"])
+        instance = np.zeros(code.shape, np.uint16)
+        for instance_id, standing in situation.standing.items():
+            row, column = np.nonzero(np.isin(code, list(standing.codes)))
+            ray = _ego_rays(view, row, column)
+            meets = _meets(standing.box, view.ego_from_camera[:3, 3], ray, margin_m=_INSTANCE_MARGIN_M)
+            instance[row[meets], column[meets]] = instance_id
+        return CapturedImage(
+            view=view,
+            rgb=np.ascontiguousarray(image["rgb"][..., 2::-1]),
+            depth_m=depth_from_bgra(image["depth"]),
+            instance=instance,
+        )
+
+    def _entered(self) -> None:
+        if self._world is None:
+            raise RuntimeError("a CarlaSimulator is used inside a with statement")
+
+    def _begun(self) -> _Situation:
+        self._entered()
+        if self._situation is None:
+            raise RuntimeError("begin(seed) comes first")
+        return self._situation
+
+    # --------------------------------------------------------------------------------------------------------- vehicles
+
+    def _find_ego(self) -> Remote:
+        known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
+        if self._ego_blueprint is not None:
+            if self._ego_blueprint not in known:
+                close = difflib.get_close_matches(self._ego_blueprint, known, 3)
+                raise InputError(
+                    f"CARLA: expected the ego vehicle to be one of the server's, got {self._ego_blueprint!r}; "
+                    f"{'did you mean' if close else 'it has'} {', '.join(close or known)}"
+                )
+            return self._blueprints.find(self._ego_blueprint)
+        cars = [name for name in known if _category(self._blueprints.find(name)) == "car"]
+        for name in (*_EGO_BLUEPRINTS, *cars):
+            if name in known:
+                return self._blueprints.find(name)
+        raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
+
+    def _put(self, blueprint: Remote, position_m: np.ndarray, yaw_rad: float) -> Remote | None:
+        """A vehicle that has come to rest there, its lamps off and its physics too; None where it does not stand."""
+        above_m = position_m + np.array([0.0, 0.0, _DROP_M])
+        actor = self._spawn(blueprint, _rigid(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), above_m))
+        if actor is None:
+            return None
+        carla = self._carla
+        actor.apply_control(carla.VehicleControl(hand_brake=True, brake=1.0))
+        slow = 0
+        for tick in range(_MAX_REST_TICKS):
+            self._tick()
+            velocity = actor.get_velocity()
+            slow = slow + 1 if math.hypot(velocity.x, velocity.y, velocity.z) < _REST_SPEED_MPS else 0
+            if slow >= 3 and tick >= _MIN_REST_TICKS:
+                break
+        actor.set_light_state(carla.VehicleLightState.NONE)  # after the brakes, which light some
+        world_from_actor = _pose(actor.get_transform())
+        drift_m = math.hypot(*(world_from_actor[:2, 3] - above_m[:2]))
+        if drift_m > _MAX_DRIFT_M or world_from_actor[2, 2] < _MIN_UPRIGHT:
+            self._take(actor)
+            return None
+        return actor
+
+    def _ego_frame(self, actor: Remote) -> np.ndarray:
+        """World_from_ego of a vehicle that has come to rest; freezes it."""
+        before = _pose(actor.get_transform())
+        actor_from_ego = None
+        if self._rear_axle_m is not None:
+            actor_from_ego = _rigid(np.eye(3), self._rear_axle_m)
+        else:
+            wheels = actor.get_physics_control().wheels  # before physics are off: then wheels are no more
+            world_m = np.array([_point(wheel.position) for wheel in wheels]).reshape(-1, 3) / 100.0  # from centimetres
+            centre_m = (world_m - before[:3, 3]) @ before[:3, :3]
+            radius_m = np.array([wheel.radius for wheel in wheels]) / 100.0
+            actor_from_ego = _actor_from_ego(centre_m, radius_m)
+        if actor_from_ego is None:
+            raise InputError(
+                f"CARLA: ego vehicle {actor.type_id}: expected the positions of its wheels, got none that are "
+                "plausible; state rear_axle_m, the ground below the rear axle as seen from the vehicle's origin"
+            )
+        self._freeze(actor)
+        return _pose(actor.get_transform()) @ actor_from_ego
+
+    def _freeze(self, actor: Remote) -> None:
+        actor.set_simulate_physics(False)
+        self._tick()
+
+    def _box(self, actor: Remote) -> Box:
+        """The upright box in the ego frame, along the actor's heading, around the actor's own box."""
+        ego_from_actor = _inverse(self._begun().world_from_ego) @ _pose(actor.get_transform())
+        bounding = actor.bounding_box
+        extent_m = np.abs(_point(bounding.extent))
+        corner_m = np.stack(np.meshgrid(*([-1.0, 1.0],) * 3, indexing="ij"), -1).reshape(-1, 3) * extent_m
+        for pose in (_pose(bounding), ego_from_actor):
+            corner_m = corner_m @ pose[:3, :3].T + pose[:3, 3]
+        yaw_rad = math.atan2(ego_from_actor[1, 0], ego_from_actor[0, 0])
+        ego_from_box = rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0)
+        along_m = corner_m @ ego_from_box
+        low_m, high_m = along_m.min(axis=0), along_m.max(axis=0)
+        return Box(ego_from_box @ (0.5 * (low_m + high_m)), high_m - low_m, yaw_rad)
+
+    def _identify(self, box: Box) -> list[int]:
+        """The colours of what fills a box in instance images, the most frequent first; none where it is not seen.
+
+        The box is looked at from above and, where something is in the way, from its sides. A colour is the vehicle's
+        where most of its pixels lie inside the box, the road's surface left out. One that another vehicle has already
+        makes both unknowable.
+        """
+        taken = {code for standing in self._begun().standing.values() for code in standing.codes}
+        model = CameraModel(_IDENTIFY_SIDE_PX, _IDENTIFY_SIDE_PX)
+        away_m = 0.75 * math.hypot(*box.size_m) + 0.5  # the sphere around the box fills 90 degrees
+        for yaw_deg, pitch_deg in _LOOK_FROM:
+            link = rotation_from_yaw_pitch_roll(box.yaw_rad + math.radians(yaw_deg), math.radians(pitch_deg), 0.0)
+            view = _rigid(link @ FLU_FROM_RDF, box.center_m - away_m * link[:, 0])
+            image = self._shoot(view, model, ("depth", "code"), 0)
+            depth_m, code = depth_from_bgra(image["depth"]), code_from_bgra(image["code"])
+            row, column = np.nonzero(np.isfinite(depth_m) & (code != 0))
+            ray = model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view[:3, :3].T
+            point_m = view[:3, 3] + depth_m[row, column, None] * ray
+            inside = _inside(box, point_m)
+            found, where, total = np.unique(code[row, column], return_inverse=True, return_counts=True)
+            count = np.bincount(where, weights=inside, minlength=len(found))
+            mine = (count >= _MIN_INSIDE_PX) & (count > 0.5 * total)
+            codes = [int(code) for code in found[mine][np.argsort(-count[mine], kind="stable")]]
+            if codes:
+                return [] if taken & set(codes) else codes
+        return []
+
+    # ---------------------------------------------------------------------------------------------- actors and pictures
+
+    def _tick(self) -> int:
+        return self._world.tick(self._timeout_s)
+
+    def _spawn(self, blueprint: Remote, world_from_actor: np.ndarray) -> Remote | None:
+        """The only place where actors come from; None where CARLA refuses."""
+        actor = self._world.try_spawn_actor(blueprint, _transform(self._carla, world_from_actor))
+        if actor is not None:
+            self._made[actor.id] = actor
+        return actor
+
+    def _take(self, actor: Remote) -> None:
+        """Destroy a vehicle and let it vanish."""
+        self._destroy([actor.id])
+        self._tick()
+
+    def _destroy(self, actor_ids: Iterable[int]) -> None:
+        """Destroy actors in one call; those that are gone already are forgotten."""
+        actor_ids = list(actor_ids)
+        if not actor_ids:
+            return
+        for actor_id in actor_ids:
+            actor = self._made.get(actor_id)
+            if actor is not None and actor.type_id.startswith("sensor.") and actor.is_listening():
+                with contextlib.suppress(RuntimeError):  # destroying it ends its images too
+                    actor.stop()
+        commands = [self._carla.command.DestroyActor(actor_id) for actor_id in actor_ids]
+        for actor_id, response in zip(actor_ids, self._client.apply_batch_sync(commands, False), strict=True):
+            if response.error and "not found" not in response.error:
+                raise RuntimeError(f"CARLA does not destroy actor {actor_id}: {response.error}")
+            self._made.pop(actor_id, None)
+
+    def _sweep(self) -> None:
+        """Destroy actors of ours whose making was interrupted before their ids were noted."""
+        self._tick()  # actors are listed from the step after their making on
+        roles = {_ROLE, _EGO_ROLE}
+        self._destroy(
+            actor.id
+            for actor in self._world.get_actors()
+            if actor.id not in self._found
+            and actor.type_id.startswith(("vehicle.", "sensor.camera."))
+            and actor.attributes.get("role_name") in roles
+        )
+
+    def _shoot(
+        self, ego_from_camera: np.ndarray, model: CameraModel, kinds: Sequence[str], warm_up_ticks: int
+    ) -> dict[str, np.ndarray]:
+        """Images of one simulation step from cameras that exist only for it: BGRA, uint8 [row, column, 4] by kind."""
+        _check_pinhole(model)
+        world_from_link = self._begun().world_from_ego @ ego_from_camera @ _RDF_FROM_FLU
+        size = {"image_size_x": str(model.width_px), "image_size_y": str(model.height_px)}
+        size |= {"fov": repr(math.degrees(model.fov_rad)), "sensor_tick": "0.0", "role_name": _ROLE}
+        sensor_ids: list[int] = []
+        inbox: dict[str, queue.SimpleQueue[Remote]] = {}
+        try:
+            for kind in kinds:
+                blueprint = self._blueprints.find(_CAMERAS[kind])
+                _set_attributes(blueprint, size | (self._plain_image(blueprint) if kind == "rgb" else {}))
+                sensor = self._spawn(blueprint, world_from_link)
+                if sensor is None:
+                    raise RuntimeError(f"CARLA does not spawn {_CAMERAS[kind]}")
+                sensor_ids.append(sensor.id)
+                inbox[kind] = queue.SimpleQueue()
+                sensor.listen(inbox[kind].put)
+            for _ in range(warm_up_ticks):
+                self._tick()
+            frame = self._tick()
+            return {kind: self._receive(kind, inbox[kind], frame, model) for kind in kinds}
+        finally:
+            self._destroy(sensor_ids)
+
+    def _receive(self, kind: str, inbox: queue.SimpleQueue[Remote], frame: int, model: CameraModel) -> np.ndarray:
+        """The image of exactly that frame; older ones are passed over."""
+        deadline_s = time.monotonic() + self._timeout_s
+        while True:
+            try:
+                image = inbox.get(timeout=max(deadline_s - time.monotonic(), 0.0))
+            except queue.Empty:
+                raise RuntimeError(
+                    f"CARLA's {_CAMERAS[kind]} sent no image of frame {frame} within {self._timeout_s:g} s"
+                ) from None
+            if image.frame > frame:
+                raise RuntimeError(
+                    f"CARLA went on to frame {image.frame} while frame {frame} was waited for; another program ticks it"
+                )
+            if image.frame == frame:
+                break
+        if (image.width, image.height) != (model.width_px, model.height_px):
+            raise RuntimeError(
+                f"CARLA's {_CAMERAS[kind]} sent {image.width} x {image.height} pixels where {model.width_px} x "
+                f"{model.height_px} were asked for"
+            )
+        return np.frombuffer(bytes(image.raw_data), np.uint8).reshape(image.height, image.width, 4)
+
+    def _plain_image(self, blueprint: Remote) -> dict[str, str]:
+        """Attributes for colour images that look alike from everywhere: no lens effects, and one exposure."""
+        exposure = self._exposure
+        if exposure is None:
+            ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
+            exposure = 0.5 * sum(end.as_float() for end in ends)
+        held = {"exposure_min_bright": repr(exposure), "exposure_max_bright": repr(exposure)}
+        return _PLAIN_IMAGE | {"exposure_mode": "histogram"} | held
+
+
+# ----------------------------------------------------------------------------------------------------- the server's end
+
+
+def _import_carla() -> ModuleType:
+    try:
+        return importlib.import_module("carla")
+    except ImportError as error:
+        raise InputError(
+            f'CARLA: expected its Python client 0.9.16, got: {error}; run: pip install "warpav[carla]"'
+        ) from None
+
+
+def _unreachable(host: str, port: int) -> str | None:
+    """Why no CARLA server is there, or None.
+
+    It is asked for its version in the client's own words: whatever else answers a client, ends the whole process there.
+    """
+    deadline_s = time.monotonic() + _REACH_S
+    fault = "no address"
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError as error:
+        return f"the host's name is not known ({error.strerror or error})"
+    for family, kind, protocol, _, address in addresses:
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
+                probe.connect(address)
+                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
+                probe.sendall(_VERSION_REQUEST)
+                answer, length = b"", len(_ANSWER_BEGINS)
+                while len(answer) < length and (part := probe.recv(length - len(answer))):
+                    answer += part
+                if answer == _ANSWER_BEGINS:
+                    return None
+                fault = "an answer that is not CARLA's"
+        except TimeoutError:
+            fault = f"no answer within {_REACH_S:g} s"
+        except OSError as error:
+            fault = (error.strerror or str(error)).lower()
+    return fault
+
+
+def _release(version: str) -> str:
+    """``0.9.16`` of ``0.9.16-2-gabcdef``; builds from source describe themselves so."""
+    match = re.match(r"\d+\.\d+\.\d+", version)
+    return match.group() if match else version
+
+
+def _clear_noon(carla: ModuleType) -> Remote:
+    """Clear and windless, the sun overhead; shadows lie below what casts them."""
+    calm = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
+    return carla.WeatherParameters(**dict.fromkeys(calm, 0.0), sun_altitude_angle=90.0)
+
+
+def _set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
+    """Those that the blueprint has and lets be changed."""
+    for name, value in values.items():
+        if value is not None and blueprint.has_attribute(name) and blueprint.get_attribute(name).is_modifiable:
+            blueprint.set_attribute(name, value)
+
+
+def _colours(blueprint: Remote) -> list[str]:
+    return list(blueprint.get_attribute("color").recommended_values) if blueprint.has_attribute("color") else []
+
+
+def _category(blueprint: Remote) -> str | None:
+    """What a blueprint is: car, van, lorry or bus; None for what has two wheels, or none."""
+    if blueprint.has_attribute("base_type"):
+        base_type = blueprint.get_attribute("base_type").as_str().lower()
+        if base_type:
+            return _CATEGORY_OF_BASE_TYPE.get(base_type)
+    wheels = blueprint.get_attribute("number_of_wheels").as_int() if blueprint.has_attribute("number_of_wheels") else 0
+    return "car" if wheels >= 4 else None
+
+
+# ------------------------------------------------------------------------------------------------------ poses and boxes
+
+_RDF_FROM_FLU = np.eye(4)
+_RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
+
+
+def _rigid(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position_m
+    return pose
+
+
+def _inverse(pose: np.ndarray) -> np.ndarray:
+    return _rigid(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
+
+
+def _point(vector: Remote) -> np.ndarray:
+    """A ``carla.Vector3D`` with y turned around."""
+    return EGO_FROM_CARLA @ [vector.x, vector.y, vector.z]
+
+
+def _pose(transform: Remote) -> np.ndarray:
+    """Right-handed pose [4, 4] of whatever has CARLA's ``location`` and ``rotation``."""
+    location, turn = transform.location, transform.rotation
+    position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
+        np.array([location.x, location.y, location.z]), pitch_deg=turn.pitch, yaw_deg=turn.yaw, roll_deg=turn.roll
+    )
+    return _rigid(rotation_from_yaw_pitch_roll(yaw_rad, pitch_rad, roll_rad), position_m)
+
+
+def _transform(carla: ModuleType, pose: np.ndarray) -> Remote:
+    """The ``carla.Transform`` of a right-handed pose."""
+    yaw_rad, pitch_rad, roll_rad = yaw_pitch_roll_from_rotation(pose[:3, :3])
+    location_m, pitch_deg, yaw_deg, roll_deg = carla_from_ego_pose(
+        pose[:3, 3], yaw_rad=yaw_rad, pitch_rad=pitch_rad, roll_rad=roll_rad
+    )
+    x, y, z = (float(value) for value in location_m)
+    return carla.Transform(carla.Location(x=x, y=y, z=z), carla.Rotation(pitch=pitch_deg, yaw=yaw_deg, roll=roll_deg))
+
+
+def _place(transform: Remote) -> tuple[float, float, float, float]:
+    """Position [m] and heading [rad], right-handed; rounded, so that sorting does not hang on the last bits."""
+    pose = _pose(transform)
+    x, y, z = (round(float(value), 4) for value in pose[:3, 3])
+    return x, y, z, round(math.atan2(pose[1, 0], pose[0, 0]), 6)
+
+
+def _actor_from_ego(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
+    """The ego frame as the wheels stand: on the ground they touch, its origin below the middle of the rear axle.
+
+    Args:
+        wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].
+        radius_m: Their radii [m], [wheel].
+
+    Returns:
+        Pose [4, 4], or None where the wheels cannot be those of a vehicle.
+    """
+    if len(wheel_m) < 4:
+        return None
+    order = np.argsort(wheel_m[:, 0], kind="stable")
+    touch_m = wheel_m - radius_m[:, None] * [0.0, 0.0, 1.0]
+    rear_m, front_m = (pair[np.argsort(pair[:, 1])] for pair in (touch_m[order[:2]], touch_m[order[-2:]]))
+    forward_m = front_m.mean(axis=0) - rear_m.mean(axis=0)
+    left_m = 0.5 * (rear_m[1] - rear_m[0] + front_m[1] - front_m[0])
+    base_m, track_m = np.linalg.norm(forward_m), np.linalg.norm(left_m)
+    if not (1.0 < base_m < 10.0 and 0.8 < track_m < 3.5 and np.linalg.norm(rear_m.mean(axis=0)) < 10.0):
+        return None
+    forward = forward_m / base_m
+    up = np.cross(forward, left_m)
+    up /= np.linalg.norm(up)
+    turn = np.stack([forward, np.cross(up, forward), up], axis=-1)
+    if min(turn[0, 0], turn[2, 2]) < math.cos(math.radians(5.0)):
+        return None
+    return _rigid(turn, rear_m.mean(axis=0))
+
+
+def _check_pinhole(model: CameraModel) -> None:
+    middle = CameraModel(model.width_px, model.height_px, model.fov_rad)
+    if model.lens is not Lens.PINHOLE or not np.allclose(model.intrinsics, middle.intrinsics, rtol=0.0, atol=1e-3):
+        raise ValueError(
+            "CARLA's cameras are pinholes with square pixels and the principal point in the middle, got a "
+            f"{model.lens} lens with intrinsics {model.intrinsics.round(2).tolist()}"
+        )
+
+
+def _ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    return view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
+
+
+def _inside(box: Box, point_m: np.ndarray) -> np.ndarray:
+    """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
+    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
+    along_m = (point_m - box.center_m) @ ego_from_box
+    half_m = 0.5 * box.size_m
+    is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
+    return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
+
+
+def _meets(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:
+    """Which rays from a point meet a box that is larger by a margin on each side."""
+    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
+    start_m, along = (origin_m - box.center_m) @ ego_from_box, ray @ ego_from_box
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    half_m = 0.5 * box.size_m + margin_m
+    ends = np.sort(np.stack([(-half_m - start_m) / along, (half_m - start_m) / along]), axis=0)
+    return np.min(ends[1], axis=-1) >= np.maximum(np.max(ends[0], axis=-1), 0.0)
+
+
+def _overlap(first: Box, second: Box) -> bool:
+    """Whether two upright boxes share space; frozen vehicles do not collide, so CARLA itself may not tell."""
+    apart_m = second.center_m - first.center_m
+    if abs(apart_m[2]) >= 0.5 * (first.size_m[2] + second.size_m[2]):
+        return False
+    edges = [rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)[:, :2] for box in (first, second)]
+    for axis in np.concatenate(edges, axis=1).T:
+        reach_m = sum(
+            0.5 * float(np.abs(axis @ edge) @ box.size_m[:2]) for box, edge in zip((first, second), edges, strict=True)
+        )
+        if abs(float(axis @ apart_m)) >= reach_m:
+            return False
+    return True

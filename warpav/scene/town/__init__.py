@@ -1,0 +1,1 @@
+"""The embedded town: streets, houses, vehicles and people from a seed."""

@@ -1,0 +1,240 @@
+"""People on foot and on bicycles: closed shells of limbs, torso, head and clothes.
+
+Frame: x forward, y left, z up, metres; the origin lies on the ground below the person or the bicycle's middle. A person
+is 1.75 m tall before it is scaled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from warpav.raster.mesh import Mesh
+from warpav.scene.town.paint import Material, painted_mesh, sky_share
+from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
+
+PEDESTRIAN_VARIANTS = 6
+"""Poses and clothes: two steps, standing, a coat, a rucksack, a hand bag."""
+CYCLIST_VARIANTS = 2
+"""Upright with a helmet, and leaning forward."""
+
+_THIGH_M, _SHIN_M = 0.435, 0.425
+_UPPER_ARM_M, _FOREARM_M = 0.29, 0.26
+_WHEEL_RADIUS_M, _WHEEL_SEGMENTS = 0.335, 13
+_REAR_HUB, _FRONT_HUB = (-0.53, 0.0, _WHEEL_RADIUS_M), (0.53, 0.0, _WHEEL_RADIUS_M)
+_CRANK, _SADDLE, _HEAD_TUBE = (-0.09, 0.0, 0.30), (-0.25, 0.0, 0.90), (0.38, 0.0, 0.84)
+
+Point = tuple[float, float, float]
+
+
+def _add_limb(
+    builder: SurfaceBuilder, points: tuple[Point, ...], radii: tuple[float, ...], material: np.ndarray | int
+) -> None:
+    builder.add_tube(np.array(points), np.array(radii)[:, None] * np.ones(2), material, sides=6)
+
+
+def _add_rod(builder: SurfaceBuilder, start: Point, end: Point, radius: float, material: int) -> None:
+    builder.add_tube(np.array([start, end]), np.full((2, 2), radius), material, sides=4, cap=0.0)
+
+
+def _add_ball(builder: SurfaceBuilder, centre: Point, radii: Point, material: int, *, sides: int = 7) -> None:
+    """An upright ellipsoid."""
+    polar = np.radians([145.0, 100.0, 60.0, 28.0])
+    ring = np.array(centre) + np.array([0.0, 0.0, 1.0]) * radii[2] * np.cos(polar)[:, None]
+    radius = np.sin(polar)[:, None] * np.array(radii[:2])
+    builder.add_tube(ring, radius, material, sides=sides, cap=0.35)
+
+
+def _knee(hip: Point, ankle: Point) -> Point:
+    """Where a leg bends, forwards, between hip and ankle."""
+    hip_m, ankle_m = np.array(hip), np.array(ankle)
+    span = ankle_m - hip_m
+    distance = min(float(np.linalg.norm(span)), 0.999 * (_THIGH_M + _SHIN_M))
+    along = (distance**2 + _THIGH_M**2 - _SHIN_M**2) / (2.0 * distance)
+    forward = np.cross(np.array([0.0, -1.0, 0.0]), span)
+    forward /= -np.linalg.norm(forward) if forward[0] < 0.0 else np.linalg.norm(forward)
+    knee = hip_m + span / np.linalg.norm(span) * along + forward * np.sqrt(max(_THIGH_M**2 - along**2, 0.0))
+    return (float(knee[0]), float(knee[1]), float(knee[2]))
+
+
+def _add_leg(builder: SurfaceBuilder, hip: Point, ankle: Point, foot_pitch_rad: float) -> None:
+    _add_limb(builder, (hip, _knee(hip, ankle), ankle), (0.088, 0.062, 0.046), Material.LEGWEAR)
+    along = np.array([np.cos(foot_pitch_rad), 0.0, -np.sin(foot_pitch_rad)])
+    down = np.array([np.sin(foot_pitch_rad), 0.0, np.cos(foot_pitch_rad)])
+    sole = np.array(ankle) - 0.045 * down
+    path = sole + np.array([-0.055, 0.03, 0.13, 0.17])[:, None] * along
+    radius = np.array([[0.042, 0.036], [0.046, 0.042], [0.034, 0.045], [0.026, 0.034]])
+    builder.add_tube(path - np.array([[0.0], [0.0], [0.010], [0.018]]) * down, radius, Material.SHOE, sides=5)
+
+
+def _add_arm(builder: SurfaceBuilder, shoulder: Point, elbow: Point, wrist: Point) -> None:
+    _add_limb(builder, (shoulder, elbow, wrist), (0.058, 0.046, 0.036), Material.TOP)
+    reach = np.array(wrist) - np.array(elbow)
+    reach /= np.linalg.norm(reach)
+    hand = np.array(wrist) + np.array([0.01, 0.06, 0.10])[:, None] * reach
+    builder.add_tube(hand, np.array([[0.030, 0.026], [0.042, 0.028], [0.026, 0.020]]), Material.SKIN, sides=4)
+
+
+def _add_swinging_arm(builder: SurfaceBuilder, shoulder: Point, side: float, swing_rad: float) -> None:
+    """An arm that hangs down, swung forwards by an angle; the forearm bends further."""
+    elbow = np.array(shoulder) + _UPPER_ARM_M * np.array([np.sin(swing_rad), 0.14 * side, -np.cos(swing_rad)])
+    bend = swing_rad + 0.35
+    wrist = elbow + _FOREARM_M * np.array([np.sin(bend), -0.02 * side, -np.cos(bend)])
+    _add_arm(builder, shoulder, tuple(elbow.tolist()), tuple(wrist.tolist()))
+
+
+def _add_head(builder: SurfaceBuilder, centre: Point, *, helmet: bool) -> None:
+    x, y, z = centre
+    _add_rod(builder, (x - 0.03, y, z - 0.20), (x - 0.01, y, z - 0.06), 0.052, Material.SKIN)
+    _add_ball(builder, centre, (0.098, 0.078, 0.122), Material.SKIN)
+    if helmet:
+        _add_ball(builder, (x - 0.012, y, z + 0.055), (0.132, 0.100, 0.092), Material.HELMET)
+    else:
+        _add_ball(builder, (x - 0.027, y, z + 0.028), (0.096, 0.086, 0.108), Material.HAIR)
+
+
+def _pedestrian_surface(variant: int) -> Surface:
+    builder = SurfaceBuilder()
+    stands, coat = variant == 2, variant == 3
+    mirror = -1.0 if variant in (1, 4) else 1.0  # which leg leads
+    stride, hip_z = (0.02, 0.915) if stands else (0.27, 0.885)
+    for side in (-1.0, 1.0):
+        leads = side * mirror > 0.0
+        hip = (0.0, 0.085 * side, hip_z)
+        if leads or stands:
+            _add_leg(builder, hip, (stride * mirror * side, 0.085 * side, 0.095), -0.12 if not stands else 0.0)
+        else:
+            _add_leg(builder, hip, (-stride, 0.085 * side, 0.155), 0.55)
+        swing = 0.02 if stands else (-0.42 if leads else 0.36)
+        _add_swinging_arm(builder, (0.0, 0.172 * side, 1.395), side, swing)
+    # Height, depth, half width: from the hem (of a coat, or of a jacket) to the neck.
+    hem = ((0.60, 0.165, 0.205), (0.78, 0.150, 0.185)) if coat else ((0.79, 0.075, 0.110), (0.85, 0.118, 0.155))
+    rows = np.array(
+        [*hem, (0.95, 0.122, 0.168), (1.06, 0.108, 0.148), (1.22, 0.128, 0.172), (1.36, 0.118, 0.194),
+         (1.43, 0.095, 0.178), (1.475, 0.062, 0.080)]
+    )  # fmt: skip
+    lean = 0.0 if stands else 0.03
+    centre = np.stack([lean * (rows[:, 0] - 0.9), 0.0 * rows[:, 0], rows[:, 0]], axis=1)
+    material = np.full(len(rows) + 1, Material.TOP)
+    if not coat:
+        material[:3] = Material.LEGWEAR
+    builder.add_tube(centre, rows[:, 1:], material, sides=10, cap=0.2)
+    _add_head(builder, (0.03 if not stands else 0.01, 0.0, 1.625), helmet=False)
+    if variant == 4:
+        bag = np.array([(-0.20, 0.0, 0.98), (-0.215, 0.0, 1.08), (-0.205, 0.0, 1.30), (-0.17, 0.0, 1.42)])
+        radius = np.array([[0.06, 0.12], [0.095, 0.15], [0.085, 0.145], [0.05, 0.10]])
+        builder.add_tube(bag, radius, Material.BAG, sides=8, cap=0.3)
+    if variant == 5:
+        builder.add_box((-0.16, -0.315, 0.46), (0.20, -0.225, 0.76), Material.BAG)
+    return builder.finish()
+
+
+def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
+    frame = Material.PAINT
+    around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
+    around[-1] = 0.0
+    section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
+    section[0, -1] = 0.0
+    for hub in (_REAR_HUB, _FRONT_HUB):
+        radius = _WHEEL_RADIUS_M - 0.024 + 0.024 * np.cos(section)
+        y = 0.024 * np.sin(section) + 0.0 * around
+        tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
+        builder.add_grid(tyre, Material.TYRE)
+    for start, end, radius in (
+        (_CRANK, _SADDLE, 0.020),
+        (_CRANK, _HEAD_TUBE, 0.024),
+        ((-0.215, 0.0, 0.78), _HEAD_TUBE, 0.020),
+        (_CRANK, _REAR_HUB, 0.015),
+        (bar, _FRONT_HUB, 0.019),
+    ):
+        _add_rod(builder, start, end, radius, frame)
+    x, _, z = bar
+    _add_rod(builder, (x, -0.28, z), (x, 0.28, z), 0.016, Material.DARK)
+    builder.add_box((_SADDLE[0] - 0.14, -0.07, _SADDLE[2]), (_SADDLE[0] + 0.12, 0.07, _SADDLE[2] + 0.05), Material.DARK)
+    builder.add_box((_CRANK[0] - 0.19, -0.15, 0.285), (_CRANK[0] + 0.19, 0.15, 0.315), Material.DARK)
+    builder.add_box((-0.60, -0.035, 0.66), (-0.56, 0.035, 0.72), Material.TAIL_LAMP)
+
+
+def _cyclist_surface(variant: int) -> Surface:
+    builder = SurfaceBuilder()
+    upright = variant == 0
+    bar = (0.33, 0.0, 1.05) if upright else (0.36, 0.0, 0.98)
+    _add_bicycle(builder, bar)
+    hip = np.array([-0.23, 0.0, 0.97])
+    shoulder = np.array([0.02, 0.0, 1.46]) if upright else np.array([0.12, 0.0, 1.38])
+    for side in (-1.0, 1.0):
+        ankle = (_CRANK[0] + 0.17 * side - 0.04, 0.115 * side, 0.40)
+        _add_leg(builder, (float(hip[0]), 0.085 * side, float(hip[2])), ankle, 0.12)
+        joint = (float(shoulder[0]), 0.172 * side, float(shoulder[2]) - 0.045)
+        wrist = (bar[0] - 0.07, 0.235 * side, bar[2] + 0.045)
+        elbow = (0.5 * (joint[0] + wrist[0]) - 0.03, 0.275 * side, 0.5 * (joint[2] + wrist[2]) - 0.06)
+        _add_arm(builder, joint, elbow, wrist)
+    share = np.array([-0.16, 0.02, 0.25, 0.55, 0.85, 1.0, 1.07])[:, None]
+    radius = np.array([[0.08, 0.12], [0.125, 0.165], [0.110, 0.150], [0.125, 0.170], [0.112, 0.182], [0.085, 0.145],
+                       [0.055, 0.07]])  # fmt: skip
+    material = np.full(len(radius) + 1, Material.TOP)
+    material[:2] = Material.LEGWEAR
+    builder.add_tube(hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
+    head = (float(shoulder[0]) + 0.07, 0.0, float(shoulder[2]) + 0.185)
+    _add_head(builder, head, helmet=upright)
+    return builder.finish()
+
+
+@cache
+def _baked(category: str, variant: int) -> tuple[Surface, np.ndarray]:
+    surface = _pedestrian_surface(variant) if category == "pedestrian" else _cyclist_surface(variant)
+    surface = replace(surface, vertex_m=surface.vertex_m - [0.0, 0.0, surface.vertex_m[:, 2].min()])
+    return surface, sky_share(surface)
+
+
+# Linear albedos.
+_SKIN_COLOURS = np.array([(0.62, 0.38, 0.27), (0.50, 0.28, 0.18), (0.27, 0.13, 0.075), (0.14, 0.065, 0.038)])
+_HAIR_COLOURS = np.array([(0.020, 0.014, 0.010), (0.07, 0.035, 0.016), (0.26, 0.16, 0.06), (0.30, 0.30, 0.30)])
+_TOP_COLOURS = np.array(
+    [(0.03, 0.035, 0.05), (0.42, 0.04, 0.04), (0.05, 0.10, 0.30), (0.60, 0.60, 0.58), (0.06, 0.16, 0.08),
+     (0.55, 0.36, 0.05), (0.24, 0.25, 0.27), (0.32, 0.10, 0.22), (0.14, 0.30, 0.38)]
+)  # fmt: skip
+_LEGWEAR_COLOURS = np.array([(0.025, 0.026, 0.032), (0.045, 0.075, 0.16), (0.16, 0.14, 0.11), (0.09, 0.09, 0.095)])
+_HELMET_COLOURS = np.array([(0.75, 0.75, 0.75), (0.04, 0.04, 0.045), (0.55, 0.05, 0.04)])
+
+
+def person_mesh(category: str, rng: np.random.Generator) -> Mesh:
+    """A random person with the light baked in.
+
+    Args:
+        category: ``pedestrian`` or ``cyclist`` (with the bicycle).
+        rng: Draws pose, clothes and size; one pedestrian in seven is a child.
+
+    Returns:
+        Closed mesh in the person's frame.
+
+    Raises:
+        ValueError: There is no such category.
+    """
+    if category not in ("pedestrian", "cyclist"):
+        raise ValueError(f"no person {category!r}; categories: pedestrian, cyclist")
+    variant = int(rng.integers(PEDESTRIAN_VARIANTS if category == "pedestrian" else CYCLIST_VARIANTS))
+    surface, sky = _baked(category, variant)
+
+    def drawn(colours: np.ndarray) -> np.ndarray:
+        return colours[int(rng.integers(len(colours)))] * rng.uniform(0.85, 1.15)
+
+    albedo = {
+        Material.SKIN: drawn(_SKIN_COLOURS),
+        Material.HAIR: drawn(_HAIR_COLOURS),
+        Material.TOP: drawn(_TOP_COLOURS),
+        Material.LEGWEAR: drawn(_LEGWEAR_COLOURS),
+        Material.BAG: drawn(_TOP_COLOURS) * 0.6,
+        Material.HELMET: drawn(_HELMET_COLOURS),
+        Material.PAINT: drawn(_TOP_COLOURS),
+    }
+    tall = rng.uniform(0.92, 1.08)
+    wide = tall * rng.uniform(0.95, 1.12)
+    if category == "pedestrian" and rng.random() < 1.0 / 7.0:
+        tall, wide = 0.72 * tall, 0.76 * wide
+    if category == "cyclist":
+        tall, wide = 0.97 + 0.4 * (tall - 1.0), 1.0
+    mesh = painted_mesh(surface, sky, albedo)
+    return Mesh((mesh.vertex_m * np.array([wide, wide, tall])).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
