@@ -200,11 +200,11 @@ def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None
 
 def _remarks(name: str, config: Config) -> tuple[str, ...]:
     if name == "ablations":
-        return ("All arms are judged by the configuration as it is; each searches with one thing changed.",)
+        return ("All arms are evaluated with the unchanged configuration; each arm searches with one option changed.",)
     ranked = min(config.baselines.random_scenes, len(config.scenes.train_seeds) * (1 + config.scenes.mirror))
     return (
-        f"Searches compare rigs on {ranked} training scenes, drawn once a run. The gradient method steps on all "
-        "training scenes and compares rigs on all validation scenes; these looks are paid from the same budget.",
-        "thesis_gradient takes as many steps, and looks at the validation scenes twice only.",
+        f"Searches compare rigs on {ranked} training scenes, drawn once per run. The gradient method optimises on all "
+        "training scenes and compares rigs on all validation scenes; the budget includes both.",
+        "thesis_gradient takes the same number of steps, but evaluates the validation scenes only twice.",
         "Presets and gradient_as_ arms have their own number of cameras.",
     )

@@ -262,7 +262,7 @@ def resized(rig: Rig, config: Config) -> Rig:
 
 
 def same_order(before: Results, after: Results) -> list[Goal]:
-    """Whether arms come in the same order by recall, and the default method stays ahead."""
+    """Whether the arms keep their order by recall, and the default method stays ahead."""
     old, new = (_mean_recalls(results) for results in (before, after))
     arms = [arm for arm in old if arm in new]
     order = [sorted(arms, key=lambda arm: -values[arm]) for values in (old, new)]
@@ -276,10 +276,10 @@ def same_order(before: Results, after: Results) -> list[Goal]:
     rank = rank_correlation([old[arm] for arm in arms], [new[arm] for arm in arms]).value if len(arms) > 1 else None
     numbers = " > ".join(f"{arm} {new[arm]:.3f}" for arm in order[1])
     if swapped:
-        numbers += f"; {len(swapped)} of {pairs} pairs change places: {', '.join(swapped)}"
+        numbers += f"; {len(swapped)} of {pairs} pairs swap ranks: {', '.join(swapped)}"
     if rank is not None:
         numbers += f"; rank correlation of the arms' means {rank:.3f}"
-    goals = [Goal("the arms come in the same order by recall as before", not swapped, numbers)]
+    goals = [Goal("the arms keep their order by recall", not swapped, numbers)]
     rivals = [arm for arm in RIVALS if arm in arms]
     if _REFERENCE in arms and rivals:
         numbers = f"{new[_REFERENCE]:.4f} against " + ", ".join(f"{arm} {new[arm]:.4f}" for arm in rivals)
