@@ -11,6 +11,7 @@ from tests.runs.test_scenes import small_scene
 from tests.scene.test_own_vehicle import of_kind, save
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
+from warpav.core.progress import NullProgress
 from warpav.core.errors import InputError
 from warpav.experiments import experiment as experiments
 from warpav.raster.mesh import Mesh
@@ -274,13 +275,13 @@ def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, 
         ["scenes.ego=car.glb", "scenes.train_seeds=[1]", "scenes.test_seeds=[2]", "run.batch_size=1"],
     )
     kept = experiments._TrafficOfProcess()
-    first = kept(config, experiments.QUIET)
-    assert kept(config, experiments.QUIET) is first
+    first = kept(config, NullProgress())
+    assert kept(config, NullProgress()) is first
     write_vehicle(moved_van(), tmp_path / "car.glb")
-    again = kept(config, experiments.QUIET)
+    again = kept(config, NullProgress())
     np.testing.assert_array_equal(again.ego.vertex_m, moved_van().vertex_m)
     assert again.mount.surface.height_m.max() > first.mount.surface.height_m.max() + 0.3
-    np.testing.assert_array_equal(load_traffic(config, experiments.QUIET).ego.vertex_m, again.ego.vertex_m)
+    np.testing.assert_array_equal(load_traffic(config, NullProgress()).ego.vertex_m, again.ego.vertex_m)
 
 
 def town_like(seed):

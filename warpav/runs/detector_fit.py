@@ -8,11 +8,12 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.progress import Progress
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import BIN_COUNT, Sightings, fit_probability, look, random_cameras, score
 from warpav.raster.chunks import chunk_view_count
@@ -29,9 +30,6 @@ from warpav.runs.sources import (
     mount_surface,
 )
 from warpav.view.figures import detection_curves, reliability_diagram
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 TOWN_SEEDS = tuple(range(500_000, 500_050))
@@ -92,7 +90,7 @@ def fit_detector(
     held_out_seeds: tuple[int, ...] | None,
     out: Path | None,
     again: bool,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Path:
     """Fit p(detected), or take the stored fit, and show how good it is.
 
@@ -103,7 +101,7 @@ def fit_detector(
         held_out_seeds: Scenes to judge by; None: see `chosen_seeds`.
         out: Folder to keep it in; None: beside the detector's file, or in the user's cache.
         again: Whether to fit even if there is a stored fit.
-        display: Where to show it.
+        progress: Where to show it.
 
     Returns:
         The file of the model.
@@ -128,11 +126,11 @@ def fit_detector(
             held_out_seeds is None or list(held_out_seeds) == model.record["held_out"]["seeds"]
         )
         if as_asked and not set(model.record["fit"]["seeds"]) & set(config.scenes.test_seeds):
-            display.say(f"{stored} fits this detector, camera and source of scenes already; --again fits it again")
-            _show(model.record, display)
+            progress.say(f"{stored} fits this detector, camera and source of scenes already; --again fits it again")
+            _show(model.record, progress)
             return stored
-    sightings = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), display)
-    display.stage("fitting")
+    sightings = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), progress)
+    progress.stage("fitting")
     known, unseen = sightings.of_seeds(seeds.fit), sightings.of_seeds(seeds.held_out)
     try:
         model, penalty = fit_probability(known, rng=np.random.default_rng([config.run.seed, _FOLDS]))
@@ -163,7 +161,7 @@ def fit_detector(
         title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
     )
     detection_curves(model, known.feature, file.with_name(f"{file.stem}_curves.png"))
-    _show(model.record, display)
+    _show(model.record, progress)
     return file
 
 
@@ -171,7 +169,7 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -> Sightings:
+def _look_at_scenes(config: Config, seeds: Sequence[int], progress: Progress) -> Sightings:
     """What the detector finds of the scenes through random cameras on the mount surface."""
     device = checked_device(config.device)
     detector = load_detector(config)
@@ -215,7 +213,7 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 ]
             )
 
-    return Sightings.join(list(display.steps("looking at scenes", parts(), count=len(seeds))))
+    return Sightings.join(list(progress.steps("looking at scenes", parts(), count=len(seeds))))
 
 
 def _counts(sightings: Sightings) -> dict[str, int]:
@@ -241,13 +239,13 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
         raise InputError(f"{folders[-1]}: expected a folder to write to, got {error.strerror}; give --out") from None
 
 
-def _show(record: Any, display: RunDisplay) -> None:  # noqa: ANN401 (JSON)
+def _show(record: Any, progress: Progress) -> None:  # noqa: ANN401 (JSON)
     fit, held_out = record["fit"], record["held_out"]
     for name, part in (("fitted on", fit), ("judged on", held_out)):
-        display.say(
+        progress.say(
             f"{name} {part['objects']} objects in views of {len(part['seeds'])} scenes, {part['detected']} detected"
         )
-    display.say(
+    progress.say(
         f"AUC {held_out['auc']:.3f}, Brier score {held_out['brier']:.4f} (of the base rate "
         f"{held_out['brier_base_rate']:.4f}), "
         f"expected calibration error {held_out['calibration_error']:.4f} ({BIN_COUNT} bins of equal number)"

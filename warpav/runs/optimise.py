@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.progress import Progress
 from warpav.evaluation.blind_ground import BlindGround
 from warpav.evaluation.metrics import ArmMetrics, ObjectOutcome, evaluate_rig, look_at_scenes, metrics_of
 from warpav.evaluation.statistics import paired_differences
@@ -30,16 +31,15 @@ from warpav.runs.sources import arm_name, check_rig_source, device_name, find_ri
 if TYPE_CHECKING:
     from warpav.optimisation.objective import AssignedScene
     from warpav.raster.device_scene import DeviceScene
-    from warpav.runs.progress import RunDisplay
 
 
-def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:
+def optimise_rig(config: Config, *, name: str, progress: Progress) -> RunFolder:
     """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
 
     Args:
         config: What to do.
         name: Name of the run when ``run.out`` gives none.
-        display: Where to show it.
+        progress: Where to show it.
 
     Returns:
         The run folder.
@@ -51,29 +51,29 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
     laps = Laps()
     check_new_run(config)
     start_rig = read_start(config)
-    problem = load_problem(config, display)
+    problem = load_problem(config, progress)
     laps.end("scenes and detector")
     mount = problem.objective.mount
     if config.optimiser.starts > 1:
-        display.stage(f"best of {config.optimiser.starts} rigs to start from")
+        progress.stage(f"best of {config.optimiser.starts} rigs to start from")
     beginning = begin_descent(problem, start_rig)
     descent, began_as = beginning.descent, beginning.rig
     start = descent.start
     laps.end("looking for a start")
 
     folder = RunFolder.create(config, name=name, device=device_name(config.device), start=start_rig)
-    display.say(f"run folder: {folder.path}")
+    progress.say(f"run folder: {folder.path}")
     folder.write_rig("initial", mount.rig(start))
     try:
-        descend(descent, folder, display)
+        descend(descent, folder, progress)
         result = descent.finish()
         folder.write_rig("best", mount.rig(descent.best.mount_pose))
         folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
         laps.end("descent")
 
-        arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
+        arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, progress)
         laps.end("comparison on the test scenes")
-        display.stage("ground that no camera sees")
+        progress.stage("ground that no camera sees")
         ground = BlindGround.of({arm: each.rig for arm, each in arms.items()}, scenes_of(problem.test))
         laps.end("ground that no camera sees")
         evaluation = {
@@ -93,7 +93,7 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
             "ground": ground.table(),
         }
         folder.write_evaluation({**evaluation, "seconds": laps.seconds})
-        display.stage("figures and report")
+        progress.stage("figures and report")
         folder.write_ground(ground.arrays(problem.ego.bounds_m()))
         draw_run(
             folder,
@@ -101,15 +101,15 @@ def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder
             objective=problem.objective,
             scene=problem.shown,
             assigned=shown_scenes(problem.test, arms["optimised"].outcomes),
-            say=display.say,
+            say=progress.say,
         )
         laps.end("figures")
         folder.write_evaluation({**evaluation, "seconds": laps.seconds})
         report = write_report(folder)
-        show_verdict(display.console, evaluation)
-        display.say(f"report: {report}   took {laps.total_s():.0f} s")
+        show_verdict(progress.console, evaluation)
+        progress.say(f"report: {report}   took {laps.total_s():.0f} s")
     except KeyboardInterrupt:
-        display.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
+        progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
     return folder
 
@@ -152,12 +152,12 @@ class Laps:
         return {**self._seconds, "total": self._last - self._began}
 
 
-def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
+def descend(descent: Descent, folder: RunFolder, progress: Progress) -> None:
     """Take all steps, or as many as are of use, each shown and written before the next."""
     config = folder.config()
     mount = descent.objective.mount
     steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
-    for record in display.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
+    for record in progress.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
         state = descent.state()
         folder.append_event(record)
         folder.write_checkpoint(state)
@@ -165,11 +165,11 @@ def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
         if record.training_objective is not None:
             folder.write_rig("best", mount.rig(descent.best.mount_pose))
     if descent.verdict is not None:
-        display.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
+        progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
 
 
 def compare(
-    problem: Problem, mount_poses: Mapping[str, np.ndarray], began_as: Rig | None, display: RunDisplay
+    problem: Problem, mount_poses: Mapping[str, np.ndarray], began_as: Rig | None, progress: Progress
 ) -> dict[str, Compared]:
     """Look at the test scenes with some rigs on the mount surface, that of the highest point, and the best random rig.
 
@@ -177,14 +177,14 @@ def compare(
         problem: What to measure against.
         mount_poses: Mount poses by the name of the arm, [camera, 7].
         began_as: The rig that these began as; None when camera k took orientation k.
-        display: Where to show it.
+        progress: Where to show it.
     """
     config, mount = problem.config, problem.objective.mount
     constraints = problem.objective.constraints
     highest = mount.within(highest_mount_pose(constraints, config.rig.cameras))
     samples, rng = config.baselines.random_samples, problem.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
-    display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
+    progress.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
     space = SearchSpace.over(
         mount,
         config.rig.cameras,
@@ -198,7 +198,7 @@ def compare(
     poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
     beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": problem.held_rig}
     arms = {}
-    for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
+    for arm, pose in progress.steps("comparing", poses.items(), count=len(poses)):
         seen = look_at_scenes(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
         arms[arm] = Compared(seen.rig, metrics_of(seen, problem.objective), [look.outcomes for look in seen.looks])
     return arms
@@ -238,14 +238,14 @@ def shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[Ob
     return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
 
 
-def measure_rig(source: str, config: Config, *, json_file: Path | None, display: RunDisplay) -> dict[str, Any]:
+def measure_rig(source: str, config: Config, *, json_file: Path | None, progress: Progress) -> dict[str, Any]:
     """Metrics of one rig on the test scenes: shown, and written to a file.
 
     Args:
         source: Rig YAML, preset, run folder, or ``highest``.
         config: The scenes, the detector and the objective.
         json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: The rig, the file or something in the configuration cannot be used.
@@ -253,17 +253,17 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, display:
     check_rig_source(source)
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
-    problem = load_problem(config, display)
+    problem = load_problem(config, progress)
     rig = find_rig(source, config, problem.ego)
     began_as = rig
     if is_run_folder(source):
         began_as = problem.held_rig if has_ordered_start(config) else RunFolder.open(source).rig("initial")
     metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
     evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
-    show_verdict(display.console, evaluation)
+    show_verdict(progress.console, evaluation)
     if json_file is not None:
         write_json(json_file, evaluation)
-        display.say(f"wrote {json_file}")
+        progress.say(f"wrote {json_file}")
     return evaluation
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import InputError, OptionError
+from warpav.core.progress import Progress
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.evaluation.metrics import assign_to_nearest_cameras, nearest_cameras
@@ -47,7 +48,6 @@ from warpav.scene.scene import ROAD_USERS, Scene
 
 if TYPE_CHECKING:
     from warpav.detection.onnx_detector import OnnxDetector
-    from warpav.runs.progress import RunDisplay
 
 LEAST_FIT_SCENES = 20
 """Training scenes of the user's own on which p(detected) can be fitted and judged."""
@@ -168,16 +168,16 @@ class Problem:
         return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
 
 
-def load_problem(config: Config, display: RunDisplay) -> Problem:
+def load_problem(config: Config, progress: Progress) -> Problem:
     """Load the detector, build or read the scenes, and share their vehicles among the cameras.
 
     Raises:
         InputError: The device, the detector or a scene cannot be used.
     """
     networks = load_networks(config)
-    traffic = load_traffic(config, display)
-    probability = load_probability(config, display)
-    display.stage("sharing the vehicles among the cameras")
+    traffic = load_traffic(config, progress)
+    probability = load_probability(config, progress)
+    progress.stage("sharing the vehicles among the cameras")
     return problem_on(traffic, config, networks, probability)
 
 
@@ -201,7 +201,7 @@ def same_scenes(one: Config, other: Config) -> bool:
     return parts[0] == parts[1]
 
 
-def load_traffic(config: Config, display: RunDisplay) -> Traffic:
+def load_traffic(config: Config, progress: Progress) -> Traffic:
     """Build or read the scenes, and find where cameras may stand.
 
     Raises:
@@ -215,7 +215,7 @@ def load_traffic(config: Config, display: RunDisplay) -> Traffic:
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds, say=display.say), count=len(seeds))):
+    for k, scene in enumerate(progress.steps("scenes", load_scenes(config, seeds, say=progress.say), count=len(seeds))):
         ego = scene.ego if ego is None else ego
         if not _is_same_vehicle(scene.ego, ego):
             raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
@@ -225,7 +225,7 @@ def load_traffic(config: Config, display: RunDisplay) -> Traffic:
             mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
     assert ego is not None
     assert shown is not None
-    _check_targets(config.scenes.targets, packed, display)
+    _check_targets(config.scenes.targets, packed, progress)
     return Traffic(
         packed[:train_count] + mirrored,
         packed[train_count:test_from],
@@ -263,7 +263,7 @@ def load_networks(config: Config) -> Networks:
     return Networks(detector, differentiable)
 
 
-def load_probability(config: Config, display: RunDisplay) -> DetectionProbability | None:
+def load_probability(config: Config, progress: Progress) -> DetectionProbability | None:
     """The model of detection probability, where the losses need one; fitted now if there is none yet.
 
     It is that of the configured detector and its surroundings. Where there are too few scenes of the user's own to fit
@@ -276,14 +276,14 @@ def load_probability(config: Config, display: RunDisplay) -> DetectionProbabilit
         return None
     scene_count = len(config.scenes.train_seeds)
     if config.scenes.source != "town" and scene_count < LEAST_FIT_SCENES:
-        display.say(
+        progress.say(
             f"p(detected) is that of the embedded scenes: to fit it on others takes {LEAST_FIT_SCENES}, "
             f"scenes.train_seeds has {scene_count}"
         )
         config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
     use = detector_use(config)
     if stored_file(use) is None:
-        display.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
+        progress.say("p(detected) has not been fitted for this detector and camera yet; that is done once, now")
         fit_detector(
             config,
             words=["warpav", "detector", "fit"],
@@ -291,7 +291,7 @@ def load_probability(config: Config, display: RunDisplay) -> DetectionProbabilit
             held_out_seeds=None,
             out=None,
             again=False,
-            display=display,
+            progress=progress,
         )
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
@@ -512,7 +512,7 @@ def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:
     return np.random.default_rng([config.run.seed, int(stream)])
 
 
-def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], display: RunDisplay) -> None:
+def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:
     """Say which targets no scene holds.
 
     Raises:
@@ -526,7 +526,7 @@ def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], displa
     hint = "" if "vehicle" in absent else "; scenes made from images hold people as parts of the environment"
     if not there:
         raise OptionError("scenes.targets", f"expected road users that the scenes hold, got {text}{hint}")
-    display.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
+    progress.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
 
 
 def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
