@@ -11,8 +11,8 @@ from tests.runs.test_scenes import small_scene
 from tests.scene.test_own_vehicle import of_kind, save
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
-from warpav.core.progress import NullProgress
 from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.experiments import experiment as experiments
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config, with_absolute_paths

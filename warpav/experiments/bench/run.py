@@ -33,8 +33,6 @@ from warpav.runs.run_folder import write_json
 from warpav.runs.sources import checked_device
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from warpav.experiments.bench.items import Bench, Timing
 
 SCHEMA = "warpav-bench-1"
