@@ -38,7 +38,7 @@ from warpav.optimisation.segregation import BatchChooser
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.problem import Problem, Stream, begin_descent, descent_from, optimiser_settings, read_start, start_pose
+from warpav.runs.problem import Problem, Stream, begin_descent, descent_from, read_start, start_pose
 
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
@@ -149,7 +149,7 @@ class Arm:
         train_count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
         ranked_count = min(config.baselines.random_scenes, train_count)
         looked_at_count = len(config.scenes.validation_seeds or ()) or train_count
-        one_step = gradient_renders(replace(optimiser_settings(config), iterations=1), looked_at_count)
+        one_step = gradient_renders(config.optimiser, looked_at_count, iterations=1, batch_size=config.run.batch_size)
         if self.method == "gradient":
             return one_step
         if self.method == "cma_then_gradient":
@@ -253,9 +253,11 @@ def _within(problem: Problem, render_budget: int | None) -> Problem:
     """The same problem with as many iterations as a budget pays for, or as the configuration says."""
     if render_budget is None:
         return problem
-    settings = optimiser_settings(problem.config)
-    iterations = affordable_iterations(settings, len(problem.validation), render_budget)
-    return replace(problem, config=changed_config(problem.config, [f"run.iterations={iterations}"]))
+    config = problem.config
+    iterations = affordable_iterations(
+        config.optimiser, len(problem.validation), render_budget, batch_size=config.run.batch_size
+    )
+    return replace(problem, config=changed_config(config, [f"run.iterations={iterations}"]))
 
 
 def _descended(problem: Problem, descent: Descent, began_as: Rig | None, *, first_looks: int = 0) -> Found:
@@ -393,7 +395,10 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
 def _budget(problem: Problem, render_budget: int | None) -> int:
     if render_budget is not None:
         return render_budget
-    return gradient_renders(optimiser_settings(problem.config), len(problem.validation))
+    run = problem.config.run
+    return gradient_renders(
+        problem.config.optimiser, len(problem.validation), iterations=run.iterations, batch_size=run.batch_size
+    )
 
 
 def _ranking(

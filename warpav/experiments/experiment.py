@@ -41,7 +41,6 @@ from warpav.runs.problem import (
     load_networks,
     load_probability,
     load_traffic,
-    optimiser_settings,
     problem_on,
     same_scenes,
     traffic_part,
@@ -382,7 +381,9 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
         problem.train,
         problem.segregation.yaw_rad,
         runs=1,
-        settings=optimiser_settings(config),
+        settings=config.optimiser,
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
         seed=config.run.seed,
     )
     return {

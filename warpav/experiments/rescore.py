@@ -37,7 +37,7 @@ from warpav.experiments.experiment import (
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.problem import load_networks, problem_on

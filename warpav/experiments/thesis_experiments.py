@@ -13,7 +13,7 @@ from warpav.experiments.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import result_table
 from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.runs.config import Config
 from warpav.runs.run_folder import write_json, write_text
 

@@ -20,8 +20,8 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.evaluation.metrics import assign_to_nearest_cameras, nearest_cameras
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.gradient import Descent, OptimiserSettings
-from warpav.optimisation.losses import LossSettings, Reference
+from warpav.optimisation.gradient import Descent
+from warpav.optimisation.losses import Reference
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import SearchSpace
@@ -319,29 +319,15 @@ def problem_on(
     mount, held_rig = traffic.mount, read_start(config) if config.rig.freeze else None
     if held_rig is not None:
         mount = mount.holding(checked_held(config, held_rig), config.rig.freeze)
+    constraints = constraints_of(config, mount.surface, mount.held)
     objective = RigObjective(
         mount,
         networks.detector,
         camera_count=config.rig.cameras,
-        settings=LossSettings(
-            in_frame_rotation=config.losses.in_frame_rotation,
-            detected_area=config.losses.detected_area,
-            surface_blockage=config.losses.surface_blockage,
-            object_visibility=config.losses.object_visibility,
-            angular_coverage=config.losses.angular_coverage,
-            missed=config.losses.missed,
-            detector_gradient=config.losses.detector_gradient,
-            min_detected_area=config.losses.min_detected_area,
-            min_unblocked_area=config.losses.min_unblocked_area,
-            reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
-            epsilon=config.losses.epsilon,
-            multiplier_damping=_multiplier_settings(config)[1],
-            window_softness_rad=math.radians(config.losses.window_softness_deg),
-            detector_share=config.losses.detector_share,
-            combine=config.losses.combine,
-            probability=config.losses.probability,
-        ),
-        constraints=constraints_of(config, mount.surface, mount.held),
+        settings=config.losses,
+        reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
+        multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
+        constraints=constraints,
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
@@ -424,9 +410,11 @@ def descent_from(
     return Descent(
         problem.objective,
         problem.assigned(problem.train, began_as),
-        optimiser_settings(problem.config),
+        problem.config.optimiser,
         start,
         problem.random_numbers(Stream.BATCHES),
+        iterations=problem.config.run.iterations,
+        batch_size=problem.config.run.batch_size,
         validation=problem.assigned(problem.validation, began_as),
         further_starts=further_starts,
     )
@@ -471,41 +459,6 @@ def start_pose(problem: Problem, rig: Rig | None) -> np.ndarray:
     else:
         pose = random_mount_pose(constraints, problem.segregation.yaw_rad, rng=problem.random_numbers(Stream.START))
     return pose.astype(np.float32)
-
-
-def _multiplier_settings(config: Config) -> tuple[float, float]:
-    """Step and damping of the multipliers, the method's own where the configuration gives none."""
-    step, damping = (0.25, 0.0) if config.method == "thesis" else (1.0, 10.0)
-    optimiser = config.optimiser
-    return (
-        step if optimiser.multiplier_learning_rate is None else optimiser.multiplier_learning_rate,
-        damping if optimiser.multiplier_damping is None else optimiser.multiplier_damping,
-    )
-
-
-def optimiser_settings(config: Config) -> OptimiserSettings:
-    """The optimiser's settings, angles in radians."""
-    optimiser = config.optimiser
-    return OptimiserSettings(
-        iterations=config.run.iterations,
-        batch_size=config.run.batch_size,
-        learning_rate_position_m=optimiser.learning_rate_position_m,
-        learning_rate_yaw_rad=math.radians(optimiser.learning_rate_yaw_deg),
-        learning_rate_pitch_rad=math.radians(optimiser.learning_rate_pitch_deg),
-        learning_rate_height_m=optimiser.learning_rate_height_m,
-        learning_rate_zoom=optimiser.learning_rate_zoom,
-        schedule=optimiser.schedule,
-        weight_decay=optimiser.weight_decay,
-        multiplier_learning_rate=_multiplier_settings(config)[0],
-        multiplier_weight_decay=optimiser.multiplier_weight_decay,
-        keep=optimiser.keep,
-        check_every=optimiser.check_every,
-        panorama_until=optimiser.panorama_until,
-        detector_from=optimiser.detector_from,
-        patience=optimiser.patience,
-        starts=optimiser.starts,
-        descents=optimiser.descents,
-    )
 
 
 def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:

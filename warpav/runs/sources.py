@@ -18,12 +18,13 @@ import platformdirs
 from warpav.core.errors import InputError, OptionError
 from warpav.core.fingerprint import digest
 from warpav.core.warp_setup import load_warp
+from warpav.optimisation.settings import ONE_FIELD_LOSSES
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig, read_rig
-from warpav.runs.config import ONE_FIELD_LOSSES, Config, placed_config, with_absolute_paths
+from warpav.runs.config import Config, placed_config, with_absolute_paths
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
