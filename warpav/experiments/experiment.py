@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Outcome, run_tasks
 from warpav.core.fingerprint import digest
@@ -35,18 +36,18 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
-from warpav.runs.problem import (
-    Problem,
-    Traffic,
-    load_networks,
-    load_probability,
-    load_traffic,
-    problem_on,
-    same_scenes,
-    traffic_part,
-)
+from warpav.runs.mounts import camera_mount, constraints_of
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
-from warpav.runs.sources import camera_mount, constraints_of, device_name, load_scenes, own_vehicle_digest
+from warpav.runs.scene_set import (
+    SceneSet,
+    load_scene_set,
+    load_scenes,
+    own_vehicle_digest,
+    same_scenes,
+    scene_part,
+)
 
 Task = TypeVar("Task")
 
@@ -195,14 +196,14 @@ class _TrafficOfProcess:
     def __init__(self) -> None:
         self._key: Config | None = None
         self._vehicle: str | None = None
-        self._traffic: Traffic | None = None
+        self._traffic: SceneSet | None = None
 
-    def __call__(self, config: Config, progress: Progress) -> Traffic:
-        key, vehicle = traffic_part(config), own_vehicle_digest(config)
+    def __call__(self, config: Config, progress: Progress) -> SceneSet:
+        key, vehicle = scene_part(config), own_vehicle_digest(config)
         is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
-            self._traffic, self._key, self._vehicle = load_traffic(config, progress), key, vehicle
+            self._traffic, self._key, self._vehicle = load_scene_set(config, progress), key, vehicle
         elif key != self._key:
             self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
@@ -325,17 +326,17 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
     return {name: value for name, value in result.items() if name not in ("history", "rig")}
 
 
-def _problem(config: Config) -> Problem:
-    networks, probability = load_networks(config), load_probability(config, NullProgress())
-    return problem_on(traffic_of_process(config, NullProgress()), config, networks, probability)
+def _placement(config: Config) -> Placement:
+    networks, probability = load_networks(config), needed_fit(config, NullProgress())
+    return placement_on(traffic_of_process(config, NullProgress()), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
     began = time.perf_counter()
-    judge = _problem(task.arm.judged_config(task.config))
-    problem = _problem(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
+    judge = _placement(task.arm.judged_config(task.config))
+    placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
     loaded = time.perf_counter()
-    found = find_rig_of(task.arm, problem, task.render_budget)
+    found = find_rig_of(task.arm, placement, task.render_budget)
     searched = time.perf_counter()
     metrics = evaluate_rig(found.rig, judge.assigned(judge.test, found.began_as), judge.objective)
     rig_file = task.file.with_suffix(".yaml")
@@ -365,7 +366,7 @@ def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | Non
     for name, overrides in task.objectives.items():
         values[name] = None
         if found.mount_pose is not None:
-            judge = _problem(changed_config(task.arm.judged_config(task.config), overrides))
+            judge = _placement(changed_config(task.arm.judged_config(task.config), overrides))
             scenes = judge.assigned(judge.validation, found.began_as)
             values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
     return values
@@ -374,12 +375,12 @@ def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | Non
 def _gradients(task: ArmTask) -> dict[str, Any]:
     config = task.arm.judged_config(task.config)
     began = time.perf_counter()
-    problem = _problem(config)
+    placement = _placement(config)
     loaded = time.perf_counter()
     magnitudes = measure_gradient_magnitudes(
-        problem.objective,
-        problem.train,
-        problem.segregation.yaw_rad,
+        placement.objective,
+        placement.train,
+        placement.segregation.yaw_rad,
         runs=1,
         settings=config.optimiser,
         iterations=config.run.iterations,
@@ -542,7 +543,7 @@ def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> No
             needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
             if needs not in tried:
                 load_networks(each)
-                load_probability(each, progress)
+                needed_fit(each, progress)
                 tried.append(needs)
 
 

@@ -13,28 +13,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.mount import RISE_M, X_M, Y_M
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion
+from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
+from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
-from warpav.runs.problem import (
-    Problem,
-    begin_descent,
-    descent_from,
-    has_ordered_start,
-    load_networks,
-    load_probability,
-    load_problem,
-    load_traffic,
-    problem_on,
-    read_start,
-)
+from warpav.runs.mounts import camera_mount
+from warpav.runs.networks import load_detector, load_networks
+from warpav.runs.optimise import Optimisation, descent_from
+from warpav.runs.placement import Placement, needed_fit, placement_on
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder, trajectory
-from warpav.runs.sources import HIGHEST, camera_mount, checked_device, find_rig, load_detector, load_scenes
+from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.scene import Scene
 from warpav.view.figures import (
     WIDTH_INCH,
@@ -118,24 +114,24 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
     # which iterate is kept and how often rigs are compared changes no way
     config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     free = changed_config(config, _UNCONSTRAINED)
-    traffic, networks = load_traffic(config, progress), load_networks(config)
-    probability = load_probability(config, progress)
-    problem = problem_on(traffic, config, networks, probability)
+    traffic, networks = load_scene_set(config, progress), load_networks(config)
+    probability = needed_fit(config, progress)
+    placement = placement_on(traffic, config, networks, probability)
     if run is None:
-        beginning = begin_descent(problem, read_start(config))
-        start, began_as = beginning.descent.start, beginning.rig
-        kept = _walk(problem, beginning.descent, progress, "with constraints")
+        optimisation = Optimisation.begin(placement)
+        start, began_as = optimisation.descent.start, optimisation.began_as
+        kept = _walk(placement, optimisation.descent, progress, "with constraints")
     else:
         path_m, began = trajectory(run.events()), run.rig("initial")
         if path_m is None:
             raise InputError(f"{run.path}: run folder: expected at least two iterations, got fewer")
-        start = problem.objective.mount.mount_pose_of_rig(began)
-        began_as = None if has_ordered_start(config) else began
+        start = placement.objective.mount.mount_pose_of_rig(began)
+        began_as = None if placement.has_ordered_start else began
         kept = _Way(began, path_m, run.rig("final"))
-    loose = problem_on(traffic, free, networks, probability)
+    loose = placement_on(traffic, free, networks, probability)
     lost = _walk(loose, descent_from(loose, start, began_as), progress, "without constraints")
 
-    constraints, surface = problem.objective.constraints, problem.objective.mount.surface
+    constraints, surface = placement.objective.constraints, placement.objective.mount.surface
     point_m = np.concatenate([traffic.ego.bounds_m(), *(way.trajectory_m.reshape(-1, 3) for way in (lost, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
@@ -169,15 +165,15 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
         return save_figure(figure, path)
 
 
-def _walk(problem: Problem, descent: Descent, progress: Progress, how: str) -> _Way:
+def _walk(placement: Placement, descent: Descent, progress: Progress, how: str) -> _Way:
     """Take all steps; the end is where the last of them led, moved to a feasible place where constraints count."""
-    mount, constraints = problem.objective.mount, problem.objective.constraints
-    count = problem.config.run.iterations
+    mount, constraints = placement.objective.mount, placement.objective.constraints
+    count = placement.config.run.iterations
     records = [descent.step() for _ in progress.steps(how, range(count), count=count)]
     pose = descent.state()["pose_value"]
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
-    if problem.config.optimiser.multiplier_learning_rate != 0.0:
+    if placement.config.optimiser.multiplier_learning_rate != 0.0:
         pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
     return _Way(mount.rig(descent.start), np.array(positions, np.float64), mount.rig(pose))
 
@@ -249,12 +245,12 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         InputError: Something in the input is wrong.
     """
     if run is None:
-        problem = load_problem(config, progress)
-        descent, count = begin_descent(problem, read_start(config)).descent, config.run.iterations
+        placement = build(config).prepare(progress)
+        descent, count = Optimisation.begin(placement).descent, config.run.iterations
         for _ in progress.steps("optimising", range(count), count=count):
             if descent.verdict is None:
                 descent.step()
-        mount = problem.objective.mount
+        mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)
     else:
         start, result = run.rig("initial"), run.rig()

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
@@ -40,9 +41,9 @@ from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
-from warpav.runs.problem import load_networks, problem_on
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import placement_on
 from warpav.runs.run_folder import environment, write_json, write_text
-from warpav.runs.sources import device_name
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
@@ -231,9 +232,9 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     began = time.perf_counter()
     config = task.config
     traffic = traffic_of_process(config, NullProgress())
-    problem = problem_on(traffic, config, load_networks(config), None)
+    placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
-    metrics = asdict(evaluate_rig(rig, problem.test, problem.objective, with_objective=False))
+    metrics = asdict(evaluate_rig(rig, placement.test, placement.objective, with_objective=False))
     old = read_json(task.source / RESULTS / f"{task.name}.json")
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, whoever judges it
         metrics[name] = old["metrics"][name]
@@ -243,7 +244,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in problem.test],
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)

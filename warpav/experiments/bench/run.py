@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import load_warp
@@ -30,7 +31,6 @@ from warpav.experiments.bench.workload import (
     read_workload,
 )
 from warpav.runs.run_folder import write_json
-from warpav.runs.sources import checked_device
 
 if TYPE_CHECKING:
     from warpav.experiments.bench.items import Bench, Timing
