@@ -156,7 +156,7 @@ class VisibilitySettings(Section):
     """What hides a vehicle."""
 
     occlusion: Literal["pairwise", "exact"] = Field(
-        default="pairwise",
+        default="exact",
         description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
     )
 
@@ -164,10 +164,8 @@ class VisibilitySettings(Section):
 class OptimiserSettings(Section):
     """Step sizes, multipliers, and which iterate is kept."""
 
-    learning_rate_position_m: Metres = Field(default=0.25, gt=0.0, le=10.0, description="AdamW step of a position")
-    learning_rate_yaw_deg: Degrees = Field(
-        default=round(math.degrees(0.25), 4), gt=0.0, le=180.0, description="AdamW step of a yaw angle"
-    )
+    learning_rate_position_m: Metres = Field(default=0.02, gt=0.0, le=10.0, description="AdamW step of a position")
+    learning_rate_yaw_deg: Degrees = Field(default=1.0, gt=0.0, le=180.0, description="AdamW step of a yaw angle")
     learning_rate_pitch_deg: Degrees = Field(
         default=2.0, gt=0.0, le=180.0, description="AdamW step of a pitch, where rig.free.pitch_deg frees it"
     )
@@ -180,8 +178,8 @@ class OptimiserSettings(Section):
         le=1.0,
         description="AdamW step of the logarithm of a focal length, where rig.free.fov_deg frees it",
     )
-    schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
-    weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
+    schedule: Literal["constant", "cosine"] = Field(default="cosine", description="how the steps shrink over the run")
+    weight_decay: float = Field(default=0.0, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
     multiplier_learning_rate: float | None = Field(
         default=None,
         ge=0.0,
@@ -194,10 +192,10 @@ class OptimiserSettings(Section):
     multiplier_damping: float | None = Field(
         default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
     )
-    keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
+    keep: Literal["last", "best"] = Field(default="best", description="the iterate that becomes the result")
     check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
     panorama_until: float = Field(
-        default=0.3,
+        default=0.0,
         ge=0.0,
         le=1.0,
         description="missed: share of the run over which what lies outside the images ceases to pull",
@@ -206,7 +204,7 @@ class OptimiserSettings(Section):
         default=0.7, ge=0.0, le=1.0, description="missed: share of the run from which the detector has a say"
     )
     starts: int = Field(
-        default=1, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
+        default=16, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
     )
     descents: int = Field(
         default=1,
