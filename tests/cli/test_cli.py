@@ -26,7 +26,8 @@ from warpav.runs.config import Config
 from warpav.runs.inspect import inspector, run_plotter
 from warpav.runs.rig_source import config_for
 from warpav.runs.run_figures import OBJECT_EGO
-from warpav.runs.run_folder import ARM_ROWS, RunFolder
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 

@@ -104,7 +104,8 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
     from warpav.runs.jobs import optimise_rig
-    from warpav.runs.progress import RunDisplay, show_verdict
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.verdict import show_verdict
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
@@ -123,8 +124,9 @@ def evaluate(
 ) -> None:
     """Measure a rig on the test scenes."""
     from warpav.runs.jobs import measure_rig
-    from warpav.runs.progress import RunDisplay, show_verdict
+    from warpav.runs.progress import RunDisplay
     from warpav.runs.rig_source import config_for
+    from warpav.runs.verdict import show_verdict
 
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         show_verdict(display.console, measure_rig(rig, settings, json_file=json, progress=display))

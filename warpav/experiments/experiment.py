@@ -19,6 +19,7 @@ import yaml
 from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Outcome, run_tasks
+from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
@@ -36,10 +37,11 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
+from warpav.runs.environment import environment
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
+from warpav.runs.run_folder import RUNS_FOLDER
 from warpav.runs.scene_set import (
     SceneSet,
     load_scene_set,

@@ -24,12 +24,13 @@ from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
 from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
+from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
 from warpav.runs.networks import load_detector, load_networks
 from warpav.runs.optimise import Optimisation, descent_from
 from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.scene import Scene
 from warpav.view.figures import (

@@ -19,6 +19,7 @@ import numpy as np
 
 from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
+from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
@@ -41,9 +42,9 @@ from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
+from warpav.runs.environment import environment
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
-from warpav.runs.run_folder import environment, write_json, write_text
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")

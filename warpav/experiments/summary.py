@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.errors import InputError
+from warpav.core.files import write_json, write_text
 from warpav.experiments.experiment import DESCRIPTION, read_json
 from warpav.experiments.goals import Goal
 from warpav.experiments.tables import COMPARED, Results
-from warpav.runs.run_folder import command_line, write_json, write_text
+from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from warpav.core.files import write_json, write_text
 from warpav.core.progress import Progress
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import GRADIENTS, Experiment, Finished, run_experiment
@@ -15,7 +16,6 @@ from warpav.experiments.tables import result_table
 from warpav.experiments.thesis_tables import TABLES, thesis_table
 from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json, write_text
 
 RUNS = 5
 """Runs of an arm in the thesis's tables II to IV."""

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
-from warpav.runs.run_folder import package_versions, required_packages
+from warpav.runs.environment import package_versions, required_packages
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120

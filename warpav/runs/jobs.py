@@ -7,6 +7,7 @@ from typing import Any
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
+from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.optimisation.gradient import IterationRecord
 from warpav.runs.build import build
@@ -15,7 +16,7 @@ from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
+from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
 
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:

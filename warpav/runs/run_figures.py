@@ -15,11 +15,13 @@ import numpy as np
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
+from warpav.core.files import check_folder
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.events import trajectory
 from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder, check_folder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ import numpy as np
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
+from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import load_warp
 from warpav.experiments.bench.array_file import ArrayFile
@@ -30,7 +31,6 @@ from warpav.experiments.bench.workload import (
     read_truth,
     read_workload,
 )
-from warpav.runs.run_folder import write_json
 
 if TYPE_CHECKING:
     from warpav.experiments.bench.items import Bench, Timing

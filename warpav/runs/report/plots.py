@@ -11,7 +11,7 @@ import numpy as np
 
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import Arm, Evaluation, Event, GroundMap, Group
-from warpav.runs.run_folder import RECALL_GROUPS
+from warpav.runs.verdict import RECALL_GROUPS
 from warpav.view.figures import convergence_panels, figure_style, new_figure
 from warpav.view.palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, hex_colour
 

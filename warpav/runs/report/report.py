@@ -19,7 +19,8 @@ from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import plots, words
 from warpav.runs.report.reading import Evaluation, RunContent, View, read_run
-from warpav.runs.run_folder import ARM_ROWS, RunFolder, recall_rows
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS, recall_rows
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
 
 if TYPE_CHECKING:
