@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import InputError, OptionError
+from warpav.core.warp_setup import compiling
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.evaluation.metrics import assign_to_nearest_cameras, nearest_cameras
@@ -51,6 +52,17 @@ if TYPE_CHECKING:
 
 LEAST_FIT_SCENES = 20
 """Training scenes of the user's own on which p(detected) can be fitted and judged."""
+
+OBJECTIVE_KERNELS = tuple(
+    f"warpav_kernels.{name}"
+    for name in (
+        "raster.measure", "raster.window", "detection.detection_probability", "raster.image_flow", "raster.rasterise",
+        "raster.layers", "evaluation.ground", "raster.extent", "placement.constraint_losses", "raster.shade",
+        "raster.hide", "raster.linearise", "placement.mount_pose", "placement.missed_loss", "raster.view",
+        "placement.lagrangian", "placement.update", "detection.network_input",
+    )
+)  # fmt: skip
+"""Kernels that every run of the default losses launches, those that take longest to compile first."""
 
 EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
@@ -215,14 +227,16 @@ def load_traffic(config: Config, display: RunDisplay) -> Traffic:
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    for k, scene in enumerate(display.steps("scenes", load_scenes(config, seeds, say=display.say), count=len(seeds))):
-        ego = scene.ego if ego is None else ego
-        if not _is_same_vehicle(scene.ego, ego):
-            raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
-        shown = scene if k == test_from else shown
-        packed.append(DeviceScene.pack(scene, device=device))
-        if config.scenes.mirror and k < train_count:
-            mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
+    scenes = display.steps("scenes", load_scenes(config, seeds, say=display.say), count=len(seeds))
+    with compiling(OBJECTIVE_KERNELS, device=device):
+        for k, scene in enumerate(scenes):
+            ego = scene.ego if ego is None else ego
+            if not _is_same_vehicle(scene.ego, ego):
+                raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+            shown = scene if k == test_from else shown
+            packed.append(DeviceScene.pack(scene, device=device))
+            if config.scenes.mirror and k < train_count:
+                mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
     assert ego is not None
     assert shown is not None
     _check_targets(config.scenes.targets, packed, display)

@@ -126,11 +126,11 @@ def own_vehicle_digest(config: Config) -> str | None:
 
 
 def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
+    from warpav.scene.cache import town_scenes
     from warpav.scene.glb import read_scene
-    from warpav.scene.town.town import town_scene
 
     if config.scenes.source == "town":
-        yield from map(town_scene, seeds)
+        yield from town_scenes(seeds)
         return
     if config.scenes.source == "captured":
         yield from map(read_scene, _captured(config, seeds))
