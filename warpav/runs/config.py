@@ -20,7 +20,7 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import annotated_types
 import yaml
@@ -50,6 +50,9 @@ from warpav.optimisation.settings import (
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.rig.presets import preset_names
 from warpav.scene.scene import ROAD_USERS
+
+if TYPE_CHECKING:
+    from warpav.runs.placement import Placement
 
 COMMAND_LINE = "command line"
 NAMED_STARTS = ("random", "highest")
@@ -550,6 +553,29 @@ class Config(Section):
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
     executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
 
+    @classmethod
+    def load(cls, path: str | Path | None = None, *overrides: str) -> Config:
+        """The configuration of a YAML file or a shipped name, such as ``quick``, with ``key=value`` overrides.
+
+        Args:
+            path: The file or the name; None: the defaults, which are those of ``quick``.
+            overrides: Such as ``"rig.cameras=6"``; the value is read as YAML.
+
+        Raises:
+            InputError: Anything is wrong; one line a mistake.
+        """
+        return load_config(path, overrides, origin="override")
+
+    def placement(self) -> Placement:
+        """The placement that it describes; scenes and detector are loaded when they are first needed.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        from warpav.runs.build import build
+
+        return build(self)
+
     @model_validator(mode="before")
     @classmethod
     def _add_losses_of_method(cls, data: object) -> object:
@@ -631,12 +657,13 @@ class Config(Section):
             )
 
 
-def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Config:
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:
     """The configuration of a YAML file and ``key=value`` overrides.
 
     Args:
         path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
         overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
+        origin: What messages call the source of the overrides.
 
     Returns:
         The validated, immutable tree.
@@ -650,20 +677,21 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     rig = data.get("rig")
     if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
         rig["start"] = str((file.parent / START_FILE).absolute())
-    return _validated(data, overrides, file, line_of)
+    return _validated(data, overrides, file, line_of, origin)
 
 
-def changed_config(config: Config, overrides: Sequence[str]) -> Config:
+def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
     """The configuration with other values for some options.
 
     Args:
         config: The configuration.
         overrides: As of :func:`load_config`.
+        origin: What messages call the source of the overrides; None: they do not name it.
 
     Raises:
         InputError: An override is wrong, or does not fit the rest.
     """
-    return _validated(config.model_dump(mode="json"), overrides, None, {})
+    return _validated(config.model_dump(mode="json"), overrides, None, {}, origin)
 
 
 def with_absolute_paths(config: Config) -> Config:
@@ -677,7 +705,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
     ):
         if value is not None:
-            overrides.append(f"{option}={_flow_text(str(Path(value).expanduser().absolute()))}")
+            overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
     return changed_config(config, overrides) if overrides else config
 
 
@@ -692,17 +720,22 @@ def overridden_option(override: str) -> str:
     Raises:
         InputError: It is none.
     """
-    return ".".join(_read_override(override)[0])
+    return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
 
 
 def _validated(
-    data: dict[str, Any], overrides: Sequence[str], file: Path | None, line_of: Mapping[Location, int]
+    data: dict[str, Any],
+    overrides: Sequence[str],
+    file: Path | None,
+    line_of: Mapping[Location, int],
+    origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
     for override in overrides:
-        location, value = _read_override(override)
-        override_of[location] = override
-        _put(data, location, value, override)
+        place = _override_place(override, origin)
+        location, value = _read_override(override, place)
+        override_of[location] = place
+        _put(data, location, value, place)
     try:
         return Config.model_validate(data)
     except ValidationError as error:
@@ -725,7 +758,7 @@ def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[C
         yield config
     except OptionError as error:
         file = find_config(path)
-        override_of = {_read_override(override)[0]: override for override in overrides}
+        override_of = {_read_override(each)[0]: _override_place(each, COMMAND_LINE) for each in overrides}
         place = _place(tuple(error.option.split(".")), file, _read_file(file)[1], override_of)
         raise InputError(f"{place}: {error}") from None
 
@@ -796,10 +829,10 @@ def overrides_from(base: Config, config: Config) -> list[str]:
     """
     before = option_values(base)
     changed = {name: value for name, value in option_values(config).items() if value != before[name]}
-    return [f"{name}={_flow_text(value)}" for name, value in changed.items()]
+    return [f"{name}={flow_text(value)}" for name, value in changed.items()]
 
 
-def _flow_text(value: object) -> str:
+def flow_text(value: object) -> str:
     """A value as YAML on one line."""
     return yaml.safe_dump(value, default_flow_style=True, width=math.inf, allow_unicode=True).partition("\n")[0]
 
@@ -875,24 +908,33 @@ _FlowListDumper.add_representer(
 )
 
 
-def _read_override(override: str) -> tuple[Location, object]:
+def _override_place(override: str, origin: str | None) -> str:
+    """Where an override stands, for messages; empty where that needs no saying."""
+    return "" if origin is None else f"{origin} ({override})"
+
+
+def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, object]:
     key, equals, text = override.partition("=")
     location = tuple(part.strip() for part in key.split("."))
     if not equals or not all(location):
         near = difflib.get_close_matches(key, [".".join(name) for name in _option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
-        raise InputError(f"{COMMAND_LINE} ({override}): expected key=value, got {override!r}; {hint}")
-    return location, parse_yaml(text, f"{COMMAND_LINE} ({override})", has_lines=False)[0]
+        raise InputError(_placed(place, f"expected key=value, got {override!r}; {hint}"))
+    return location, parse_yaml(text, place or key, has_lines=False)[0]
 
 
-def _put(data: dict[str, Any], location: Location, value: object, override: str) -> None:
+def _placed(place: str, text: str) -> str:
+    return f"{place}: {text}" if place else text
+
+
+def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:
     for depth, part in enumerate(location[:-1], start=1):
         if data.get(part) is None:
             data[part] = {}
         data = data[part]
         if not isinstance(data, dict):
             outer = ".".join(location[:depth])
-            raise InputError(f"{COMMAND_LINE} ({override}): {outer}: expected a section, got {shown(data)} in the file")
+            raise InputError(_placed(place, f"{outer}: expected a section, got {shown(data)} in the file"))
     data[location[-1]] = value
 
 
@@ -933,7 +975,7 @@ def _explain(
                 break
     fields = found.get("ctx", {}).get("fields", ()) if found["type"] == "mistake" else ()
     locations = [(*location, *name.split(".")) for name in fields] or [location]
-    overridden = [name for name in locations if _override_at(name, override_of)]
+    overridden = [name for name in locations if _override_at(name, override_of) is not None]
     written = [name for name in locations if name in line_of]
     place = _place((overridden or written or locations)[0], file, line_of, override_of)
     location = locations[0]
@@ -950,7 +992,7 @@ def _explain(
         choices = [str(choice) for choice in _choices(field)]
         near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
         text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
-    return f"{place}: {'.'.join(location)}: {text}"
+    return _placed(place, f"{'.'.join(location)}: {text}")
 
 
 def _override_at(location: Location, override_of: Mapping[Location, str]) -> str | None:
@@ -967,8 +1009,8 @@ def _place(
     override_of: Mapping[Location, str],
 ) -> str:
     override = _override_at(location, override_of)
-    if override:
-        return f"{COMMAND_LINE} ({override})"
+    if override is not None:
+        return override
     if file is None:
         return "defaults"
     for length in range(len(location), 0, -1):
