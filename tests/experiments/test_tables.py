@@ -13,6 +13,8 @@ from warpav.experiments.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_o
 from warpav.experiments.thesis_tables import WARNING, thesis_table
 from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 
+pytestmark = pytest.mark.usefixtures("working_directory")
+
 METRICS = (
     "map50_average",
     "map50_min_camera",
@@ -22,13 +24,6 @@ METRICS = (
     "detection_confidence",
     "objective",
 )
-
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def result(number, **more):

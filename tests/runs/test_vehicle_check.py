@@ -25,11 +25,7 @@ from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle, town_scene
 
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 
 @pytest.fixture(scope="module")

@@ -103,18 +103,24 @@ def check_devices() -> Finding:
 
 
 def check_cache() -> Finding:
-    """The folder in which Warp keeps compiled kernels."""
+    """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
+    from warpav.scene.cache import scene_cache_folder
+
     wp = load_warp()
+    scenes = list(scene_cache_folder().glob("*.npz"))
+    megabytes = sum(file.stat().st_size for file in scenes) / 1e6
+    data = {"folder": str(wp.config.kernel_cache_dir), "scenes": str(scene_cache_folder()), "scene_count": len(scenes)}
     folder = Path(wp.config.kernel_cache_dir or "")
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         text = f"{folder}: {error.strerror}; set WARP_CACHE_PATH to a folder that can be written"
-        return Finding("cache", "failed", text, {"folder": str(folder)})
-    return Finding("cache", "ok", f"compiled kernels are kept in {folder}", {"folder": str(folder)})
+        return Finding("cache", "failed", text, data)
+    text = f"kernels in {folder}, {len(scenes)} scenes ({megabytes:.0f} MB) in {scene_cache_folder()}"
+    return Finding("cache", "ok", text, data)
 
 
 def check_providers() -> Finding:
