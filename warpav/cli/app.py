@@ -430,7 +430,7 @@ def scenes_figure(
     9: mount surface. 10: ways of the cameras without constraints. 11: views before and after optimisation, and of
     test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
     """
-    from warpav.view.scene_figures.by_number import RIG_NUMBERS, draw_figure
+    from warpav.experiments.scene_figures import RIG_NUMBERS, draw_figure
 
     if number not in RIG_NUMBERS:
         if overrides or run or config:
@@ -466,14 +466,14 @@ def scenes_heatmap(
     ] = None,
 ) -> None:
     """Draw where the vehicles of a collection stand: in all scenes, those to train on, those to test on."""
+    from warpav.experiments.scene_figures import scene_store_heat_maps
     from warpav.runs.config import read_seeds
-    from warpav.view.scene_figures.occupancy import collection_heat_maps
 
     chosen = {
         name: None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
         for name, seeds in (("train", train), ("test", test))
     }
-    _say(f"wrote {collection_heat_maps(scenes, out, **chosen)}")
+    _say(f"wrote {scene_store_heat_maps(scenes, out, **chosen)}")
 
 
 @config_app.command(name="show")

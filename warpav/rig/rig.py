@@ -20,10 +20,6 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 
 if TYPE_CHECKING:
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.scene.scene import Scene
-
     MultiBlock = Any
 
 MAX_IMAGE_PX = 16384
@@ -112,58 +108,11 @@ class Rig:
                 )
         return cls(checked)
 
-    def plot(
-        self,
-        out: str | Path | None = None,
-        *,
-        ego: Mesh | None = None,
-        scene: Scene | None = None,
-        mount_surface: MountSurface | None = None,
-        trajectory_m: np.ndarray | None = None,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the rig in a window or in a notebook, or write its picture to a file.
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the rig in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        from warpav.view import plot
 
-        Args:
-            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
-            ego: The vehicle that carries the cameras; by default that of the scene, else the axes of the ego frame.
-            scene: Traffic and street around it; an empty ground when None.
-            mount_surface: Drawn on the vehicle in colours of height.
-            trajectory_m: Camera positions over the iterations of an optimisation [m], [iteration, camera, 3].
-            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
-
-        Raises:
-            InputError: The file cannot be written, or nothing can be drawn or shown here.
-        """
-        from warpav.view.picture import plot_rig
-
-        return plot_rig(
-            self,
-            out,
-            ego=ego,
-            scene=scene,
-            mount_surface=mount_surface,
-            trajectory_m=trajectory_m,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
-        )
+        return plot(self, out=out, **options)
 
     def to_pyvista(self, *, depth_m: float = 1.25) -> MultiBlock:
         """The rig as ``pyvista.MultiBlock``: for every camera ``body``, ``frustum`` and ``axis``.

@@ -13,8 +13,8 @@ from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
 from warpav.runs.sources import load_detector
+from warpav.view.figures.style import checked_png
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
-from warpav.view.scene_figures.panels import checked_png
 
 SMALL_PX = 256
 OWN_SIZE_PX = 640

@@ -28,7 +28,7 @@ from warpav.runs.sources import (
     load_scenes,
     mount_surface,
 )
-from warpav.view.figures import detection_curves, reliability_diagram
+from warpav.view.figures.statistics import detection_curves, reliability_diagram
 
 if TYPE_CHECKING:
     from warpav.runs.progress import RunDisplay

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
     from warpav.optimisation.objective import AssignedScene, RigObjective
     from warpav.scene.scene import Scene
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
 VIEW_PX = 960
 """Longer side of the pictures that are kept of what cameras see."""
@@ -90,15 +90,17 @@ def draw_run(
         assigned: The same scene on the device, and others of which views are kept.
         say: Told when this machine cannot draw.
     """
-    from warpav.view import figures
+    from warpav.view import plot
+    from warpav.view.figures.convergence import loss_curves
+    from warpav.view.figures.detections import detections_sheet
+    from warpav.view.figures.top_view import rig_top_view
     from warpav.view.opengl import opengl_problem
-    from warpav.view.picture import inspect_rig as show
 
     start, result = rigs.values()
     path_m, surface = trajectory(folder.events()), objective.mount.surface
     spacing_m = objective.constraints.min_spacing_m
-    figures.loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
-    figures.rig_top_view(
+    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
+    rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,
         ego=scene.ego,
@@ -108,13 +110,13 @@ def draw_run(
         shows_zone=objective.constraints.are_inequalities,
     )
     seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
-    figures.detections_sheet(seen[0], folder.figure_path("detections"))
+    detections_sheet(seen[0], folder.figure_path("detections"))
     _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
     problem = opengl_problem()
     if problem:
         say(f"no picture of the rig: {problem}")
         return
-    show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+    plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
@@ -157,7 +159,7 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
     seen, _, _ = objective.observe_rig(rig, assigned)
     return [

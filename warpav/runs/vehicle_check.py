@@ -206,13 +206,12 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
 
-def _draw(found: Examination, surface: MountSurface | None, picture: Path, title: str) -> Path:
-    from warpav.view.vehicle_view import save_vehicle_picture
+def _draw(found: Examination, surface: MountSurface | None, image: Path, title: str) -> Path:
+    from warpav.view import plot
 
     axles: Sequence[float] = found.wheels.axle_m if found.wheels else ()
-    return save_vehicle_picture(
-        found.mended, picture, surface=surface, axle_m=[x + found.shift_m[0] for x in axles], title=title
-    )
+    axle_m = [x + found.shift_m[0] for x in axles]
+    return plot(found.mended, mount_surface=surface, axle_m=axle_m, title=title, out=image)
 
 
 def _command(path: Path, options: dict[str, str], out: Path | None) -> str:

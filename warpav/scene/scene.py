@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,6 @@ from warpav.raster.mesh import Mesh, merge
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from warpav.rig.rig import Rig
 
     MultiBlock = Any
 
@@ -201,53 +199,11 @@ class Scene:
             others=tuple(other.mirrored() for other in self.others),
         )
 
-    def plot(
-        self,
-        out: str | Path | None = None,
-        *,
-        rig: Rig | None = None,
-        outcomes: Sequence[str] | None = None,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the scene in a window or in a notebook, or write its picture to a file.
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the scene in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        from warpav.view import plot
 
-        Args:
-            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
-            rig: Cameras on the ego vehicle.
-            outcomes: What becomes of every vehicle, `warpav.evaluation.metrics.ObjectOutcome`; it colours them.
-            sight: Whether to paint what every camera sees, and its view up to what stands in the way.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the ego vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
-
-        Raises:
-            InputError: The file cannot be written, or nothing can be drawn or shown here.
-        """
-        from warpav.rig.rig import Rig
-        from warpav.view.picture import plot_rig
-
-        return plot_rig(
-            Rig(()) if rig is None else rig,
-            out,
-            scene=self,
-            outcomes=outcomes,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
-        )
+        return plot(self, out=out, **options)
 
     def to_pyvista(self) -> MultiBlock:
         """The scene as ``pyvista.MultiBlock``: ``environment``, ``ego``, ``vehicle_<instance id>`` of all road users.

@@ -1,4 +1,4 @@
-"""Pictures of point clouds and meshes in their own colours, from any place, without a window."""
+"""Images of point clouds and meshes in their own colours, from any position, without a window."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from warpav.view.rig_view import mesh_to_pyvista
 if TYPE_CHECKING:
     from warpav.scene.reconstruction.point_cloud import PointCloud
     from warpav.scene.scene import Box
+
+BACKGROUND_RGB: Rgb = (214, 205, 230)
+"""Where a picture shows nothing: not the colour of a vehicle, a road or the sky."""
 
 _SUPERSAMPLING = 2
 _BOX_LINE_PX = 1.6
@@ -44,7 +47,7 @@ class Viewpoint:
     height_m: float | None = None
 
 
-def cloud_picture(
+def cloud_image(
     parts: Sequence[PointCloud | Mesh],
     viewpoint: Viewpoint,
     *,
@@ -116,6 +119,30 @@ def cloud_picture(
         return np.asarray(drawn.resize(size_px, Image.Resampling.LANCZOS))
     finally:
         plotter.close()
+
+
+def towards(bearing_rad: float, elevation_rad: float) -> np.ndarray:
+    """Unit vector of a direction in the ego frame, shape [3]."""
+    level = math.cos(elevation_rad)
+    return np.array([level * math.cos(bearing_rad), level * math.sin(bearing_rad), math.sin(elevation_rad)])
+
+
+def view_of(point_m: np.ndarray, direction: np.ndarray, size_px: tuple[int, int]) -> Viewpoint:
+    """Without perspective, just so that all points are in the picture.
+
+    Args:
+        point_m: Points in the ego frame [m], shape [point, 3].
+        direction: Unit vector from them to the viewer, not vertical.
+        size_px: Width and height of the picture [px].
+    """
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    above = np.cross(direction, right)
+    low, high = (reduce(point_m @ np.stack([right, above], axis=1), axis=0) for reduce in (np.min, np.max))
+    middle, (width_m, height_m) = 0.5 * (low + high), high - low
+    target_m = middle[0] * right + middle[1] * above + np.median(point_m @ direction) * direction
+    height_m = 1.08 * max(width_m * size_px[1] / size_px[0], height_m)
+    return Viewpoint(target_m + 150.0 * direction, target_m, height_m=height_m)
 
 
 def _by_size(

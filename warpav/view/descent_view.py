@@ -33,7 +33,7 @@ _LEAST = 1e-2  # of the longest; shorter arrows would be all tip
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
+class Steepest:
     """Which way the loss falls at a rig: minus its gradient.
 
     Attributes:
@@ -45,7 +45,7 @@ class Descent:
     turn: np.ndarray
 
     @classmethod
-    def of_event(cls, event: Mapping[str, Any]) -> Descent | None:
+    def of_event(cls, event: Mapping[str, Any]) -> Steepest | None:
         """That of a line of ``events.jsonl``; None for runs that did not record it."""
         gradient = event.get("gradient")
         if not gradient:
@@ -56,7 +56,7 @@ class Descent:
         )
 
 
-def arrows_m(rig: Rig, descent: Descent, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
+def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
     """Arrows along the mount surface that show where the descent moves the cameras.
 
     Args:
@@ -82,7 +82,7 @@ def arrows_m(rig: Rig, descent: Descent, surface: MountSurface, *, longest_m: fl
 
 
 def add_descent(
-    plotter: Plotter, rig: Rig, descent: Descent | None, surface: MountSurface, *, name: str = "descent"
+    plotter: Plotter, rig: Rig, descent: Steepest | None, surface: MountSurface, *, name: str = "descent"
 ) -> None:
     """Add straight arrows for where a step moves the cameras and bent ones for which way it turns them.
 

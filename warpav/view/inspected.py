@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
-    from warpav.view.descent_view import Descent
+    from warpav.view.descent_view import Steepest
 
 KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
@@ -51,7 +51,7 @@ class InspectedRig:
         constraints: Constraints,
         height_offset_m: float,
         observer_of: Callable[[Rig], RigObserver],
-        descents: Sequence[Descent | None] = (),
+        descents: Sequence[Steepest | None] = (),
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene.
@@ -136,7 +136,7 @@ class InspectedRig:
         return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
 
     @property
-    def descent(self) -> Descent | None:
+    def descent(self) -> Steepest | None:
         """Which way the loss falls at the frame; None where nobody knows, and once a camera was moved or turned."""
         return self._descents[self.frame] if self.rig is self.frames[self.frame] else None
 

@@ -18,9 +18,8 @@ from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
-from warpav.view.picture import WIDE_ZOOM
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_render, rig_plotter
-from warpav.view.sight_view import RAYS_PX, add_camera_sight, add_coverage, add_outcomes, colour_coverage
+from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
+from warpav.view.visibility_view import RAYS_PX, add_camera_visibility, add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -67,7 +66,7 @@ class Inspector:
         chosen: Number of the camera whose view is shown; None: no view.
         shown_height: Which of the coverage's heights is shown; None: no coverage.
         shows_outcomes: Whether traffic is coloured by what becomes of it.
-        shows_sight: Whether the views of the cameras are painted, up to what stands in the way; the ground carries
+        shows_visibility: Whether the views of the cameras are painted, up to what stands in the way; the ground carries
             either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
 
@@ -80,7 +79,7 @@ class Inspector:
         *,
         save_to: Path,
         trajectory_m: np.ndarray | None = None,
-        begin_with: Literal["coverage", "outcomes", "sight"] = "coverage",
+        begin_with: Literal["coverage", "outcomes", "visibility"] = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -102,7 +101,7 @@ class Inspector:
         self.chosen: int | None = None
         self.shown_height: int | None = 0 if begin_with == "coverage" else None
         self.shows_outcomes = begin_with == "outcomes"
-        self.shows_sight = begin_with == "sight"
+        self.shows_visibility = begin_with == "visibility"
         self.shows_descent = True
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
@@ -132,7 +131,7 @@ class Inspector:
         self._draw_descent()
         if self.shows_outcomes:
             self._draw_scene()
-        self._draw_sight()
+        self._draw_visibility()
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do
@@ -147,7 +146,7 @@ class Inspector:
                 self._draw_camera(index)
                 self._put_ball(index)
             self._draw_descent()
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def next_scene(self) -> None:
@@ -155,7 +154,7 @@ class Inspector:
         self.state.show_scene(self.state.scene_index + 1)
         with self._one_render():
             self._draw_scene()
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def cycle_coverage(self) -> None:
@@ -163,9 +162,9 @@ class Inspector:
         heights = [*range(len(self.state.coverage.heights_m)), None]
         self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
         if self.shown_height is not None:
-            self.shows_sight = False
+            self.shows_visibility = False
         with self._one_render():
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def toggle_outcomes(self) -> None:
@@ -175,13 +174,13 @@ class Inspector:
             self._draw_scene()
             self._redraw()
 
-    def toggle_sight(self) -> None:
+    def toggle_visibility(self) -> None:
         """Paint the views of the cameras up to what stands in the way, or no longer; the coverage goes."""
-        self.shows_sight = not self.shows_sight
-        if self.shows_sight:
+        self.shows_visibility = not self.shows_visibility
+        if self.shows_visibility:
             self.shown_height = None
         with self._one_render():
-            self._draw_sight()
+            self._draw_visibility()
             self._draw_coverage()
 
     def toggle_descent(self) -> None:
@@ -237,8 +236,8 @@ class Inspector:
         self._draw_camera(camera)
         if was_descent:
             self._draw_descent()
-        if self.shows_sight:
-            self._draw_sight_of(camera, rays=DRAGGED_RAYS_PX)
+        if self.shows_visibility:
+            self._draw_visibility_of(camera, rays=DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
@@ -251,8 +250,8 @@ class Inspector:
             self._draw_camera(camera)
             self._put_ball(camera)
             self._draw_descent()
-            if self.shows_sight:
-                self._draw_sight_of(camera)
+            if self.shows_visibility:
+                self._draw_visibility_of(camera)
             if self.shows_outcomes:
                 self._draw_scene()
             self._redraw()
@@ -301,7 +300,7 @@ class Inspector:
             "n": self.next_scene,
             "c": self.cycle_coverage,
             "d": self.toggle_outcomes,
-            "v": self.toggle_sight,
+            "v": self.toggle_visibility,
             "g": self.toggle_descent,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
@@ -357,15 +356,15 @@ class Inspector:
         descent = self.state.descent if self.shows_descent else None
         add_descent(self.plotter, self.state.rig, descent, self.state.surface)
 
-    def _draw_sight(self) -> None:
+    def _draw_visibility(self) -> None:
         for index, camera in enumerate(self.state.rig.cameras):
-            if self.shows_sight:
-                self._draw_sight_of(index)
+            if self.shows_visibility:
+                self._draw_visibility_of(index)
             else:
-                self.plotter.remove_actor(f"sight/{camera.name}")
+                self.plotter.remove_actor(f"visibility/{camera.name}")
 
-    def _draw_sight_of(self, index: int, *, rays: int = RAYS_PX) -> None:
-        add_camera_sight(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
+    def _draw_visibility_of(self, index: int, *, rays: int = RAYS_PX) -> None:
+        add_camera_visibility(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
 
     def _draw_scene(self) -> None:
         scene, plotter = self.state.scene, self.plotter

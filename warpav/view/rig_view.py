@@ -1,4 +1,4 @@
-"""The picture of a rig: ego vehicle, cameras with frustums and sectors, paths of the optimisation, traffic.
+"""A rig in 3D: ego vehicle, cameras with frustums and sectors, paths of the optimisation, traffic.
 
 Every function adds to a plotter that the caller owns. Actors carry stable names (``rig/<camera>/frustum``,
 ``scene/vehicles`` ...), so drawing again replaces what was drawn before.
@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.view.frustum import bearing_sector_rad, frustum_points
-from warpav.view.opengl import load_pyvista, load_pyvista_data
+from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from warpav.evaluation.metrics import ObjectOutcome
+    from warpav.evaluation.coverage import Coverage
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     PolyData = Any
 
 WINDOW_PX = (1280, 800)
+WIDE_ZOOM = 0.62
+"""Of images that show what a rig sees."""
+
 FRUSTUM_DEPTH_M = 1.25
 SECTOR_RADIUS_M = 9.0
 HAZE_START_M = 9.0
@@ -58,48 +61,36 @@ def rig_plotter(
     *,
     ego: Mesh | None = None,
     scene: Scene | None = None,
-    outcomes: Sequence[ObjectOutcome] | None = None,
-    sight: bool = False,
+    outcomes: Sequence[str] | None = None,
+    coverage: Coverage | None = None,
+    visibility: bool = False,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_PX,
     title: str | None = None,
-    zoom: float = 1.0,
+    zoom: float | None = None,
     frustum_depth_m: float = FRUSTUM_DEPTH_M,
-    sectors: bool = True,
+    sectors: bool | None = None,
     labels: bool = True,
 ) -> Plotter:
-    """A plotter with the whole picture, not yet shown: call ``.show()`` on it or `warpav.view.picture.save_picture`.
+    """A plotter with all that `warpav.view.plot` draws of a rig, not yet shown.
 
-    Args:
-        rig: The cameras.
-        ego: The vehicle that carries them, in the ego frame; that of the scene when None, and without a scene none: the
-            axes of the ego frame stand in its place.
-        scene: Traffic and street around it; an empty ground when None.
-        outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
-        sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
-        trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
-        mount_surface: When given, drawn on the vehicle in colours of height.
-        off_screen: Draw without a window; by default when there is no display.
-        window_size: Width and height [px].
-        title: A line in the upper left corner.
-        zoom: 1 fills the picture with the vehicle, less shows more around it.
-        frustum_depth_m: How far the frustums are drawn [m].
-        sectors: Whether to draw on the ground what bearings each camera covers; ``sight`` takes their place.
-        labels: Whether to name the cameras.
+    Most options are those of `warpav.view.plot`. ``frustum_depth_m`` is how far the frustums are drawn [m], ``labels``
+    whether the cameras are named, and ``sectors`` whether the bearings that each camera covers are drawn on the ground,
+    by default unless outcomes, coverage or visibility are painted.
 
     Raises:
         InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
-        ValueError: ``sight`` or ``outcomes`` of no scene.
+        ValueError: Visibility, coverage or outcomes of no scene.
     """
-    if scene is None and (sight or outcomes is not None):
-        raise ValueError("sight, outcomes: expected a scene with what is seen, got none")
+    is_painted = visibility or coverage is not None or outcomes is not None
+    if scene is None and is_painted:
+        raise ValueError("visibility, coverage, outcomes: expected a scene with what is seen, got none")
+    zoom = (WIDE_ZOOM if is_painted else 1.0) if zoom is None else zoom
+    sectors = not is_painted if sectors is None else sectors and not visibility
     pyvista = load_pyvista()
-    if off_screen is None:
-        from warpav.view.opengl import has_display
-
-        off_screen = not has_display()
+    off_screen = not has_display() if off_screen is None else off_screen
     plotter = pyvista.Plotter(
         off_screen=off_screen, window_size=list(window_size), lighting="light kit", title="warpav"
     )
@@ -118,7 +109,7 @@ def rig_plotter(
     else:
         shown = scene
         if outcomes is not None:
-            from warpav.view.sight_view import add_outcomes
+            from warpav.view.visibility_view import add_outcomes
 
             add_outcomes(plotter, scene, outcomes)
             shown = dataclasses.replace(scene, vehicles=())
@@ -127,14 +118,18 @@ def rig_plotter(
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
-    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors and not sight, labels=labels)
-    if sight and scene is not None:
+    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    if visibility and scene is not None:
         from warpav.raster.device_scene import DeviceScene
-        from warpav.view.sight_view import add_sight
+        from warpav.view.visibility_view import add_visibility
 
-        add_sight(plotter, rig, DeviceScene.pack(scene))
+        add_visibility(plotter, rig, DeviceScene.pack(scene))
     if trajectory_m is not None:
         add_trajectory(plotter, trajectory_m)
+    if coverage is not None:
+        from warpav.view.visibility_view import add_coverage
+
+        add_coverage(plotter, coverage)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"

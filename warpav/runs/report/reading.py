@@ -201,7 +201,7 @@ class Event(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.DetectionPanel`.
+    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.detections.DetectionPanel`.
 
     Attributes:
         scene_number: Of those that are shown, from 0, as names need not differ; older versions did not write it.

@@ -17,9 +17,13 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.runs.config import config_names, load_config, overrides_from
-from warpav.runs.report import plots, words
-from warpav.runs.report.reading import Evaluation, RunContent, View, read_run
-from warpav.runs.run_folder import ARM_ROWS, RunFolder, recall_rows
+from warpav.runs.report import words
+from warpav.runs.report.reading import Evaluation, Event, RunContent, View, read_run
+from warpav.runs.run_folder import ARM_ROWS, RECALL_GROUPS, RunFolder, recall_rows
+from warpav.view.figures.convergence import convergence_panels
+from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
+from warpav.view.figures.style import svg_text
+from warpav.view.figures.top_view import blind_ground
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
 
 if TYPE_CHECKING:
@@ -50,7 +54,7 @@ PICTURES = {
 
 
 @dataclass(frozen=True)
-class Picture:
+class PageImage:
     """A picture of the page.
 
     Attributes:
@@ -67,7 +71,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Box:
+class ImageBox:
     """A box on a picture: corner and size [px], and what it says."""
 
     kind: str
@@ -130,7 +134,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     named = sorted(pictures, key=lambda name: (order.index(name) if name in order else len(order), name))
     files = [*(pictures[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
     encoded = iter(_pictures(files))
-    shown = [Picture(name, pictures[name][1], *next(encoded)) for name in named]
+    shown = [PageImage(name, pictures[name][1], *next(encoded)) for name in named]
     return {
         "run": run,
         "evaluation": evaluation,
@@ -242,14 +246,14 @@ def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
     ]
 
 
-def _plots(run: RunContent) -> dict[str, list[Picture]]:
+def _plots(run: RunContent) -> dict[str, list[PageImage]]:
     """The plots of every section."""
     evaluation = run.evaluation
     min_distance_m = None if run.config is None else run.config.rig.min_spacing_m
-    found: dict[str, list[Picture]] = {
+    found: dict[str, list[PageImage]] = {
         "convergence": [
             _plot(name, f"{name} over the iterations", svg)
-            for name, svg in plots.convergence(run.events, min_distance_m=min_distance_m).items()
+            for name, svg in _convergence(run.events, min_distance_m).items()
         ],
         "metrics": [],
         "recall": [],
@@ -257,19 +261,28 @@ def _plots(run: RunContent) -> dict[str, list[Picture]]:
     }
     if evaluation is None:
         return found
-    forest = plots.differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
-    if forest is not None:
+    rows = _differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
+    if rows:
         caption = "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers"
-        found["metrics"].append(_plot("differences", caption, forest))
+        found["metrics"].append(_plot("differences", caption, differences(rows, evaluation.first)))
     for by, title in (("distance_m", "Recall by distance"), ("sector", "Recall by sector")):
-        svg = plots.recall_of_groups(evaluation.arms, by, title)
+        tables = {name: arm.recall_by[by] for name, arm in evaluation.arms.items() if by in (arm.recall_by or {})}
+        if len(tables) < len(evaluation.arms):
+            continue
+        svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
         if svg is not None:
             found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
     if run.ground is not None:
         rigs = {"start": run.start, evaluation.first: run.result}
         for height, height_m in enumerate(run.ground.heights_m):
             for arm in (name for name in rigs if name in run.ground.blind_share):
-                svg = plots.blind_ground(run.ground, arm, height, rigs[arm], f"{arm}: {height_m:g} m tall")
+                svg = blind_ground(
+                    run.ground.blind_share[arm][height],
+                    f"{arm}: {height_m:g} m tall",
+                    cell_m=run.ground.cell_m,
+                    ego_bounds_m=run.ground.ego_bounds_m,
+                    rig=rigs[arm],
+                )
                 caption = (
                     f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
                     f"someone {height_m:g} m tall"
@@ -278,11 +291,30 @@ def _plots(run: RunContent) -> dict[str, list[Picture]]:
     return found
 
 
-def _plot(name: str, caption: str, svg: str) -> Picture:
+def _convergence(events: Sequence[Event], min_distance_m: float | None) -> dict[str, str]:
+    """Loss, loss terms, multipliers and camera distance as SVG by name; empty for events that do not hold them all."""
+    records = [event.model_dump() for event in events]
+    if not records or any(record[key] is None for record in records for key in ("terms", "multipliers", "positions_m")):
+        return {}
+    records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
+    return {name: svg_text(draw, 2.9) for name, draw in convergence_panels(records, min_distance_m).items()}
+
+
+def _differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
+    """Differences with an interval, of metrics by their names and what they are called."""
+    return [
+        MetricDifference(heading, name, found[metric].mean, found[metric].low, found[metric].high)
+        for metric, heading in metrics.items()
+        for name, found in evaluation.paired.items()
+        if metric in found and found[metric].low is not None
+    ]
+
+
+def _plot(name: str, caption: str, svg: str) -> PageImage:
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     opening = svg[svg.index("<svg") :].partition(">")[0]
     width, height = (float(opening.partition(f'{side}="')[2].partition("pt")[0]) for side in ("width", "height"))
-    return Picture(name, caption, address, (round(width), round(height)))
+    return PageImage(name, caption, address, (round(width), round(height)))
 
 
 def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
@@ -379,7 +411,7 @@ def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]
     return [(name, cameras) for (_, name), cameras in scenes.items()]
 
 
-def _boxes(view: View) -> Iterable[Box]:
+def _boxes(view: View) -> Iterable[ImageBox]:
     """The boxes of a view, in the order in which they are drawn."""
     found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
     for index, box in enumerate(view.detection_box_px):
@@ -395,9 +427,9 @@ def _boxes(view: View) -> Iterable[Box]:
             yield _box("missed", truth)
 
 
-def _box(kind: str, box_px: Sequence[float]) -> Box:
+def _box(kind: str, box_px: Sequence[float]) -> ImageBox:
     x0, y0, x1, y1 = (round(value, 1) for value in box_px)
-    return Box(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
+    return ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
 def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:

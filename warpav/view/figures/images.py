@@ -11,9 +11,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
-from warpav.view.figures import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, show_image, title
 from warpav.view.palette import INK_RGB, MUTED_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.scene_figures.panels import show_picture, title
 
 KIND_RGB: Mapping[ViewKind, Rgb] = {
     ViewKind.EGO_TOP: (240, 126, 22),
@@ -70,7 +69,7 @@ def image_types(capture: Capture, path: Path | str) -> Path:
             )
         ):
             axis = _axes(figure, gap_inch + column * across_inch, below_inch, width_inch, down_inch)
-            show_picture(axis, pixels)
+            show_image(axis, pixels)
             title(axis, text)
         _depth_bar(figure, _axes(figure, gap_inch + across_inch, below_inch - 0.2, width_inch, 0.11), limits_m)
         _instance_legend(_axes(figure, gap_inch + 2 * across_inch, below_inch - 0.2, width_inch, 0.11), image)
@@ -144,7 +143,7 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
             else:
                 pixels = instance_rgb(image.instance)
             axis = _axes(figure, left_inch, low_inch, wide_inch, high_inch)
-            show_picture(axis, pixels)
+            show_image(axis, pixels)
             axis.spines[:].set_visible(False)
         if what == "depth":
             _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, below_inch - 0.15, 0.6 * WIDTH_INCH, 0.13), limits_m)

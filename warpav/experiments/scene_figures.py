@@ -1,8 +1,12 @@
-"""The thesis's figures of traffic scenes by their numbers, and what they are drawn from."""
+"""The thesis's figures of traffic scenes, 4 to 9 and 14 to 16: finds or records what `warpav.view.figures` draws."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
@@ -10,11 +14,14 @@ from warpav.scene.capture.capture import Capture
 from warpav.scene.capture.folder import read_capture
 from warpav.scene.capture.plan import PlanSettings, record
 from warpav.scene.capture.town_simulator import TownSimulator
-from warpav.view.scene_figures.clouds import sphere, stages, window_filter
-from warpav.view.scene_figures.images import contact_sheet, image_types
-from warpav.view.scene_figures.mount_surface import mount_surface_stages
-from warpav.view.scene_figures.occupancy import collection_heat_maps
-from warpav.view.scene_figures.panels import checked_png
+from warpav.scene.glb import read_scene
+from warpav.scene.scene import Box
+from warpav.scene.store import scene_path, split_seeds
+from warpav.view.figures.clouds import sphere, stages, window_filter
+from warpav.view.figures.images import contact_sheet, image_types
+from warpav.view.figures.mount_surface import mount_surface_stages
+from warpav.view.figures.occupancy import heat_maps
+from warpav.view.figures.style import checked_png
 
 CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
 """Figures of one capture, by their numbers in the thesis."""
@@ -48,7 +55,7 @@ def draw_figure(
     if number == COLLECTION_NUMBER:
         if scenes_folder is None or seed is not None or capture_folder is not None:
             raise InputError(f"figure {number}: expected --scenes with a folder of scenes and nothing else")
-        return collection_heat_maps(scenes_folder, path)
+        return scene_store_heat_maps(scenes_folder, path)
     if number not in CAPTURE_NUMBERS:
         known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
@@ -83,3 +90,45 @@ def recorded_town(seed: int) -> Capture:
         raise InputError(f"--seed: expected an integer from 0, got {seed}")
     with TownSimulator() as simulator:
         return record(simulator, seed, PlanSettings())
+
+
+def scene_store_heat_maps(
+    folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
+) -> Path:
+    """Figure 8 for a folder of scenes: all of them, those for training, those for testing.
+
+    Args:
+        folder: Holds ``scene_<seed>.glb`` files.
+        path: PNG file to write.
+        train: Seeds for training; None: the first 60 %.
+        test: Seeds for testing; None: the last 20 %.
+
+    Raises:
+        InputError: The folder or a scene is missing, or there are too few scenes to split them.
+    """
+    path = checked_png(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
+    found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}
+    if not found:
+        raise InputError(f"{folder}: expected files scene_SEED.glb, got none; warpav scenes make --out writes them")
+    split = split_seeds(sorted(found))
+    parts = {"all": sorted(found), "train": train or split["train"], "test": test or split["test"]}
+    for name, seeds in parts.items():
+        missing = sorted(set(seeds) - found)
+        if missing:
+            raise InputError(f"{scene_path(folder, missing[0])}: --{name}: expected this scene, got no such file")
+        if not seeds:
+            raise InputError(
+                f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds with --{name}"
+            )
+    boxes: dict[int, list[Box]] = {}
+    ego_box = None
+    for seed in parts["all"]:
+        scene = read_scene(scene_path(folder, seed))
+        boxes[seed] = [vehicle.box for vehicle in scene.vehicles]
+        if ego_box is None:
+            low, high = scene.ego.bounds_m().astype(np.float64)
+            ego_box = Box(0.5 * (low + high), high - low, 0.0)
+    assert ego_box is not None
+    return heat_maps({name: [boxes[seed] for seed in seeds] for name, seeds in parts.items()}, path, ego_box=ego_box)

@@ -18,20 +18,21 @@ from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
 from warpav.scene.reconstruction.surface import thin_out
 from warpav.scene.scene import Box
-from warpav.view.cloud_view import Viewpoint, cloud_picture
-from warpav.view.figures import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
-from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.scene_figures.panels import (
-    BACKGROUND_RGB,
+from warpav.view.cloud_view import BACKGROUND_RGB, Viewpoint, cloud_image, towards, view_of
+from warpav.view.figures.style import (
+    DOTS_PER_INCH,
+    WIDTH_INCH,
     caption,
     count_text,
     empty_panel,
+    figure_style,
+    new_figure,
     panel_sizes_px,
-    show_picture,
+    save_figure,
+    show_image,
     title,
-    towards,
-    view_of,
 )
+from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 _SKY_DEPTH_M = 1000.0  # where CARLA's depth images put the sky
 _STRAY_REACH_M = 9.0  # of what was seen through a vehicle's panes, so much is drawn
@@ -97,9 +98,9 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
         )
         sizes_px = panel_sizes_px(figure, axes)
         for axis, size_px, (parts, cover) in zip(axes, sizes_px, panels.values(), strict=True):
-            show_picture(
+            show_image(
                 axis,
-                cloud_picture(
+                cloud_image(
                     parts,
                     viewpoint,
                     size_px=size_px,
@@ -139,7 +140,7 @@ def sphere(capture: Capture, path: Path | str, *, settings: CloudSettings | None
             (axes[0], "Without the sphere", [around, *objects]),
             (axes[1], "With the sphere", [near, moved, *objects]),
         ):
-            picture = cloud_picture(parts, viewpoint, size_px=(edge_px, edge_px), point_px=1.2, cover=1.0)
+            picture = cloud_image(parts, viewpoint, size_px=(edge_px, edge_px), point_px=1.2, cover=1.0)
             axis.imshow(picture, extent=(reach_m, -reach_m, -reach_m, reach_m), interpolation="antialiased")
             circle = settings.radius_m * np.stack([np.sin(turn), np.cos(turn)])
             axis.plot(*circle, color=hex_colour(camera_rgb(1)), linewidth=1.3, linestyle=(0, (5, 3)))
@@ -297,7 +298,7 @@ def window_filter(
         for axis, size_px, (parts, wires, point_m, direction, point_px) in zip(
             figure.axes, panel_sizes_px(figure, figure.axes), panels, strict=True
         ):
-            picture = cloud_picture(
+            picture = cloud_image(
                 parts,
                 view_of(point_m, direction, size_px),
                 size_px=size_px,
@@ -305,7 +306,7 @@ def window_filter(
                 cover=1.3,
                 boxes=wires,
             )
-            show_picture(axis, picture)
+            show_image(axis, picture)
         return save_figure(figure, path)
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpav.evaluation.coverage import Coverage
-    from warpav.evaluation.metrics import ObjectOutcome
     from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
@@ -44,7 +43,7 @@ _COVERAGE_ALPHA = 153
 _SEEN_ALPHA, _SIDE_ALPHA = 71, 15
 
 
-def sight_to_pyvista(
+def visibility_to_pyvista(
     camera: RigCamera, scene: DeviceScene, *, farthest_m: float = FARTHEST_M, rays: int = RAYS_PX
 ) -> PolyData:
     """What a camera sees, up to what stands in the way, as ``pyvista.PolyData``.
@@ -89,14 +88,14 @@ def sight_to_pyvista(
     return surface
 
 
-def add_sight(
+def add_visibility(
     plotter: Plotter,
     rig: Rig,
     scene: DeviceScene,
     *,
     farthest_m: float = FARTHEST_M,
     top_m: float = TOP_M,
-    name: str = "sight",
+    name: str = "visibility",
 ) -> None:
     """Paint what every camera of a rig sees in the camera's colour, with the sides of its view up to there.
 
@@ -109,10 +108,10 @@ def add_sight(
         name: First part of the actors' names.
     """
     for index, camera in enumerate(rig.cameras):
-        add_camera_sight(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
+        add_camera_visibility(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
 
 
-def add_camera_sight(
+def add_camera_visibility(
     plotter: Plotter,
     camera: RigCamera,
     index: int,
@@ -121,7 +120,7 @@ def add_camera_sight(
     farthest_m: float = FARTHEST_M,
     top_m: float = TOP_M,
     rays: int = RAYS_PX,
-    name: str = "sight",
+    name: str = "visibility",
 ) -> None:
     """Paint what one camera sees, with the sides of its view up to there.
 
@@ -135,7 +134,7 @@ def add_camera_sight(
         rays: Rays along each side of the image; fewer are faster and coarser.
         name: First part of the actor's name.
     """
-    surface = sight_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
+    surface = visibility_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
     surface = surface.clip("z", origin=(0.0, 0.0, top_m))
     # most rays graze the ground, so that the way back along them leads hardly off it
     is_end = ~np.isclose(surface.points, camera.position_m, atol=1e-4).all(axis=1)
@@ -153,7 +152,7 @@ def add_camera_sight(
 def add_outcomes(
     plotter: Plotter,
     scene: Scene,
-    outcomes: Sequence[ObjectOutcome],
+    outcomes: Sequence[str],
     *,
     name: str = "scene/outcomes",
     legend: bool = True,
