@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -108,6 +109,21 @@ class Rig:
                 )
         return cls(checked)
 
+    def _repr_html_(self) -> str:
+        """What Jupyter shows: the cameras as a table."""
+        rows = "".join(
+            f"<tr><td style='text-align:left'>{html.escape(camera.name)}</td>"
+            + "".join(f"<td>{text}</td>" for text in _table_row(camera))
+            + "</tr>"
+            for camera in self.cameras
+        )
+        count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *_TABLE_COLUMNS))
+        return (
+            f"<table><caption>Rig of {count}, ego frame: x forward, y left, z up</caption>"
+            f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the rig in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
         from warpav.view import plot
@@ -125,6 +141,28 @@ class Rig:
         from warpav.view.blocks import rig_to_pyvista
 
         return rig_to_pyvista(self, depth_m=depth_m)
+
+
+_TABLE_COLUMNS = (
+    "x [m]",
+    "y [m]",
+    "z [m]",
+    "yaw [°]",
+    "pitch [°]",
+    "roll [°]",
+    "field of view [°]",
+    "image [px]",
+    "lens",
+)
+
+
+def _table_row(camera: RigCamera) -> list[str]:
+    """What a table says of a camera, in the order of `_TABLE_COLUMNS`."""
+    model = camera.model
+    position = [f"{value:.3f}" for value in camera.position_m]
+    angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
+    size = f"{model.width_px} x {model.height_px}"
+    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens)]
 
 
 def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
