@@ -286,7 +286,7 @@ def scenes_folder(tmp_path):
 
 
 def test_heat_maps_lie_where_the_vehicles_stand(tmp_path, scenes_folder, drawn):
-    image = pixels(scene_figures.draw_figure(8, tmp_path / "8.png", scenes_folder=scenes_folder))
+    image = pixels(scene_figures.draw_figure(8, tmp_path / "8.png", scenes=scenes_folder))
     assert image.shape[1] == WIDTH_PX
     maps = drawn[0].axes[:3]
     assert [(axis.get_title("left"), axis.get_title("right")) for axis in maps] == [
@@ -376,9 +376,9 @@ def assert_one_line(capsys, message):
         (["4"], "--out"),
         (["4", "--out", "4.png", "--seed", "-1"], "--seed: expected an integer from 0, got -1"),
         (["4", "--out", "4.png", "--capture", "nowhere"], "nowhere"),
-        (["4", "--out", "4.png", "--capture", "a", "--seed", "1"], "expected either --seed or --capture, got both"),
+        (["4", "--out", "4.png", "--capture", "a", "--seed", "1"], "expected either seed or capture, got both"),
         (["4", "--out", "4.png", "--scenes", "a"], "that goes with figure 8"),
-        (["8", "--out", "8.png"], "figure 8: expected --scenes"),
+        (["8", "--out", "8.png"], "figure 8: expected scenes"),
         (["8", "--out", "8.png", "--scenes", "nowhere"], "nowhere: expected a folder of scenes, got none"),
         (["8", "--out", "8.png", "--scenes", "."], "expected files scene_SEED.glb, got none"),
     ],

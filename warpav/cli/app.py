@@ -6,6 +6,8 @@ needs it, so that ``--help`` and ``config`` answer at once.
 
 from __future__ import annotations
 
+import re
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +29,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
+scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 experiment_app = App(name="experiment", help="Run experiments, judge their rigs anew, write their results as a page.")
 rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; what is in a rig.")
@@ -87,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, CycloptsError) as error:
         if debug:
             raise
-        _complain(_usage_text(error) if isinstance(error, CycloptsError) else str(error))
+        _complain(_usage_text(error) if isinstance(error, CycloptsError) else _typed(error))
         return 2
     except Exception as error:
         if debug:
@@ -245,14 +247,14 @@ def inspect(
         Path | None,
         Parameter(
             help="PNG, HTML, GIF or MP4 to write. GIF and MP4 are one turn around the vehicle; of a run, without "
-            "--show, films over its iterations."
+            "--show, animations of its iterations."
         ),
     ] = None,
     show: Annotated[
-        Literal["rig", "coverage", "outcomes", "sight"],
+        Literal["rig", "coverage", "outcomes", "visibility", "sight"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
-            "detected, missed, hidden or out of frame; sight, what every camera sees."
+            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name)."
         ),
     ] = "rig",
 ) -> None:
@@ -261,6 +263,9 @@ def inspect(
     from warpav.runs.progress import RunDisplay
     from warpav.runs.sources import config_for
 
+    if show == "sight":
+        _complain("--show sight: is called --show visibility now; the old name goes in the next version")
+        show = "visibility"
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
         file = inspect_rig(run_or_rig, settings, out, shown=show, display=RunDisplay())
     if file is not None and out is None:
@@ -427,8 +432,8 @@ def scenes_figure(
     """Draw a figure of the thesis.
 
     4: image types. 5: stages from images to meshes. 6: sphere. 7: window filter. 8: where vehicles stand.
-    9: mount surface. 10: ways of the cameras without constraints. 11: views before and after optimisation, and of
-    test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
+    9: mount surface. 10: trajectories of the cameras without constraints. 11: images before and after optimisation, and
+    of test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
     """
     from warpav.experiments.scene_figures import RIG_NUMBERS, draw_figure
 
@@ -437,7 +442,7 @@ def scenes_figure(
             raise InputError(
                 f"figure {number}: expected no --run, --config or key=value; they go with figures 10 to 12"
             )
-        _say(f"wrote {draw_figure(number, out, seed=seed, capture_folder=capture, scenes_folder=scenes)}")
+        _say(f"wrote {draw_figure(number, out, seed=seed, capture=capture, scenes=scenes)}")
         return
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
@@ -465,7 +470,7 @@ def scenes_heatmap(
         str | None, Parameter(help="Seeds to test on, such as [160,161]; by default the last 20 %.")
     ] = None,
 ) -> None:
-    """Draw where the vehicles of a collection stand: in all scenes, those to train on, those to test on."""
+    """Draw where the vehicles of a folder of scenes stand: in all scenes, those to train on, those to test on."""
     from warpav.experiments.scene_figures import scene_store_heat_maps
     from warpav.runs.config import read_seeds
 
@@ -677,7 +682,13 @@ def vehicle_check(
         _say(line)
     for problem in report.problems:
         _complain(problem)
-    return 2 if report.problems else 0
+    if report.fix is None:
+        return 2 if report.problems else 0
+    target = out or file.with_name(f"{file.stem}_ego.glb")
+    words = [word for name, value in report.fix.items() for word in (f"--{name.replace('_', '-')}", value)]
+    command = shlex.join(["warpav", "vehicle", "check", str(file), *words, "--out", str(target)])
+    _complain(f"{file}: to fix it: {command}")
+    return 2
 
 
 @detector_app.command(name="check")
@@ -812,6 +823,14 @@ def _usage_text(error: CycloptsError) -> str:
 
 def _say(text: str) -> None:
     sys.stdout.write(f"{text}\n")
+
+
+def _typed(error: InputError) -> str:
+    """The message of an error, with the argument that is wrong as it is typed: ``--out``."""
+    if error.option is None or not re.fullmatch("[a-z_]+", error.option):
+        return str(error)
+    flag = "--" + error.option.replace("_", "-")
+    return re.sub(rf"(?<![\w.-]){error.option}(?=[:)])", flag, str(error), count=1)
 
 
 def _complain(text: str) -> None:

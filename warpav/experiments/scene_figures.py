@@ -36,8 +36,8 @@ def draw_figure(
     path: Path | str,
     *,
     seed: int | None = None,
-    capture_folder: Path | None = None,
-    scenes_folder: Path | None = None,
+    capture: Path | None = None,
+    scenes: Path | None = None,
 ) -> Path:
     """Draw a figure by its number in the thesis.
 
@@ -45,39 +45,39 @@ def draw_figure(
         number: 4 to 9, or 14 to 16.
         path: PNG file to write.
         seed: Situation of the embedded town to record for it; 3 when there is no capture either.
-        capture_folder: Instead, a capture.
-        scenes_folder: For figure 8: the folder of scenes to count.
+        capture: Instead, a capture.
+        scenes: For figure 8: the folder of scenes to count.
 
     Raises:
         InputError: Another number, inputs that do not go with it, or inputs that cannot be used.
     """
     path = checked_png(path)
     if number == COLLECTION_NUMBER:
-        if scenes_folder is None or seed is not None or capture_folder is not None:
-            raise InputError(f"figure {number}: expected --scenes with a folder of scenes and nothing else")
-        return scene_store_heat_maps(scenes_folder, path)
+        if scenes is None or seed is not None or capture is not None:
+            raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
+        return scene_store_heat_maps(scenes, path)
     if number not in CAPTURE_NUMBERS:
         known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
-    if scenes_folder is not None:
-        raise InputError(f"figure {number}: expected --seed or --capture, got --scenes; that goes with figure 8")
-    if seed is not None and capture_folder is not None:
-        raise InputError(f"figure {number}: expected either --seed or --capture, got both")
+    if scenes is not None:
+        raise InputError(f"figure {number}: expected seed or capture, got scenes; that goes with figure 8")
+    if seed is not None and capture is not None:
+        raise InputError(f"figure {number}: expected either seed or capture, got both")
     load_warp()
-    capture = read_capture(capture_folder) if capture_folder is not None else recorded_town(3 if seed is None else seed)
+    recorded = read_capture(capture) if capture is not None else recorded_town(3 if seed is None else seed)
     match number:
         case 4:
-            return image_types(capture, path)
+            return image_types(recorded, path)
         case 5:
-            return stages(capture, path)
+            return stages(recorded, path)
         case 6:
-            return sphere(capture, path)
+            return sphere(recorded, path)
         case 7:
-            return window_filter(capture, path)
+            return window_filter(recorded, path)
         case 9:
-            return mount_surface_stages(capture, path)
+            return mount_surface_stages(recorded, path)
         case _:
-            return contact_sheet(capture, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
+            return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
 
 
 def recorded_town(seed: int) -> Capture:
@@ -87,7 +87,7 @@ def recorded_town(seed: int) -> Capture:
         InputError: The seed is negative.
     """
     if seed < 0:
-        raise InputError(f"--seed: expected an integer from 0, got {seed}")
+        raise InputError(f"seed: expected an integer from 0, got {seed}", option="seed")
     with TownSimulator() as simulator:
         return record(simulator, seed, PlanSettings())
 
@@ -111,17 +111,17 @@ def scene_store_heat_maps(
         raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
     found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}
     if not found:
-        raise InputError(f"{folder}: expected files scene_SEED.glb, got none; warpav scenes make --out writes them")
+        raise InputError(f"{folder}: expected files scene_SEED.glb, got none; warpav scenes make writes them")
     split = split_seeds(sorted(found))
     parts = {"all": sorted(found), "train": train or split["train"], "test": test or split["test"]}
     for name, seeds in parts.items():
         missing = sorted(set(seeds) - found)
         if missing:
-            raise InputError(f"{scene_path(folder, missing[0])}: --{name}: expected this scene, got no such file")
-        if not seeds:
             raise InputError(
-                f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds with --{name}"
+                f"{scene_path(folder, missing[0])}: {name}: expected this scene, got no such file", option=name
             )
+        if not seeds:
+            raise InputError(f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds of {name}")
     boxes: dict[int, list[Box]] = {}
     ego_box = None
     for seed in parts["all"]:

@@ -52,7 +52,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     """
     from warpav.detection.images import render_images
 
-    check_folder(out, "--out")
+    check_folder(out, "out")
     scene = load_scene(source, config)
     device = checked_device(config.device)
     cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
@@ -67,7 +67,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
             for file in sorted(Path(draft).iterdir()):
                 os.replace(file, out / file.name)
     except OSError as error:
-        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
+        raise InputError(f"{out}: out: expected a folder to write to, got: {error.strerror}", option="out") from None
     return out
 
 

@@ -403,7 +403,7 @@ def check_folder(folder: Path, option: str) -> None:
         InputError: It is a file.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file")
+        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file", option=option)
 
 
 def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:

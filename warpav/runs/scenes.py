@@ -32,7 +32,7 @@ def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, wor
     Raises:
         InputError: The folder cannot be written to.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
     status = _show_outcomes(
         "building scenes",
@@ -68,7 +68,7 @@ def record_scenes(
     Raises:
         InputError: The folder cannot be written to, or CARLA is not there.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
     if server is None:
         outcomes = capture_scenes(tasks, executor=executor, worker_count=worker_count)
@@ -90,7 +90,7 @@ def reconstruct_scenes(
     Raises:
         InputError: There are no captures, or the folder cannot be written to.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     settings = reconstruction_settings(config)
     tasks = [
         SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()

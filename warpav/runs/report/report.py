@@ -18,7 +18,7 @@ from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import words
-from warpav.runs.report.reading import Evaluation, Event, RunContent, View, read_run
+from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
 from warpav.runs.run_folder import ARM_ROWS, RECALL_GROUPS, RunFolder, recall_rows
 from warpav.view.figures.convergence import convergence_panels
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
@@ -218,7 +218,7 @@ def _cards(run: RunContent) -> list[words.Statement]:
     return cards
 
 
-def _metrics(evaluation: Evaluation) -> list[tuple[str, list[str]]]:
+def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
     arms = evaluation.arms.values()
     return [
         (heading, [words.number(arm.numbers[name], 4) for arm in arms])
@@ -227,7 +227,7 @@ def _metrics(evaluation: Evaluation) -> list[tuple[str, list[str]]]:
     ]
 
 
-def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
+def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
     lower = {"false_alarms_per_frame", "objective"}
     found = evaluation.paired
@@ -300,7 +300,7 @@ def _convergence(events: Sequence[Event], min_distance_m: float | None) -> dict[
     return {name: svg_text(draw, 2.9) for name, draw in convergence_panels(records, min_distance_m).items()}
 
 
-def _differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
+def _differences(evaluation: EvaluationRecord, metrics: Mapping[str, str]) -> list[MetricDifference]:
     """Differences with an interval, of metrics by their names and what they are called."""
     return [
         MetricDifference(heading, name, found[metric].mean, found[metric].low, found[metric].high)
@@ -432,7 +432,7 @@ def _box(kind: str, box_px: Sequence[float]) -> ImageBox:
     return ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
-def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _ground(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
     """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
     ground = evaluation.ground
     assert ground is not None
@@ -460,7 +460,7 @@ def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _left(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _left(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
     """The objects that the first arm does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []

@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
-from warpav.runs.report.reading import Difference, Evaluation, Margin, RunContent
+from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
 
 Tone = Literal["good", "bad", "open"]
 
@@ -66,14 +66,14 @@ def percent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
 
 
-def interval(difference: Difference) -> str:
+def interval(difference: DifferenceRecord) -> str:
     """A difference with its 95 % interval."""
     if difference.mean is None or difference.low is None or difference.high is None:
         return signed(difference.mean)
     return f"{signed(difference.mean)} [{signed(difference.low)}, {signed(difference.high)}]"
 
 
-def verdict(difference: Difference, *, lower_is_better: bool = False) -> Tone:
+def verdict(difference: DifferenceRecord, *, lower_is_better: bool = False) -> Tone:
     """Whether a difference is proven, and in whose favour: its interval leaves 0 out, and the scenes are enough."""
     low, high = difference.low, difference.high
     if low is None or high is None or difference.scenes < LEAST_SCENES or low <= 0.0 <= high:
@@ -143,7 +143,7 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
 
 
-def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     first, *others = evaluation.arms
     arm = evaluation.arms[first]
     if arm.objects is None or arm.detected is None:
@@ -165,7 +165,7 @@ def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Traffic", text)
 
 
-def _proof(evaluation: Evaluation) -> Statement | None:
+def _proof(evaluation: EvaluationRecord) -> Statement | None:
     sentences, tones = [], []
     for name, differences in evaluation.paired.items():
         found = differences.get("tp_detection_rate")
@@ -207,7 +207,7 @@ def search_scenes(run: RunContent) -> str:
     return "validation" if run.config is not None and run.config.scenes.validation_seeds else "training"
 
 
-def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     training = evaluation.training_objective
     if training is None or training.start is None or training.optimised is None:
         return None
@@ -251,7 +251,7 @@ def _moves(run: RunContent) -> Statement | None:
     return Statement("What moved", text)
 
 
-def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     if evaluation.outcomes is None:
         return None
     count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
@@ -278,7 +278,7 @@ def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Not detected", text)
 
 
-def _ground(evaluation: Evaluation) -> Statement | None:
+def _ground(evaluation: EvaluationRecord) -> Statement | None:
     ground = evaluation.ground
     if ground is None:
         return None
@@ -304,7 +304,7 @@ def _ground(evaluation: Evaluation) -> Statement | None:
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
-def _constraints(evaluation: Evaluation) -> Statement | None:
+def _constraints(evaluation: EvaluationRecord) -> Statement | None:
     violation_m = evaluation.arms[evaluation.first].numbers["constraint_violation"]
     margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
     if not margins:
@@ -338,7 +338,7 @@ def _end(run: RunContent) -> Statement | None:
     return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
 
 
-def _caution(evaluation: Evaluation) -> Statement | None:
+def _caution(evaluation: EvaluationRecord) -> Statement | None:
     count = evaluation.scenes["test"]
     if count >= FEW_SCENES:
         return None
@@ -350,14 +350,14 @@ def _caution(evaluation: Evaluation) -> Statement | None:
     return Statement("Caution", f"{text}. More say more: scenes.test_seeds=1000..1049.")
 
 
-def margin_name(margin: Margin) -> str:
+def margin_name(margin: MarginRecord) -> str:
     """What a constraint asks, in words."""
     if margin.kind == "border":
         return f"{margin.cameras[0]}: distance to the border of where it may stand"
     return f"{' and '.join(margin.cameras)}: distance"
 
 
-def _margin(margin: Margin) -> str:
+def _margin(margin: MarginRecord) -> str:
     if margin.kind == "border":
         return f"the distance of {margin.cameras[0]} to the border of where it may stand"
     return f"the distance of {' and '.join(margin.cameras)}"

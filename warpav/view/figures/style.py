@@ -104,7 +104,7 @@ def checked_png(path: Path | str) -> Path:
     """
     path = Path(path)
     if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: --out: expected a name that ends in .png, got {path.suffix!r}")
+        raise InputError(f"{path}: out: expected a name that ends in .png, got {path.suffix!r}", option="out")
     return path
 
 
