@@ -272,8 +272,8 @@ def nearest_iteration(events: Sequence[Mapping[str, Any]], rig: Rig) -> int:
         rig: The rig.
     """
     end_m = np.array([camera.position_m for camera in rig.cameras])
-    places_m = np.array([event["positions_m"] for event in events], np.float64)
-    return int(np.linalg.norm(places_m - end_m, axis=2).max(axis=1).argmin())
+    positions_m = np.array([event["positions_m"] for event in events], np.float64)
+    return int(np.linalg.norm(positions_m - end_m, axis=2).max(axis=1).argmin())
 
 
 def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:
@@ -281,7 +281,7 @@ def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path
 
     Args:
         events: Lines of ``events.jsonl``.
-        rig: The run's result; its names, and what the events do not tell, such as lenses that are not free.
+        rig: The run's result; its names, and what the events do not hold, such as lenses that are not free.
         place: The run folder, for messages.
 
     Raises:

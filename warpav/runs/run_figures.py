@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warpav.view.figures.detections import DetectionPanel
 
 VIEW_PX = 960
-"""Longer side of the pictures that are kept of what cameras see."""
+"""Longer side of the images that are kept of what cameras see."""
 
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
@@ -85,10 +85,10 @@ def draw_run(
     Args:
         folder: The run folder; its events are drawn too.
         rigs: The start and the result, in this order, by their headings.
-        objective: Looks at the scene through the rigs.
+        objective: Observes the scene through the rigs.
         scene: A test scene.
         assigned: The same scene on the device, and others of which views are kept.
-        say: Told when this machine cannot draw.
+        say: Called with a line when this machine cannot draw.
     """
     from warpav.view import plot
     from warpav.view.figures.convergence import loss_curves
@@ -114,13 +114,13 @@ def draw_run(
     _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
     problem = opengl_problem()
     if problem:
-        say(f"no picture of the rig: {problem}")
+        say(f"no image of the rig: {problem}")
         return
     plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes.
+    """Write what cameras see into a run folder, by scene and by rig, as images and boxes.
 
     Args:
         folder: The run folder.

@@ -35,7 +35,7 @@ class VehicleReport:
     """What was found out about a vehicle.
 
     Attributes:
-        lines: What to tell.
+        lines: What was found.
         problems: What keeps it from being used, one line each.
         fix: Options of this check, by name, with which it writes a vehicle that can be used; None: it can be used as it
             is, or no options fix it.
@@ -80,7 +80,7 @@ def check_vehicle(
         up: The file's axis that points up; None: glTF's y, of other formats z.
         forward: The file's axis that points to the front; None: x.
         scale: Metres for each unit of the file; None: 1.
-        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: the wheels tell.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: it is below the rear wheels.
         out: GLB file to write the vehicle to, as ``scenes.ego`` takes it.
         picture: PNG file to draw it into.
 
@@ -170,7 +170,7 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
 
 
 def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Reading:
-    """The reading with other axes or another scale; an axis that is in the way of a new one gives way."""
+    """The reading with other axes or another scale; an axis that clashes with a new one is replaced."""
     values = {"up": reading.up, "forward": reading.forward, "scale": reading.scale, **changes}
     up, forward = str(values["up"]), str(values["forward"])
     if up[-1] == forward[-1] and "forward" not in changes:
@@ -207,8 +207,8 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     parts = zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
-    told = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
-    yield _row("cameras", f"{total:.2f} m2 can carry them: {told}" + (", ..." if len(parts) > 5 else ""))
+    shown = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
+    yield _row("cameras", f"{total:.2f} m2 can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
     names = {part.name for part in parts}
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from warpav.scene.scene import Box
 
 BACKGROUND_RGB: Rgb = (214, 205, 230)
-"""Where a picture shows nothing: not the colour of a vehicle, a road or the sky."""
+"""Where an image shows nothing: not the colour of a vehicle, a road or the sky."""
 
 _SUPERSAMPLING = 2
 _BOX_LINE_PX = 1.6
@@ -30,14 +30,14 @@ _SPACING_SAMPLES = 2000
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """From where a picture is drawn.
+    """From where an image is drawn.
 
     Attributes:
         position_m: The viewer, in the ego frame [m], shape [3].
-        target_m: What is in the middle of the picture [m], shape [3].
-        up: Direction that points up in the picture, shape [3].
+        target_m: What is in the middle of the image [m], shape [3].
+        up: Direction that points up in the image, shape [3].
         height_rad: Vertical field of view [rad].
-        height_m: Instead, height of the picture [m]: lines stay parallel.
+        height_m: Instead, height of the image [m]: lines stay parallel.
     """
 
     position_m: np.ndarray
@@ -63,7 +63,7 @@ def cloud_image(
     Args:
         parts: What to draw, in the ego frame.
         viewpoint: From where.
-        size_px: Width and height of the picture [px].
+        size_px: Width and height of the image [px].
         point_px: Least size of a point [px].
         cover: Points are this many times as large as they are typically apart, so near ones are larger than far ones.
         boxes: 3D boxes, drawn as wires.
@@ -128,12 +128,12 @@ def towards(bearing_rad: float, elevation_rad: float) -> np.ndarray:
 
 
 def view_of(point_m: np.ndarray, direction: np.ndarray, size_px: tuple[int, int]) -> Viewpoint:
-    """Without perspective, just so that all points are in the picture.
+    """Without perspective, just so that all points are in the image.
 
     Args:
         point_m: Points in the ego frame [m], shape [point, 3].
         direction: Unit vector from them to the viewer, not vertical.
-        size_px: Width and height of the picture [px].
+        size_px: Width and height of the image [px].
     """
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)

@@ -1,6 +1,6 @@
 """The front door to images: `plot` shows an object of warpav in a window or a notebook, or writes it to a file.
 
-What an object looks like is registered by its class at `drawing_of`; rooms above this one register their own classes.
+What is drawn of an object is registered by its class at `drawing_of`; rooms above this one register their own classes.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def rig_plotter(
 
 @contextmanager
 def no_render(plotter: Plotter) -> Iterator[None]:
-    """Change the picture without drawing it after every change, as pyvista does once it was drawn."""
+    """Change a plotter without drawing after every change, as pyvista does once it was drawn."""
     plotter.suppress_rendering = True
     try:
         yield
@@ -159,10 +159,10 @@ def look_at_ego(
 
     Args:
         plotter: Where to draw.
-        bounds_m: Lowest and highest corner of the vehicle in the middle of the picture [m], shape [2, 3].
+        bounds_m: Lowest and highest corner of the vehicle in the middle of the image [m], shape [2, 3].
         azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
         elevation_rad: Height of the viewer above the horizon [rad].
-        zoom: 1 fills the picture with the vehicle, less shows more around it.
+        zoom: 1 fills the image with the vehicle, less shows more around it.
     """
     low, high = np.asarray(bounds_m, np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
@@ -202,14 +202,14 @@ def clear_azimuth_rad(scene: Scene) -> float:
 
 
 def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
-    """Where points of the ego frame appear in the plotter's picture [px], from the upper left corner.
+    """Where points of the ego frame appear in the plotter's image [px], from the upper left corner.
 
     Args:
-        plotter: The picture; it need not have been drawn yet.
+        plotter: The plotter; it need not have been drawn yet.
         point_m: Points in front of the viewer [m], shape [point, 3].
 
     Returns:
-        Column and row [px], float64, shape [point, 2]; outside the picture where the point is not in it.
+        Column and row [px], float64, shape [point, 2]; outside the image where the point is not in it.
     """
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1.0, 1.0)
@@ -356,7 +356,7 @@ def add_rig(
 
     Args:
         plotter: Where to draw.
-        rig: The cameras; each has its own colour, the same as in every other picture.
+        rig: The cameras; each has its own colour, the same as in every other image.
         name: First part of the actors' names.
         frustum_depth_m: How far the frustums are drawn [m].
         sectors: Whether to draw on the ground what bearings each camera covers.
@@ -497,7 +497,7 @@ def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) 
 
 
 def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, name: str) -> None:
-    """Names above the frustums, placed so that none hides another from where the plotter looks now."""
+    """Names above the frustums, put so that none hides another from the present view."""
     point = [frustum_points(camera, depth_m=depth_m) for camera in cameras]
     anchor = np.array([corner[1:].mean(axis=0) for corner in point])
     anchor[:, 2] = [corner[:, 2].max() + 0.12 for corner in point]
@@ -522,10 +522,10 @@ def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: floa
 
 
 def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray) -> np.ndarray:
-    """Where to anchor labels so that none overlaps another or leaves the picture, each as near its wish as possible.
+    """Anchors of labels so that none overlaps another or leaves the image, as near as possible to what is wanted.
 
     Args:
-        plotter: The picture, with its view set.
+        plotter: The plotter, with its view set.
         wanted_m: Where the middles of the labels would like to be [m], shape [label, 3].
         size_px: Width and height of each label [px], shape [label, 2].
 
@@ -539,16 +539,16 @@ def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray)
     above = np.cross(right, ahead)
     middle_px = project_px(plotter, wanted_m)
     px_per_m = np.linalg.norm(project_px(plotter, wanted_m + above) - middle_px, axis=1)
-    picture_px = np.asarray(plotter.window_size, dtype=np.float64)
+    image_px = np.asarray(plotter.window_size, dtype=np.float64)
     step = np.stack(np.meshgrid(np.arange(-60, 61) * 8.0, np.arange(-60, 61) * 5.0), axis=-1).reshape(-1, 2)
     step = step[np.argsort(np.hypot(step[:, 0], step[:, 1]), kind="stable")]
     placed_px = np.zeros((0, 2))
     placed: list[int] = []
     corner_m = np.asarray(wanted_m, dtype=np.float64).copy()
-    for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the picture first
+    for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the image first
         candidate = middle_px[index] + step
         room = size_px[index] / 2.0
-        clear = ((candidate >= room) & (candidate <= picture_px - room)).all(axis=1)
+        clear = ((candidate >= room) & (candidate <= image_px - room)).all(axis=1)
         for other, other_px in zip(placed, placed_px, strict=True):
             clear &= (np.abs(candidate - other_px) >= room + size_px[other] / 2.0).any(axis=1)
         chosen = int(np.argmax(clear))  # the first, its wish, should none be clear
@@ -594,8 +594,8 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
 
 def _bounds_without_ego_m(rig: Rig) -> np.ndarray:
     """Where a vehicle could be that carries the cameras: from the ground up around them, as long as a small car."""
-    place_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
-    low, high = np.minimum(place_m.min(axis=0), 0.0), np.maximum(place_m.max(axis=0), [0.0, 0.0, 1.0])
+    position_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
+    low, high = np.minimum(position_m.min(axis=0), 0.0), np.maximum(position_m.max(axis=0), [0.0, 0.0, 1.0])
     missing_m = np.maximum([4.0, 2.0, 0.0] - (high - low), 0.0)
     return np.stack([low - missing_m / 2, high + missing_m / 2])
 

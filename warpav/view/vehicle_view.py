@@ -91,7 +91,7 @@ def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
 def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
     """The cells that can carry a camera as ``pyvista.PolyData``, one square each.
 
-    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest place that carries none.
+    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest position that carries none.
 
     Args:
         surface: The mount surface.
@@ -102,8 +102,8 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
     half_m = 0.5 * surface.cell_m
     middle_m = surface.origin_m + cell * surface.cell_m
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
-    place_m = (middle_m[:, None] + corner).reshape(-1, 2)
-    point_m = np.column_stack([place_m, surface.height_at_m(place_m) + lift_m])
+    corner_m = (middle_m[:, None] + corner).reshape(-1, 2)
+    point_m = np.column_stack([corner_m, surface.height_at_m(corner_m) + lift_m])
     zone = load_pyvista_data().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
     zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
     zone.cell_data["height_m"] = surface.height_m[is_mountable].astype(np.float64)

@@ -245,7 +245,7 @@ class GroundMap:
 
 @dataclass(frozen=True)
 class RunContent:
-    """Everything in a run folder that a report tells.
+    """Everything in a run folder that a report shows.
 
     Attributes:
         name: Of the folder.
@@ -275,10 +275,10 @@ class RunContent:
 
 
 def read_run(folder: RunFolder) -> RunContent:
-    """Everything in a run folder that a report tells.
+    """Everything in a run folder that a report shows.
 
     Raises:
-        InputError: A file is not what a run writes; or there is nothing to tell.
+        InputError: A file is not what a run writes; or there is nothing to show.
     """
     options = read_yaml(folder.path / "config.yaml")[0]
     if not isinstance(options, dict):

@@ -1,4 +1,4 @@
-"""From a run folder to its report: tables, plots and pictures into the page's template."""
+"""From a run folder to its report: tables, plots and images into the page's template."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 MAX_BYTES = 5_000_000
 """No report is larger."""
 
-PICTURE_BYTES = 3_200_000
-"""All pictures together, before they are written as text."""
+IMAGE_BYTES = 3_200_000
+"""All images together, before they are written as text."""
 
 SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
-"""Longer side [px] and quality of pictures: the first at which all of them fit."""
+"""Longer side [px] and quality of images: the first at which all of them fit."""
 
 ROWS_SHOWN = 30
 """Vehicles that are listed at once; the others follow folded."""
@@ -44,8 +44,8 @@ ROWS_SHOWN = 30
 MOST_ROWS = 1000
 """Vehicles that are listed at all."""
 
-PICTURES = {
-    "rig": "The rig at the end in a test scene, with the way of its cameras",
+FIGURES = {
+    "rig": "The rig at the end in a test scene, with the trajectories of its cameras",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
@@ -55,12 +55,12 @@ PICTURES = {
 
 @dataclass(frozen=True)
 class PageImage:
-    """A picture of the page.
+    """An image of the page.
 
     Attributes:
         name: Short name.
         caption: What it shows, which is its alternative text as well.
-        address: The picture itself, as a ``data:`` address.
+        address: The image itself, as a ``data:`` address.
         size_px: Width and height [px], so that a page keeps its place.
     """
 
@@ -72,7 +72,7 @@ class PageImage:
 
 @dataclass(frozen=True)
 class ImageBox:
-    """A box on a picture: corner and size [px], and what it says."""
+    """A box on an image: corner and size [px], and what it says."""
 
     kind: str
     x: float
@@ -98,7 +98,7 @@ def write_report(folder: RunFolder) -> Path:
     if len(page.encode()) > MAX_BYTES:
         raise InputError(
             f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
-            "move pictures out of its figures folder"
+            "move images out of its figures folder"
         )
     return folder.write_report(page)
 
@@ -125,16 +125,16 @@ def _template() -> Template:
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
-    pictures = {file.stem: (file, PICTURES.get(file.stem, file.stem)) for file in folder.figures()}
+    images = {file.stem: (file, FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
     has_convergence = run.events and run.events[0].terms is not None
     for name, is_told in (("detections", run.views), ("loss_curves", has_convergence)):
         if is_told:
-            pictures.pop(name, None)
-    order = list(PICTURES)
-    named = sorted(pictures, key=lambda name: (order.index(name) if name in order else len(order), name))
-    files = [*(pictures[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
-    encoded = iter(_pictures(files))
-    shown = [PageImage(name, pictures[name][1], *next(encoded)) for name in named]
+            images.pop(name, None)
+    order = list(FIGURES)
+    named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
+    files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
+    encoded = iter(_images(files))
+    shown = [PageImage(name, images[name][1], *next(encoded)) for name in named]
     return {
         "run": run,
         "evaluation": evaluation,
@@ -146,8 +146,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run),
-        "pictures": [picture for picture in shown if picture.name != "loss_curves"],
-        "old_curves": [picture for picture in shown if picture.name == "loss_curves"],
+        "images": [image for image in shown if image.name != "loss_curves"],
+        "old_curves": [image for image in shown if image.name == "loss_curves"],
         "cameras": _cameras(run),
         "free": _free(run),
         "views": _views(run.views, [next(encoded) for _ in run.views]),
@@ -317,8 +317,8 @@ def _plot(name: str, caption: str, svg: str) -> PageImage:
     return PageImage(name, caption, address, (round(width), round(height)))
 
 
-def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
-    """Pictures as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
+def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
+    """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
 
     Raises:
         InputError: A file is none.
@@ -332,7 +332,7 @@ def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
                 originals.append(image.convert("RGB"))
         except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
             text = " ".join(str(error).split())
-            raise InputError(f"{file}: expected a picture, got: {text}; was the file changed?") from None
+            raise InputError(f"{file}: expected an image, got: {text}; was the file changed?") from None
     found: list[tuple[bytes, tuple[int, int]]] = []
     for side_px, quality in SIZES:
         found = []
@@ -341,7 +341,7 @@ def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
             image.thumbnail((side_px, side_px))
             image.save(encoded, "WEBP", quality=quality)
             found.append((encoded.getvalue(), image.size))
-        if sum(len(encoded) for encoded, _ in found) <= PICTURE_BYTES:
+        if sum(len(encoded) for encoded, _ in found) <= IMAGE_BYTES:
             break
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
 
@@ -351,7 +351,7 @@ def _cameras(run: RunContent) -> list[dict[str, Any]]:
     if run.result is None:
         return []
     has_both = run.start is not None and len(run.start.cameras) == len(run.result.cameras)
-    ways = words.moves(run.start, run.result) if has_both and run.start else []
+    moves = words.moves(run.start, run.result) if has_both and run.start else []
     rows = []
     for k, camera in enumerate(run.result.cameras):
         stages = {"start": run.start.cameras[k]} if has_both and run.start else {}
@@ -359,8 +359,8 @@ def _cameras(run: RunContent) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": camera.name,
-                "way_m": ways[k][1] if ways else None,
-                "turn_deg": ways[k][2] if ways else None,
+                "moved_m": moves[k][1] if moves else None,
+                "turn_deg": moves[k][2] if moves else None,
                 "stages": [
                     (
                         stage,

@@ -1,4 +1,4 @@
-"""The summary of a run in words, made of its numbers: what was reached, what was not, and what nobody can tell yet."""
+"""The summary of a run in words, made of its numbers: what was reached, what was not, and what is still open."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PROVABLE = {
     "false_alarms_per_frame": ("false alarms", True),
     "tp_in_frame_rate": ("in frame", False),
 }
-"""Metrics that are told besides recall where their difference is proven, and whether less is better."""
+"""Metrics that are reported besides recall where their difference is proven, and whether less is better."""
 
 WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
@@ -103,7 +103,7 @@ def headline(run: RunContent) -> Statement:
         parts.append(f"detects fewer than {_listed(named['bad'])}")
     if named["open"]:
         alternatives = _listed(named["open"], "or")
-        parts.append(f"cannot be told from {alternatives} by what it detects")
+        parts.append(f"cannot be distinguished from {alternatives} by what it detects")
     tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
     return Statement("", f"The {evaluation.first} rig {_listed(parts)}.", tone)
 
@@ -126,7 +126,7 @@ def summary(run: RunContent) -> list[Statement]:
 
 
 def moves(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
-    """How far every camera has moved: its name, the way [m] and the turn in yaw [deg], left positive."""
+    """How far every camera has moved: its name, the distance [m] and the turn in yaw [deg], left positive."""
     return [
         (
             end.name,
@@ -174,18 +174,18 @@ def _proof(evaluation: EvaluationRecord) -> Statement | None:
         tone = verdict(found)
         tones.append(tone)
         if found.low is None or found.high is None:
-            told = "one scene has no interval"
+            verdict_text = "one scene has no interval"
         elif found.low == found.high == 0.0:
-            told = "the same in every scene"
+            verdict_text = "the same in every scene"
         elif tone == "good":
-            told = "the interval leaves 0 out: better"
+            verdict_text = "the interval leaves 0 out: better"
         elif tone == "bad":
-            told = "the interval leaves 0 out: worse"
+            verdict_text = "the interval leaves 0 out: worse"
         elif found.low <= 0.0 <= found.high:
-            told = "the interval holds 0: no difference is proven"
+            verdict_text = "the interval holds 0: no difference is proven"
         else:
-            told = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
-        sentences.append(f"{interval(found)} against {_arm(name)} ({told})")
+            verdict_text = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
+        sentences.append(f"{interval(found)} against {_arm(name)} ({verdict_text})")
     if not sentences:
         return None
     overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
@@ -242,12 +242,12 @@ def _moves(run: RunContent) -> Statement | None:
     moved = [each for each in found if each[1] >= WORTH_NAMING_M or abs(each[2]) >= WORTH_NAMING_DEG]
     if not moved:
         return Statement("What moved", "Nothing: the rig is the one at the start.")
-    ways = [
-        f"{name} by {100.0 * way_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
-        for name, way_m, turn_deg in moved
+    parts = [
+        f"{name} by {100.0 * moved_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
+        for name, moved_m, turn_deg in moved
     ]
     still = len(found) - len(moved)
-    text = f"{_listed(ways)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
+    text = f"{_listed(parts)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
     return Statement("What moved", text)
 
 
@@ -328,7 +328,7 @@ def _end(run: RunContent) -> Statement | None:
         planned = None if run.config is None else run.config.run.iterations
         text = f"after {_counted(len(run.events), 'iteration')}"
         text += f" of {planned}" if planned is not None else ""
-        return Statement("Why it ended", f"It ended {text}; this folder does not tell why.")
+        return Statement("Why it ended", f"It ended {text}; this folder does not say why.")
     why = (
         f"all {end.planned} iterations were taken"
         if end.ended is None

@@ -67,10 +67,10 @@ def convergence_panels(
         value = np.array([record["loss"] for record in records], dtype=np.float64)
         axis.plot(iteration, value, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2, label="batch")
         axis.plot(iteration, running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
-        look = np.array([record.get("training_objective") for record in records], dtype=np.float64)
-        if np.isfinite(look).any():
-            at = np.isfinite(look)
-            axis.plot(iteration[at], look[at], "o", color=hex_colour(camera_rgb(0)), label="all scenes")
+        compared = np.array([record.get("training_objective") for record in records], dtype=np.float64)
+        if np.isfinite(compared).any():
+            at = np.isfinite(compared)
+            axis.plot(iteration[at], compared[at], "o", color=hex_colour(camera_rgb(0)), label="all scenes")
             axis.legend(loc="best")
 
     def loss_terms(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
@@ -116,7 +116,7 @@ def convergence_panels(
 
 
 def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (matplotlib)
-    """Tell which line is which, where there is more than none."""
+    """Name the lines, where there are any."""
     if names:
         axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
 

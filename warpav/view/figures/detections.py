@@ -65,7 +65,7 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
 
 
 def detection_handles() -> list[Any]:
-    """What tells in a legend what the colours of `draw_detections` mean."""
+    """Handles of a legend for the colours of `draw_detections`."""
     from matplotlib.lines import Line2D
 
     return [

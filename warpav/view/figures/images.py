@@ -1,4 +1,4 @@
-"""Images of a capture: the three kinds from one place (figure 4), and all of them (figures 14 to 16)."""
+"""Images of a capture: the three kinds from one position (figure 4), and all of them (figures 14 to 16)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _KIND_TEXT = {
     ViewKind.EGO_TOP: "over the ego vehicle",
     ViewKind.TOWARDS_VEHICLE: "towards another vehicle",
     ViewKind.VEHICLE_TOP: "over another vehicle",
-    ViewKind.SCENE_TOP: "over the place",
+    ViewKind.SCENE_TOP: "over the scene",
     ViewKind.ROTATION: "all around",
     ViewKind.EGO_SIDE: "beside the ego vehicle",
     ViewKind.OTHER: "other",
@@ -42,7 +42,7 @@ _NOTABLE_SHARE = 0.002  # of an image's pixels: less of a vehicle is not worth s
 
 
 def image_types(capture: Capture, path: Path | str) -> Path:
-    """Figure 4: colour, depth and instances from one place, that from which the ego vehicle sees most vehicles.
+    """Figure 4: colour, depth and instances from one position, that from which the ego vehicle sees most vehicles.
 
     Args:
         capture: Where the images come from.
@@ -218,7 +218,7 @@ def _depth_limits_m(images: Sequence[CapturedImage]) -> tuple[float, float]:
 
 
 def _axes(figure: Any, left_inch: float, low_inch: float, width_inch: float, height_inch: float) -> Any:  # noqa: ANN401
-    """Axes at a place in the figure that is not left to the layout."""
+    """Axes at a position in the figure that is not left to the layout."""
     width, height = figure.get_size_inches()
     return figure.add_axes((left_inch / width, low_inch / height, width_inch / width, height_inch / height))
 
@@ -237,7 +237,7 @@ def _depth_bar(figure: Any, axis: Any, limits_m: tuple[float, float]) -> None:  
 
 
 def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (matplotlib)
-    """A line that tells the colours: those of vehicles as one swatch in stripes."""
+    """A legend of the colours: those of vehicles as one swatch in stripes."""
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.patches import Patch
 

@@ -82,7 +82,7 @@ def without_and_with_constraints(
         path: PNG file to write.
         ego: The vehicle.
         surface: Its mount surface.
-        constraints: What the cameras have to keep; they tell which cameras end outside.
+        constraints: What the cameras have to keep; which gives the cameras that end outside.
         remark: A line about both optimisations for the caption.
     """
     point_m = np.concatenate([ego.bounds_m(), *(run.trajectory_m.reshape(-1, 3) for run in (free, kept))])

@@ -97,7 +97,7 @@ def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
 
 
 def checked_png(path: Path | str) -> Path:
-    """The path of a picture to write.
+    """The path of a PNG file to write.
 
     Raises:
         InputError: It does not end in ``.png``.

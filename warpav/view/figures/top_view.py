@@ -118,7 +118,7 @@ def draw_cameras(
 
 
 def start_and_end_handles() -> list[Any]:
-    """What tells in a legend which cameras are those at the start."""
+    """Handles of a legend for cameras at the start and at the end."""
     from matplotlib.lines import Line2D
 
     grey = hex_colour(MUTED_RGB)
