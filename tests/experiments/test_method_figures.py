@@ -16,10 +16,11 @@ from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments import method_figures
 from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
-from warpav.runs.problem import load_problem
+from warpav.runs.build import build
 from warpav.runs.progress import RunDisplay
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.sources import find_rig, load_scenes
+from warpav.runs.scene_set import load_scenes
 from warpav.view.figures import rigs
 from warpav.view.figures.rigs import covered_rad
 from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
@@ -108,12 +109,12 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
 def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
     started = []
 
-    def begin(problem, *given, real=method_figures.begin_descent):
-        beginning = real(problem, *given)
-        started.append(problem.objective.mount.rig(beginning.descent.start))
-        return beginning
+    def begin(placement, *given, real=method_figures.Optimisation.begin):
+        optimisation = real(placement, *given)
+        started.append(placement.objective.mount.rig(optimisation.descent.start))
+        return optimisation
 
-    monkeypatch.setattr(method_figures, "begin_descent", begin)
+    monkeypatch.setattr(method_figures.Optimisation, "begin", begin)
     config = small_experiment.config(
         folder, "run.iterations=1", f"rig.start={run.path / 'rig_initial.yaml'}", "run.seed=5"
     )
@@ -139,7 +140,7 @@ def test_a_run_of_one_step_shows_no_way(run, tmp_path):
 def found_of(config, rig_shown, scenes):
     """How many road users the evaluation says that a rig finds."""
     with RunDisplay() as display:
-        problem = load_problem(config, display)
+        problem = build(config).prepare(display)
     chosen = problem.train if scenes == "train" else problem.test
     metrics = evaluate_rig(rig_shown, chosen, problem.objective)
     return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"

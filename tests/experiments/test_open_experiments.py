@@ -145,8 +145,8 @@ def test_an_arm_under_other_constraints_is_told_apart(rng):
     results = {**made_results(rng), "thesis_gradient": [made_run("thesis_gradient", 0, 0.6, violation=0.125)]}
     found = goals(results)[0]
     assert found.reached is True
-    assert found.text.endswith("but thesis_gradient, which keeps to the thesis's rectangle")
-    assert found.numbers == "worst of 14 runs 0 m; thesis_gradient up to 0.125 m outside the mountable zone"
+    assert found.text.endswith("except thesis_gradient, which uses the thesis's bounding rectangle")
+    assert found.numbers == "worst of 14 runs 0 m; thesis_gradient up to 0.125 m outside the mount zone"
 
 
 def test_goals_that_are_not_reached_are_said_to_be(rng):
@@ -158,7 +158,7 @@ def test_goals_that_are_not_reached_are_said_to_be(rng):
     assert told[1].endswith("(0 of 3 runs; difference +0.0100 to +0.0100)")
     assert "0.7010 against highest 0.8000, random 0.7500, cma 0.7800" in told[3]
     assert "; paired difference to cma -0.0" in told[3]
-    assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("no rig can, for 110% of it is above 1")
+    assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("impossible: 110% of it exceeds 1")
     assert told[11].startswith("not reached: recall at least 10% above nuscenes's")
 
 
@@ -279,7 +279,7 @@ def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
     assert main(words) == 0
     assert {file: file.read_bytes() for file in (copied / "results").iterdir()} == before
     shown = capsys.readouterr().out
-    assert "the arms come in the same order by recall as before" in shown
+    assert "the arms keep their order by recall" in shown
     folder = copied / "rescored_176_176"
     for file, content in before.items():
         if file.suffix == ".json":
@@ -368,7 +368,7 @@ def test_orders_that_differ_are_said_to():
     after = {**before, "highest": [made_run("highest", 0, 0.95)]}
     order, ahead = same_order(before, after)
     assert (order.reached, ahead.reached) == (False, False)
-    assert order.numbers.startswith("highest 0.950 > gradient 0.900 > sobol 0.700; 1 of 3 pairs change places")
+    assert order.numbers.startswith("highest 0.950 > gradient 0.900 > sobol 0.700; 1 of 3 pairs swap ranks")
     assert "gradient and highest" in order.numbers
 
 

@@ -7,7 +7,7 @@ import pytest
 from warpav.cli.app import main
 from warpav.runs import detector_check
 from warpav.runs.config import load_config
-from warpav.runs.sources import detector_use, load_detector
+from warpav.runs.networks import detector_use, load_detector
 
 pytest.importorskip("onnx")
 
@@ -109,7 +109,7 @@ def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
             ["mine.onnx", "--image", "empty.jpg"],
             "empty.jpg: --image: expected an image such as PNG or JPEG, got",
         ),
-        (["mine.onnx", "--out", "boxes.png"], "--out: expected an image beside it"),
+        (["mine.onnx", "--out", "boxes.png"], "command line (--out): expected --image beside it"),
         (
             ["mine.onnx", "--image", "picture.png", "--out", "boxes.jpg"],
             "boxes.jpg: --out: expected a name that ends",

@@ -12,6 +12,7 @@ from PIL import Image
 from tests.view.stand_ins import ego, needs_opengl, rig
 from warpav.core.errors import InputError
 from warpav.view import output
+from warpav.view.output import Animation
 from warpav.view.rig_view import rig_plotter
 
 
@@ -103,7 +104,7 @@ def moving_square(count=6):
 
 
 def test_a_gif_keeps_colours_places_and_times(tmp_path):
-    path = output.save_animation(moving_square(), tmp_path / "animation.gif", frame_s=0.1, last_s=2.0)
+    path = output.save_animation(Animation(moving_square(), 6, 0.1, 2.0), tmp_path / "animation.gif")
     with Image.open(path) as shown:
         assert shown.n_frames == 6
         for k, image in enumerate(moving_square()):
@@ -118,11 +119,11 @@ def test_an_mp4_is_an_animation_or_says_what_to_install(tmp_path):
         with pytest.raises(
             InputError, match=r"animation\.mp4: an animation as MP4 needs .*; run `pip install \"warpav\[movie\]\"`"
         ):
-            output.save_animation(moving_square(), tmp_path / "animation.mp4", frame_s=0.1)
+            output.save_animation(Animation(moving_square(), 6, 0.1), tmp_path / "animation.mp4")
         return
     import imageio.v2 as imageio
 
-    path = output.save_animation(moving_square(), tmp_path / "animation.mp4", frame_s=0.1, last_s=0.5)
+    path = output.save_animation(Animation(moving_square(), 6, 0.1, 0.5), tmp_path / "animation.mp4")
     with imageio.get_reader(path) as shown:
         frames = [np.asarray(frame).astype(int) for frame in shown]
     assert len(frames) == 6 + 5
@@ -141,5 +142,5 @@ def test_an_mp4_without_imageio_is_refused_before_anything_is_drawn(tmp_path, mo
     with pytest.raises(
         InputError, match=r"animation\.mp4: an animation as MP4 needs the module imageio.*warpav\[movie\]"
     ):
-        output.save_animation(never(), tmp_path / "animation.mp4", frame_s=0.1)
+        output.save_animation(Animation(never(), 1, 0.1), tmp_path / "animation.mp4")
     assert list(tmp_path.iterdir()) == []

@@ -6,6 +6,7 @@ from PIL import Image
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import mount_surface_from_mesh
 from warpav.rig.rig import Rig
@@ -84,7 +85,7 @@ def test_an_image_file_has_a_known_suffix(tmp_path, monkeypatch):
 
 
 def test_unknown_objects_and_options_are_named(tmp_path):
-    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface, Rig.*, got dict"):
+    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface,.* Rig.*, got dict"):
         plot({}, out=tmp_path / "x.png")
     with pytest.raises(TypeError, match=r"plot: iteration: expected an option of a Rig \(ego, scene, mount_surface"):
         plot(rig(), out=tmp_path / "x.png", iteration=3)
@@ -122,17 +123,18 @@ def registered():
 def test_a_registered_class_is_drawn(registered, tmp_path):
     seen = []
 
-    def watch(images, count):
-        seen.append(count)
-        return images
+    class Counting(NullProgress):
+        def steps(self, description, items, *, count):
+            seen.append(count)
+            return items
 
-    plot(registered(), out=tmp_path / "ramp.gif", count=4, watch=watch)
+    plot(registered(), out=tmp_path / "ramp.gif", count=4, progress=Counting())
     with Image.open(tmp_path / "ramp.gif") as image:
         assert (image.n_frames, image.size, seen) == (4, (30, 20), [4])
     plot(registered(), out=tmp_path / "ramp.png")
     assert pixels(tmp_path / "ramp.png").shape == (150, 300, 3)
     assert plot(registered(), off_screen=True).size == (300, 150)
-    with pytest.raises(InputError, match=r"ramp\.html: expected a name that ends in \.png, got '\.html'"):
+    with pytest.raises(InputError, match=r"ramp\.html: out: expected a name that ends in \.png, got '\.html'"):
         plot(registered(), out=tmp_path / "ramp.html")
 
 

@@ -1,21 +1,12 @@
-"""The one exception that means: the user's input is wrong, and here is how to fix it."""
+"""The one exception that means: the user's input is wrong, and here is how to mend it."""
 
 
 class InputError(ValueError):
     """The user's input cannot be used.
 
     The text is one line that says where it stands (file and line, or the override), which field, what was expected,
-    what came, and how to fix it. The command line prints it without a traceback and leaves with status 2.
-
-    Attributes:
-        option: The argument that is wrong, such as ``out``, where the text begins with its name or holds it before a
-            colon; the command line writes it as it is typed, ``--out``.
+    what came, and how to mend it. The command line prints it without a traceback and leaves with status 2.
     """
-
-    def __init__(self, text: str, *, option: str | None = None) -> None:
-        """The error, with the argument that is wrong where there is one."""
-        super().__init__(text)
-        self.option = option
 
 
 class OptionError(InputError):
@@ -26,5 +17,23 @@ class OptionError(InputError):
     """
 
     def __init__(self, option: str, text: str) -> None:
-        """The error; ``text`` says what was expected, what came, and how to fix it."""
-        super().__init__(f"{option}: {text}", option=option)
+        """The error; ``text`` says what was expected, what came, and how to mend it."""
+        super().__init__(f"{option}: {text}")
+        self.option = option
+
+
+class ArgumentError(InputError):
+    """An argument of a function cannot be used; its text begins with the argument's name.
+
+    Arguments that the text speaks of stand in backquotes, so that the command line can call them as it does.
+
+    Attributes:
+        option: The argument's name, such as ``held_out``.
+        text: What was expected, what came, and how to put it right.
+        place: The file or folder that it is about, where there is one.
+    """
+
+    def __init__(self, option: str, text: str, *, place: object = None) -> None:
+        """The error."""
+        self.option, self.text, self.place = option, text, None if place is None else str(place)
+        super().__init__(f"{'' if place is None else f'{place}: '}{option}: {text}")

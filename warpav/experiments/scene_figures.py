@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
 from warpav.scene.capture.capture import Capture
 from warpav.scene.capture.folder import read_capture
@@ -87,7 +87,7 @@ def recorded_town(seed: int) -> Capture:
         InputError: The seed is negative.
     """
     if seed < 0:
-        raise InputError(f"seed: expected an integer from 0, got {seed}", option="seed")
+        raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
     with TownSimulator() as simulator:
         return record(simulator, seed, PlanSettings())
 
@@ -117,9 +117,7 @@ def scene_store_heat_maps(
     for name, seeds in parts.items():
         missing = sorted(set(seeds) - found)
         if missing:
-            raise InputError(
-                f"{scene_path(folder, missing[0])}: {name}: expected this scene, got no such file", option=name
-            )
+            raise ArgumentError(name, "expected this scene, got no such file", place=scene_path(folder, missing[0]))
         if not seeds:
             raise InputError(f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds of {name}")
     boxes: dict[int, list[Box]] = {}

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
-from warpav.runs.sources import load_detector
+from warpav.runs.networks import load_detector
 from warpav.view.figures.style import checked_png
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
 
@@ -41,13 +41,11 @@ def check_detector(
         InputError: The file or the image cannot be used.
     """
     if out is not None and image_file is None:
-        raise InputError("out: expected an image beside it, as boxes are drawn on it", option="out")
+        raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)
     target = None if image_file is None else checked_png(out or Path(f"{image_file.stem}_boxes.png"))
     if target is not None and not target.absolute().parent.is_dir():
-        raise InputError(
-            f"{target}: out: expected an existing folder to write to, got {str(target.parent)!r}", option="out"
-        )
+        raise ArgumentError("out", f"expected an existing folder to write to, got {str(target.parent)!r}", place=target)
     config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})
     detector = load_detector(config, every_road_user=True)
     if not set(config.scenes.targets) <= set(detector.road_users):
@@ -125,12 +123,11 @@ def _read_image(file: Path) -> np.ndarray:
     try:
         data = np.frombuffer(file.read_bytes(), np.uint8)
     except OSError as error:
-        raise InputError(f"{file}: image: expected an image, got none: {error.strerror}", option="image") from error
+        raise ArgumentError("image", f"expected an image, got none: {error.strerror}", place=file) from error
     image_bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     if image_bgr is None:
-        raise InputError(
-            f"{file}: image: expected an image such as PNG or JPEG, got a file of {len(data)} bytes that is none",
-            option="image",
+        raise ArgumentError(
+            "image", f"expected an image such as PNG or JPEG, got a file of {len(data)} bytes that is none", place=file
         )
     return np.ascontiguousarray(image_bgr[..., ::-1])
 
@@ -153,4 +150,4 @@ def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
         cv2.rectangle(drawn, (left, foot - height_px), (left + text_px, foot + below_px), colour, cv2.FILLED)
         cv2.putText(drawn, text, (left, foot), cv2.FONT_HERSHEY_SIMPLEX, scale, PAPER_RGB, width_px, cv2.LINE_AA)
     if not cv2.imwrite(str(target), np.ascontiguousarray(drawn[..., ::-1])):
-        raise InputError(f"{target}: out: expected a file that can be written, got one that cannot", option="out")
+        raise ArgumentError("out", "expected a file that can be written, got one that cannot", place=target)

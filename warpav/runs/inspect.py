@@ -4,36 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
+from warpav.runs.mounts import camera_mount, constraints_of, mount_surface
+from warpav.runs.networks import load_detector
+from warpav.runs.rig_source import find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder, trajectory
-from warpav.runs.sources import (
-    camera_mount,
-    checked_device,
-    constraints_of,
-    find_rig,
-    is_run_folder,
-    load_detector,
-    load_scenes,
-    mount_surface,
-)
+from warpav.runs.scene_set import load_scenes
 from warpav.view import Canvas, drawing_of
 from warpav.view.output import ANIMATION_PX, Animation
 
 if TYPE_CHECKING:
+    from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
     from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
     from warpav.rig.mount_surface import MountSurface
-    from warpav.runs.progress import RunDisplay
     from warpav.scene.scene import Scene
     from warpav.view.inspector import Inspector
 
@@ -43,7 +38,7 @@ it, or what every camera sees."""
 
 
 def inspect_rig(
-    source: str, config: Config, out: Path | None, *, shown: Shown = "rig", display: RunDisplay | None = None
+    source: str, config: Config, out: Path | None, *, shown: Shown = "rig", progress: Progress | None = None
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file.
 
@@ -53,7 +48,7 @@ def inspect_rig(
         out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. None opens a window.
         shown: What is drawn besides the rig and the trajectories of its cameras. The inspector begins with it, and with
             the coverage when it is the rig alone.
-        display: Shows how many images of an animation are done.
+        progress: Shows how many images of an animation are done.
 
     Returns:
         The file that was written, if one was.
@@ -69,26 +64,20 @@ def inspect_rig(
         return None
     is_run = is_run_folder(source)
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
-    watch = None if display is None else partial(_watched, display)
     if is_run and shown == "rig":
-        return plot(OpenRun.of(RunFolder.open(source), config=config), out=out, watch=watch)
+        return plot(OpenRun.of(RunFolder.open(source), config=config), out=out, progress=progress)
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
     return plot(
         rig,
         out=out,
-        watch=watch,
+        progress=progress,
         scene=scene,
         trajectory_m=trajectory(RunFolder.open(source).events()) if is_run else None,
         outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
         coverage=_coverage(rig, scene, config) if shown == "coverage" else None,
         visibility=shown == "visibility",
     )
-
-
-def _watched(display: RunDisplay, image_rgb: Iterable[np.ndarray], count: int) -> Iterator[np.ndarray]:
-    with display:
-        yield from display.steps("images", image_rgb, count=count)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

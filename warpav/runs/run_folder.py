@@ -34,7 +34,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.atomic_write import replacing
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError
+from warpav.rig.presets import preset_names
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.view import Canvas, drawing_of, plot
 
@@ -114,7 +115,15 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def create(cls, config: Config, *, name: str, device: str = "", start: Rig | None = None) -> RunFolder:
+    def create(
+        cls,
+        config: Config,
+        *,
+        name: str,
+        device: str = "",
+        start: Rig | None = None,
+        freeze: Sequence[str] = (),
+    ) -> RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
         Args:
@@ -122,7 +131,9 @@ class RunFolder:
                 so that the folder can be used from everywhere.
             name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
             device: What computes, in words.
-            start: The rig that ``rig.start`` names, which the folder keeps, so that it needs no file from elsewhere.
+            start: The rig that the run starts from, where it is a certain one; the folder keeps it, so that it needs no
+                file from elsewhere.
+            freeze: Names of its cameras that stay as they are.
 
         Raises:
             InputError: ``run.out`` exists, or no folder can be made there.
@@ -142,9 +153,10 @@ class RunFolder:
                 "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
         config = with_absolute_paths(config)
-        if start is not None and Path(config.rig.start).is_absolute():  # no preset
+        if start is not None and config.rig.start not in preset_names():
             folder.write_rig("start", start)
-            config = config.model_copy(update={"rig": config.rig.model_copy(update={"start": START_FILE})})
+            rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
+            config = config.model_copy(update={"rig": rig})
         write_text(path / "config.yaml", dump_config(config))
         write_json(path / "env.json", environment(config, device))
         return folder
@@ -164,6 +176,13 @@ class RunFolder:
                 f"{path}: run folder: expected a folder written by warpav optimise, got one without config.yaml"
             )
         return cls(folder)
+
+    def replace_config(self, config: Config) -> None:
+        """Write ``config.yaml`` again, with the same start."""
+        rig = self.config().rig
+        if (self.path / START_FILE).is_file():
+            config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
+        write_text(self.path / "config.yaml", dump_config(config))
 
     def write_rig(self, role: RigRole, rig: Rig) -> None:
         """Write ``rig_<role>.yaml``."""
@@ -302,21 +321,17 @@ class RunFolder:
         """A rig of the run.
 
         Args:
-            role: Which one; None takes the result, which is the best or the final one as ``optimiser.keep`` says, or
-                what comes nearest to it when the run was stopped.
+            role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped before its first
+                step has only the rig that it started from.
 
         Raises:
-            InputError: The run was stopped before it had one, or its best one is missing.
+            InputError: The run was stopped before it had one, or it is missing.
         """
         from warpav.rig.rig import read_rig
 
-        if role is None:
-            keep_best = self.config().optimiser.keep == "best"
-            roles: tuple[RigRole, ...] = ("best", "initial") if keep_best else ("final", "best", "initial")
-            if keep_best and (self.path / "rig_final.yaml").is_file():  # written after the best one
-                roles = ("best",)
-        else:
-            roles = (role,)
+        roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
+        if role is None and (self.path / "rig_final.yaml").is_file():  # written after the best one
+            roles = ("best",)
         for name in roles:
             file = self.path / f"rig_{name}.yaml"
             if file.is_file():
@@ -368,6 +383,18 @@ class RunFolder:
             raise InputError(f"{file}: expected JSON, got: {error}") from None
 
 
+def read_run(path: str | Path) -> RunFolder:
+    """The run that a folder holds.
+
+    Args:
+        path: The run folder.
+
+    Raises:
+        InputError: There is no folder, or it is not one of a run.
+    """
+    return RunFolder.open(path)
+
+
 def write_json(file: Path, data: object) -> None:
     """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null.
 
@@ -403,7 +430,7 @@ def check_folder(folder: Path, option: str) -> None:
         InputError: It is a file.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file", option=option)
+        raise ArgumentError(option, "expected a folder to write to, got a file", place=folder)
 
 
 def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:

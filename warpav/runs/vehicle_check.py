@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.runs.config import Config
-from warpav.runs.sources import mount_surface
+from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
     Examination,
     Reading,
@@ -88,7 +88,7 @@ def check_vehicle(
         InputError: The file holds no vehicle, or a file cannot be written.
     """
     if out is not None and out.suffix.lower() != ".glb":
-        raise InputError(f"{out}: out: expected a name that ends in .glb, got {out.name!r}", option="out")
+        raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
     file = read_vehicle(path)
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
@@ -178,7 +178,8 @@ def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Readi
     try:
         return replace(reading, up=up, forward=forward, scale=float(values["scale"]))
     except InputError as error:
-        raise InputError(str(error), option=str(error).partition(":")[0]) from None
+        option, _, text = str(error).partition(": ")
+        raise ArgumentError(option, text) from None
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:

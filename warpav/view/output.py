@@ -18,11 +18,11 @@ from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from warpav.core.progress import Progress
 
     Plotter = Any
-    Watch = Callable[[Iterable[np.ndarray], int], Iterable[np.ndarray]]
-    """Passes the images of an animation on, given their number: a progress bar."""
 
 SUFFIXES = (".png", ".html", ".gif", ".mp4")
 ANIMATION_SUFFIXES = (".gif", ".mp4")
@@ -60,7 +60,7 @@ def save_image(
     *,
     supersampling: int = 2,
     frame_count: int = _ORBIT_FRAMES,
-    watch: Watch | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write what an off-screen plotter shows.
 
@@ -72,7 +72,7 @@ def save_image(
         path: File to write; its suffix decides the format.
         supersampling: Rays per pixel and axis in PNG and animations, 1 to 4.
         frame_count: Images of an animation, at least 2.
-        watch: Shows how many of them are done.
+        progress: Shows how many of them are done.
 
     Returns:
         The path.
@@ -85,7 +85,8 @@ def save_image(
     if path.suffix.lower() in ANIMATION_SUFFIXES:
         frame_count = max(2, frame_count)
         orbit = _orbit(plotter, frame_count=frame_count, supersampling=supersampling)
-        return save_animation(watch(orbit, frame_count) if watch else orbit, path, frame_s=_ORBIT_FRAME_S)
+        animation = Animation(orbit, frame_count, frame_s=_ORBIT_FRAME_S)
+        return save_animation(animation, path, progress=progress)
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
@@ -95,16 +96,15 @@ def save_image(
         return _write(path, plotter.trame.export_html(None).getvalue().encode())
 
 
-def save_animation(image_rgb: Iterable[np.ndarray], path: Path | str, *, frame_s: float, last_s: float = 0.0) -> Path:
+def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
     """Write an animation as ``.gif`` or ``.mp4``.
 
     The file appears complete or not at all; missing folders are made.
 
     Args:
-        image_rgb: The images, at least one, all of one size, uint8 [row, column, 3].
+        animation: The images and their times.
         path: File to write; its suffix decides the format.
-        frame_s: How long each is shown [s].
-        last_s: How much longer the last one is [s].
+        progress: Shows how many images are done.
 
     Returns:
         The path.
@@ -115,11 +115,14 @@ def save_animation(image_rgb: Iterable[np.ndarray], path: Path | str, *, frame_s
     path = Path(path)
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(ANIMATION_SUFFIXES)}, got {path.suffix!r}")
+    images, times = animation.image_rgb, {"frame_s": animation.frame_s, "last_s": animation.last_s}
+    if progress is not None:
+        images = progress.steps("images", images, count=animation.count)
     if path.suffix.lower() == ".gif":
-        return _write(path, _gif(list(image_rgb), frame_s=frame_s, last_s=last_s))
+        return _write(path, _gif(list(images), **times))
     for name in ("imageio", "imageio_ffmpeg"):
         optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
-    return _write(path, _mp4(image_rgb, frame_s=frame_s, last_s=last_s))
+    return _write(path, _mp4(images, **times))
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from warpav.core.progress import Progress
     from warpav.evaluation.coverage import Coverage
-    from warpav.view.output import Watch
 
     Drawing = Any
     Plotter = Any
@@ -94,7 +94,7 @@ def plot(
     window_size: tuple[int, int] | None = None,
     zoom: float | None = None,
     off_screen: bool | None = None,
-    watch: Watch | None = None,
+    progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 (by class, see below)
 ) -> Any:  # noqa: ANN401
     """Show an object in a window or a notebook, or write its image to a file.
@@ -127,7 +127,7 @@ def plot(
         zoom: 1 fills the image with the vehicle, less shows more around it; by default 1, and 0.62 where outcomes,
             coverage or visibility are painted.
         off_screen: Whether to draw without a window; by default if there is no display.
-        watch: Passes the images of an animation on, given their number: a progress bar.
+        progress: Shows how many images of an animation are done.
         **options: Those of the object's class, and those of ``pyvista.Plotter.show``, such as ``jupyter_backend``; with
             ``out`` only ``cpos`` of them.
 
@@ -147,8 +147,7 @@ def plot(
     drawing = draw(obj, canvas, **own)
     if isinstance(drawing, Animation):
         assert canvas.out is not None, "animations are drawn where the canvas asks for one"
-        images = watch(drawing.image_rgb, drawing.count) if watch else drawing.image_rgb
-        return save_animation(images, canvas.out, frame_s=drawing.frame_s, last_s=drawing.last_s)
+        return save_animation(drawing, canvas.out, progress=progress)
     if not isinstance(drawing, load_pyvista().BasePlotter):
         return _deliver_figure(drawing, canvas)
     if canvas.out is None:
@@ -156,7 +155,7 @@ def plot(
     try:
         if "cpos" in of_show:
             drawing.camera_position = of_show["cpos"]
-        return save_image(drawing, canvas.out, watch=watch)
+        return save_image(drawing, canvas.out, progress=progress)
     finally:
         drawing.close()
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.atomic_write import replacing
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, hex_colour
 
 WIDTH_INCH = 9.0
@@ -104,7 +104,7 @@ def checked_png(path: Path | str) -> Path:
     """
     path = Path(path)
     if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: out: expected a name that ends in .png, got {path.suffix!r}", option="out")
+        raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
     return path
 
 
