@@ -23,13 +23,14 @@ from warpav.core.errors import InputError
 from warpav.optimisation.gradient import Descent
 from warpav.rig.rig import rig_text
 from warpav.runs.config import Config
-from warpav.runs.inspect import inspector, run_plotter
+from warpav.runs.inspect import inspector
 from warpav.runs.rig_source import config_for
 from warpav.runs.run_figures import OBJECT_EGO
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
+from warpav.view import Canvas, drawing_of
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -519,7 +520,7 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert cv2.imread("rig.png").std() > 5.0
     assert capsys.readouterr().out == "wrote rig.png\n"
     pictures = [cv2.imread("rig.png")]
-    for shown in ("coverage", "outcomes", "sight"):
+    for shown in ("coverage", "outcomes", "visibility"):
         argv = ["inspect", str(run_folder.path), "--show", shown, "--out", f"{shown}.png"]
         assert main(argv) == 0
         pictures.append(cv2.imread(f"{shown}.png"))
@@ -528,18 +529,20 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert "--show" in _complaint(capsys, "inspect", "highest", "--show", "blind")
 
 
-def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch):
+def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
     opened = []
     monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
     window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
     monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
-    for shown in ("rig", "coverage", "outcomes", "sight"):
+    for shown in ("rig", "coverage", "outcomes", "visibility", "sight"):
         assert main(["inspect", "highest", "--show", shown]) == 0
-    assert [options["begin_with"] for options in opened] == ["coverage", "coverage", "outcomes", "sight"]
+        warning = "--show sight: is called --show visibility now; the old name goes in the next version\n"
+        assert capsys.readouterr().err == (warning if shown == "sight" else "")
+    assert [options["begin_with"] for options in opened] == ["coverage", "coverage", "outcomes", *2 * ["visibility"]]
 
 
 @needs_opengl
-def test_a_run_is_a_film_a_plot_and_blocks(run_folder, working_directory, capsys):
+def test_a_run_is_an_animation_a_plot_and_blocks(run_folder, working_directory, capsys):
     assert main(["inspect", str(run_folder.path), "--out", "run.gif"]) == 0
     assert os.path.getsize("run.gif") < 5e6
     with Image.open("run.gif") as film:
@@ -552,7 +555,8 @@ def test_a_run_is_a_film_a_plot_and_blocks(run_folder, working_directory, capsys
     message = f"{run_folder.path}: iteration: expected one of 3 from 0, got 3"
     with pytest.raises(InputError, match=re.escape(message)):
         run_folder.plot("x.png", iteration=3, scene=scene)
-    plotter = run_plotter(run_folder, iteration=1, scene=scene, off_screen=True, window_size=(320, 200))
+    canvas = Canvas(off_screen=True, window_size=(320, 200))
+    plotter = drawing_of(run_folder, canvas, iteration=1, scene=scene)  # pyright: ignore[reportCallIssue]
     assert any(name.startswith("descent/") for name in plotter.actors)
     plotter.close()
     blocks = run_folder.to_pyvista(scene=scene)
@@ -619,7 +623,7 @@ def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, 
     (working_directory / "copy" / "events.jsonl").unlink()
     capsys.readouterr()
     assert _complaint(capsys, "inspect", "copy", "--out", "y.gif").startswith(
-        "copy/events.jsonl: expected iterations to make a film of, got none"
+        "copy/events.jsonl: expected iterations to animate, got none"
     )
     assert main(["inspect", "copy", "--out", "y.png"]) == 0
 

@@ -7,6 +7,7 @@ needs it, so that ``--help`` and ``config`` answer at once.
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +29,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-scenes_app = App(name="scenes", help="Make and look at traffic scenes.")
+scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 config_app = App(name="config", help="Show, check, copy and compare configurations.")
 experiment_app = App(name="experiment", help="Run experiments, judge their rigs anew, write their results as a page.")
 rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; what is in a rig.")
@@ -249,14 +250,14 @@ def inspect(
         Path | None,
         Parameter(
             help="PNG, HTML, GIF or MP4 to write. GIF and MP4 are one turn around the vehicle; of a run, without "
-            "--show, films over its iterations."
+            "--show, animations of its iterations."
         ),
     ] = None,
     show: Annotated[
-        Literal["rig", "coverage", "outcomes", "sight"],
+        Literal["rig", "coverage", "outcomes", "visibility", "sight"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
-            "detected, missed, hidden or out of frame; sight, what every camera sees."
+            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name)."
         ),
     ] = "rig",
 ) -> None:
@@ -265,8 +266,11 @@ def inspect(
     from warpav.runs.progress import RunDisplay
     from warpav.runs.rig_source import config_for
 
-    with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
-        file = inspect_rig(run_or_rig, settings, out, shown=show, display=RunDisplay())
+    if show == "sight":
+        _complain("--show sight: is called --show visibility now; the old name goes in the next version")
+        show = "visibility"
+    with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+        file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)
     if file is not None and out is None:
         from warpav.view.opengl import display_text
 
@@ -431,17 +435,17 @@ def scenes_figure(
     """Draw a figure of the thesis.
 
     4: image types. 5: stages from images to meshes. 6: sphere. 7: window filter. 8: where vehicles stand.
-    9: mount surface. 10: ways of the cameras without constraints. 11: views before and after optimisation, and of
-    test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
+    9: mount surface. 10: trajectories of the cameras without constraints. 11: images before and after optimisation, and
+    of test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
     """
-    from warpav.view.scene_figures.by_number import RIG_NUMBERS, draw_figure
+    from warpav.experiments.scene_figures import RIG_NUMBERS, draw_figure
 
     if number not in RIG_NUMBERS:
         if overrides or run or config:
             raise InputError(
                 f"figure {number}: expected no --run, --config or key=value; they go with figures 10 to 12"
             )
-        _say(f"wrote {draw_figure(number, out, seed=seed, capture_folder=capture, scenes_folder=scenes)}")
+        _say(f"wrote {draw_figure(number, out, seed=seed, capture=capture, scenes=scenes)}")
         return
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
@@ -470,15 +474,15 @@ def scenes_heatmap(
         str | None, Parameter(help="Seeds to test on, such as [160,161]; by default the last 20 %.")
     ] = None,
 ) -> None:
-    """Draw where the vehicles of a collection stand: in all scenes, those to train on, those to test on."""
+    """Draw where the vehicles of a folder of scenes stand: in all scenes, those to train on, those to test on."""
+    from warpav.experiments.scene_figures import scene_store_heat_maps
     from warpav.runs.config import read_seeds
-    from warpav.view.scene_figures.occupancy import collection_heat_maps
 
     chosen = {
         name: None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
         for name, seeds in (("train", train), ("test", test))
     }
-    _say(f"wrote {collection_heat_maps(scenes, out, **chosen)}")
+    _say(f"wrote {scene_store_heat_maps(scenes, out, **chosen)}")
 
 
 @config_app.command(name="show")
@@ -682,7 +686,13 @@ def vehicle_check(
         _say(line)
     for problem in report.problems:
         _complain(problem)
-    return 2 if report.problems else 0
+    if report.fix is None:
+        return 2 if report.problems else 0
+    target = out or file.with_name(f"{file.stem}_ego.glb")
+    words = [word for name, value in report.fix.items() for word in (f"--{name.replace('_', '-')}", value)]
+    command = shlex.join(["warpav", "vehicle", "check", str(file), *words, "--out", str(target)])
+    _complain(f"{file}: to fix it: {command}")
+    return 2
 
 
 @detector_app.command(name="check")

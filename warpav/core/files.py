@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.atomic_write import replacing
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 
 
 def write_text(file: Path, text: str) -> None:
@@ -40,7 +40,7 @@ def check_folder(folder: Path, option: str) -> None:
         InputError: It is a file.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: {option}: expected a folder to write to, got a file")
+        raise ArgumentError(option, "expected a folder to write to, got a file", place=folder)
 
 
 @contextlib.contextmanager

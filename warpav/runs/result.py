@@ -28,6 +28,7 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.store import scene_path
+from warpav.view import Canvas, drawing_of
 
 if TYPE_CHECKING:
     from warpav.optimisation.objective import AssignedScene
@@ -337,3 +338,23 @@ def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]
         "objective": [candidate.training_objective for candidate in candidates],
         "objective_iteration": [candidate.iteration for candidate in candidates],
     }
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    scene: Scene | None = None,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    scene = result.placement.shown if scene is None else next(result.placement.as_seen([scene]))
+    steps = [record.positions_m for record in result.records if record.descent == result._kept.descent]
+    has_path = len(steps) > 1 and not result.is_worse_than_start
+    return drawing_of(
+        result.rig,
+        canvas,
+        scene=scene,
+        trajectory_m=np.array(steps) if has_path else None,
+        visibility=visibility,
+    )

@@ -29,6 +29,7 @@ from warpav.rig.presets import preset_names
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.events import flat_numbers, read_events
+from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -255,56 +256,16 @@ class RunFolder:
             + ("; was it removed?" if len(roles) == 1 and role is None else "; the run has none yet")
         )
 
-    def plot(
-        self,
-        out: Path | str | None = None,
-        *,
-        iteration: int | None = None,
-        scene: Scene | None = None,
-        arrows: bool = True,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the run in a window or in a notebook, or write it to a file.
+    def plot(self, out: Path | str | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the run in a window or a notebook, or write its image to a file; see `warpav.view.plot`.
 
-        The result on its vehicle in traffic, with the way of every camera and arrows for where the descent wanted to
-        move and turn it.
-
-        Args:
-            out: ``.png``, ``.html``, or ``.gif`` and ``.mp4`` for a film over the iterations; None: show it.
-            iteration: Instead of the result, the rig before the step of this one; negative ones count from the end.
-            scene: Traffic and street; by default the first test scene of the run.
-            arrows: Whether to draw the arrows, where the run recorded gradients.
-            sight: Whether to paint what every camera sees of the scene, up to what stands in the way; not in films.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
+        The result on its vehicle in traffic, with the trajectory of every camera and arrows for where the descent would
+        still move and turn it; ``.gif`` and ``.mp4`` show the iterations.
 
         Raises:
             InputError: A file of the folder cannot be used, there is no such iteration, or nothing can be drawn here.
         """
-        from warpav.runs.inspect import ShownRun
-
-        return ShownRun.of(self, scene=scene).plot(
-            out,
-            iteration=iteration,
-            arrows=arrows,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
-        )
+        return plot(self, out=out, **options)
 
     def to_pyvista(self, *, scene: Scene | None = None) -> MultiBlock:
         """The run as ``pyvista.MultiBlock``: ``start``, ``path``, ``end``, ``scene``.
@@ -317,9 +278,9 @@ class RunFolder:
         Raises:
             InputError: A file of the folder is missing or cannot be used.
         """
-        from warpav.runs.inspect import ShownRun
+        from warpav.runs.inspect import OpenRun
 
-        return ShownRun.of(self, scene=scene).to_pyvista()
+        return OpenRun.of(self, scene=scene).to_pyvista()
 
     def _append(self, name: str, line: str) -> None:
         with writing(self.path / name), (self.path / name).open("ab", buffering=0) as file:
@@ -396,3 +357,18 @@ def _iterations_of(evaluation: object) -> int:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+@drawing_of.register(RunFolder)
+def _drawing(
+    run: RunFolder,
+    canvas: Canvas,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.runs.inspect import OpenRun
+
+    return OpenRun.of(run, scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)

@@ -100,8 +100,8 @@ def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
     start, end = training.get("start"), training.get("optimised")
     if "optimised" in training and start is not None and (end is None or end > start):
         found.append(
-            f"WORSE THAN ITS START: the optimised rig has objective {_number(end)}, its start {_number(start)}; the rig "
-            "of the run, rig_best.yaml, is the start"
+            f"WORSE THAN ITS START: the optimised rig has objective {_number(end)}, its start {_number(start)}; the "
+            "rig of the run, rig_best.yaml, is the start"
         )
     recall = (evaluation.get("paired", {}).get("start") or {}).get("tp_detection_rate") or {}
     high, arms = recall.get("high"), evaluation["arms"]

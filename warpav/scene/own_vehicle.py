@@ -145,7 +145,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Problem:
+class VehicleProblem:
     """Something that keeps a vehicle from being used as it is.
 
     Attributes:
@@ -177,7 +177,7 @@ class Examination:
     shift_m: np.ndarray
     shape: Shape
     wheels: Wheels | None
-    problems: tuple[Problem, ...]
+    problems: tuple[VehicleProblem, ...]
     hints: tuple[str, ...]
     open_edge_count: int
     flat_triangle_count: int
@@ -288,7 +288,7 @@ def examine(
     """
     mesh = file.in_ego_frame(reading)
     point_m = _points_on(mesh)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     problems += _unit_problems(float(size_m.max()), reading, is_stated="scale" in stated)
@@ -381,7 +381,7 @@ def unit_of(length: float) -> tuple[str, float] | None:
     return None
 
 
-def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[Problem]:
+def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
     if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
         return []
     least, greatest = POSSIBLE_LENGTH_M
@@ -390,16 +390,18 @@ def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> lis
     if unit is None:
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
         return [
-            Problem(f"{text}, a length in no usual unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"})
+            VehicleProblem(
+                f"{text}, a length in no usual unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
+            )
         ]
     with_scale = " with this --scale" if is_stated else ""
     scale = reading.scale * unit[1]
-    return [Problem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
+    return [VehicleProblem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
 
 
 def _axis_findings(
     shape: Shape, reading: Reading, size_m: np.ndarray, is_declared: bool, stated: frozenset[str]
-) -> tuple[list[Problem], list[str]]:
+) -> tuple[list[VehicleProblem], list[str]]:
     """Whether the shape, seen in the ego frame as the file was read, stands as it should."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
@@ -427,20 +429,20 @@ def _axis_findings(
     text += f"forward it {what}"
     if is_declared or {"up", "forward"} <= stated:
         return [], [f"{text}; taken as stated"]
-    return [Problem(text, remedy)], []
+    return [VehicleProblem(text, remedy)], []
 
 
 def _place_findings(
     mesh: Mesh, wheels: Wheels | None, is_declared: bool, rear_axle_m: float | None
-) -> tuple[np.ndarray, list[Problem], list[str]]:
+) -> tuple[np.ndarray, list[VehicleProblem], list[str]]:
     """How the vehicle has to be moved [m], [3], why, and what is to be known about it."""
     low, high = mesh.bounds_m().astype(np.float64)
     shift_m = np.zeros(3)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     if abs(low[2]) > GROUND_TOLERANCE_M:
         shift_m[2] = -low[2]
-        problems.append(Problem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
+        problems.append(VehicleProblem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
     if rear_axle_m is not None:
         if not 0.0 <= rear_axle_m <= high[0] - low[0]:
             length = f"{high[0] - low[0]:.2f} m"
@@ -451,7 +453,7 @@ def _place_findings(
         target_m = np.array([low[0] + rear_axle_m, middle_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
-            problems.append(Problem("origin: it is not below the rear axle as --rear-axle states it", {}))
+            problems.append(VehicleProblem("origin: it is not below the rear axle as --rear-axle states it", {}))
         return shift_m, problems, hints
     is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
     if is_declared and is_inside:
@@ -464,7 +466,7 @@ def _place_findings(
             )
         else:
             problems.append(
-                Problem(
+                VehicleProblem(
                     "origin: expected it below the vehicle, got "
                     f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
                     "--rear-axle says how far before the rear end the rear axle is",
@@ -476,7 +478,7 @@ def _place_findings(
     if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(
-            Problem(
+            VehicleProblem(
                 "origin: expected it below the middle of the rear axle, got that at "
                 f"x {offset_m[0]:+.2f} m, y {offset_m[1]:+.2f} m",
                 {},

@@ -18,7 +18,7 @@ from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
 from warpav.runs.report.words import headline, summary
 from warpav.runs.run_figures import _keep_views
 from warpav.runs.verdict import ARM_ROWS
-from warpav.view.figures import DetectionPanel
+from warpav.view.figures.detections import DetectionPanel
 
 
 class Page(HTMLParser):

@@ -15,19 +15,20 @@ from warpav.scene.capture.capture import EGO_INSTANCE, Capture
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.reconstruct import object_mesh
 from warpav.scene.reconstruction.settings import ReconstructionSettings
-from warpav.view.cloud_view import cloud_picture
-from warpav.view.figures import WIDTH_INCH, draw_height_map, draw_vehicle, figure_style, new_figure, save_figure
-from warpav.view.scene_figures.panels import (
-    BACKGROUND_RGB,
+from warpav.view.cloud_view import BACKGROUND_RGB, cloud_image, towards, view_of
+from warpav.view.figures.style import (
+    WIDTH_INCH,
     caption,
     count_text,
     empty_panel,
+    figure_style,
+    new_figure,
     panel_sizes_px,
-    show_picture,
+    save_figure,
+    show_image,
     title,
-    towards,
-    view_of,
 )
+from warpav.view.figures.top_view import draw_height_map, draw_vehicle
 
 
 def mount_surface_stages(
@@ -85,9 +86,9 @@ def mount_surface_stages(
         (size_px,) = panel_sizes_px(figure, axes[:1, 0])
         viewpoint = view_of(cloud.cloud.point_m, towards(math.radians(38.0), math.radians(40.0)), size_px)
         parts = [cloud.cloud, _coloured(surface, limits_m)]
-        show_picture(
+        show_image(
             axes[0, 0],
-            cloud_picture(parts, viewpoint, size_px=size_px, point_px=1.6, cover=1.0, background_rgb=BACKGROUND_RGB),
+            cloud_image(parts, viewpoint, size_px=size_px, point_px=1.6, cover=1.0, background_rgb=BACKGROUND_RGB),
         )
         return save_figure(figure, path)
 

@@ -18,20 +18,21 @@ from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
 from warpav.scene.reconstruction.surface import thin_out
 from warpav.scene.scene import Box
-from warpav.view.cloud_view import Viewpoint, cloud_picture
-from warpav.view.figures import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
-from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.scene_figures.panels import (
-    BACKGROUND_RGB,
+from warpav.view.cloud_view import BACKGROUND_RGB, Viewpoint, cloud_image, towards, view_of
+from warpav.view.figures.style import (
+    DOTS_PER_INCH,
+    WIDTH_INCH,
     caption,
     count_text,
     empty_panel,
+    figure_style,
+    new_figure,
     panel_sizes_px,
-    show_picture,
+    save_figure,
+    show_image,
     title,
-    towards,
-    view_of,
 )
+from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 _SKY_DEPTH_M = 1000.0  # where CARLA's depth images put the sky
 _STRAY_REACH_M = 9.0  # of what was seen through a vehicle's panes, so much is drawn
@@ -40,7 +41,7 @@ _GAINED_RGB, _LOST_RGB = camera_rgb(0), camera_rgb(3)
 
 
 def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettings | None = None) -> Path:
-    """Figure 5: the way from images to meshes, from behind the ego vehicle, with the thesis's numbers 4 to 9.
+    """Figure 5: the stages from images to meshes, from behind the ego vehicle, with the thesis's numbers 4 to 9.
 
     Its stages 1 to 3 happen inside a simulator: a capture does not know them.
 
@@ -97,9 +98,9 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
         )
         sizes_px = panel_sizes_px(figure, axes)
         for axis, size_px, (parts, cover) in zip(axes, sizes_px, panels.values(), strict=True):
-            show_picture(
+            show_image(
                 axis,
-                cloud_picture(
+                cloud_image(
                     parts,
                     viewpoint,
                     size_px=size_px,
@@ -139,8 +140,8 @@ def sphere(capture: Capture, path: Path | str, *, settings: CloudSettings | None
             (axes[0], "Without the sphere", [around, *objects]),
             (axes[1], "With the sphere", [near, moved, *objects]),
         ):
-            picture = cloud_picture(parts, viewpoint, size_px=(edge_px, edge_px), point_px=1.2, cover=1.0)
-            axis.imshow(picture, extent=(reach_m, -reach_m, -reach_m, reach_m), interpolation="antialiased")
+            image = cloud_image(parts, viewpoint, size_px=(edge_px, edge_px), point_px=1.2, cover=1.0)
+            axis.imshow(image, extent=(reach_m, -reach_m, -reach_m, reach_m), interpolation="antialiased")
             circle = settings.radius_m * np.stack([np.sin(turn), np.cos(turn)])
             axis.plot(*circle, color=hex_colour(camera_rgb(1)), linewidth=1.3, linestyle=(0, (5, 3)))
             axis.grid(visible=False)
@@ -161,7 +162,7 @@ class WindowClouds:
     """What the rule of the 3D boxes does to points that were seen through window panes.
 
     Attributes:
-        shown: Points of each vehicle as the instance images tell, in the order of the capture.
+        shown: Points of each vehicle by the instance images, in the order of the capture.
         boxed: Of these, those inside its box.
         outside: Of these, those of its outside: what becomes the vehicle.
         around: Points of the environment's pixels, one in each cell of the environment's grid.
@@ -274,7 +275,7 @@ def window_filter(
         whole, single, around = (boxes, every_m, high, 1.5), ([box], shown_m, oblique, 1.5), (boxes, every_m, high, 2.5)
         one_shown, one_boxed, one_outside = ([part[chosen]] for part in (clouds.shown, clouds.boxed, clouds.outside))
         panels = []
-        for place, text, counted, remark, parts, view in (
+        for panel, text, counted, remark, parts, view in (
             (grid[0, :3], "Instance images alone", clouds.shown, "", clouds.shown, whole),
             (grid[0, 3:], "Inside the 3D boxes", clouds.boxed, "", clouds.boxed, whole),
             (grid[1, :2], name, one_shown, "", one_shown, single),
@@ -283,7 +284,7 @@ def window_filter(
             (grid[2, :3], "Environment alone", [clouds.lost], " in boxes", [pale_before, lost], around),
             (grid[2, 3:], "With what panes show", [clouds.gained], " more", [pale_after, gained], around),
         ):
-            axis = figure.add_subplot(place)
+            axis = figure.add_subplot(panel)
             title(axis, text, count_text(sum(map(len, counted))) + remark)
             empty_panel(axis)
             panels.append((parts, *view))
@@ -297,7 +298,7 @@ def window_filter(
         for axis, size_px, (parts, wires, point_m, direction, point_px) in zip(
             figure.axes, panel_sizes_px(figure, figure.axes), panels, strict=True
         ):
-            picture = cloud_picture(
+            image = cloud_image(
                 parts,
                 view_of(point_m, direction, size_px),
                 size_px=size_px,
@@ -305,7 +306,7 @@ def window_filter(
                 cover=1.3,
                 boxes=wires,
             )
-            show_picture(axis, picture)
+            show_image(axis, image)
         return save_figure(figure, path)
 
 
@@ -332,7 +333,7 @@ def _with_sky(image: CapturedImage, far_depth_m: float) -> PointCloud:
 
 
 def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:
-    """From behind and above the ego vehicle, or from another side where something stands in the way."""
+    """From behind and above the ego vehicle, or from another side where something hides it."""
     elevation_rad, distance_m = math.radians(24.0), 21.0
     target_m = ego_box.center_m + np.array([0.0, 0.0, 0.5])
     point_m = around.point_m.astype(np.float64) - target_m

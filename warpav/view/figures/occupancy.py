@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,54 +10,17 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.scene.glb import read_scene
 from warpav.scene.scene import Box
-from warpav.scene.store import scene_path, split_seeds
-from warpav.view.figures import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    caption,
+    count_text,
+    figure_style,
+    new_figure,
+    save_figure,
+    title,
+)
 from warpav.view.palette import INK_RGB, hex_colour
-from warpav.view.scene_figures.panels import caption, checked_png, count_text, title
-
-
-def collection_heat_maps(
-    folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
-) -> Path:
-    """Figure 8 for a folder of scenes: all of them, those for training, those for testing.
-
-    Args:
-        folder: Holds ``scene_<seed>.glb`` files.
-        path: PNG file to write.
-        train: Seeds for training; None: the first 60 %.
-        test: Seeds for testing; None: the last 20 %.
-
-    Raises:
-        InputError: The folder or a scene is missing, or there are too few scenes to split them.
-    """
-    path = checked_png(path)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
-    found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}
-    if not found:
-        raise InputError(f"{folder}: expected files scene_SEED.glb, got none; warpav scenes make --out writes them")
-    split = split_seeds(sorted(found))
-    parts = {"all": sorted(found), "train": train or split["train"], "test": test or split["test"]}
-    for name, seeds in parts.items():
-        missing = sorted(set(seeds) - found)
-        if missing:
-            raise InputError(f"{scene_path(folder, missing[0])}: --{name}: expected this scene, got no such file")
-        if not seeds:
-            raise InputError(
-                f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds with --{name}"
-            )
-    boxes: dict[int, list[Box]] = {}
-    ego_box = None
-    for seed in parts["all"]:
-        scene = read_scene(scene_path(folder, seed))
-        boxes[seed] = [vehicle.box for vehicle in scene.vehicles]
-        if ego_box is None:
-            low, high = scene.ego.bounds_m().astype(np.float64)
-            ego_box = Box(0.5 * (low + high), high - low, 0.0)
-    assert ego_box is not None
-    return heat_maps({name: [boxes[seed] for seed in seeds] for name, seeds in parts.items()}, path, ego_box=ego_box)
 
 
 def heat_maps(

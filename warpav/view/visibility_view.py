@@ -1,6 +1,6 @@
-"""What a rig sees, drawn into the picture of the rig.
+"""What a rig sees, drawn around the rig.
 
-The view of every camera up to what stands in the way, traffic by what becomes of it, and the ground by how many
+The view of every camera up to what hides the rest, traffic by what becomes of it, and the ground by how many
 cameras see somebody there. As in `warpav.view.rig_view`, every function adds to a plotter that the caller owns, under
 stable names.
 """
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpav.evaluation.coverage import Coverage
-    from warpav.evaluation.metrics import ObjectOutcome
     from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
@@ -28,49 +27,49 @@ if TYPE_CHECKING:
     PolyData = Any
 
 FARTHEST_M = 15.0
-"""How far free sight is drawn [m]."""
+"""How far an unobstructed view is drawn [m]."""
 
 RAYS_PX = 97
-"""Rays along each side of an image that find where sight ends."""
+"""Rays along each side of an image that find where the view ends."""
 
 TOP_M = 2.2
-"""Pictures leave buildings out, so what is seen of them would hang in the air [m]."""
+"""Images leave buildings out, so what is seen of them would hang in the air [m]."""
 
 MAX_REACH_RATIO = 1.35
 """Neighbouring rays that reach so much farther than others do not see the same surface."""
 
-_LIFT_M = 0.04  # of the coverage above the ground, so that both can be told apart
+_LIFT_M = 0.04  # of the coverage above the ground, so that both can be distinguished
 _COVERAGE_ALPHA = 153
 _SEEN_ALPHA, _SIDE_ALPHA = 71, 15
 
 
-def sight_to_pyvista(
+def visibility_to_pyvista(
     camera: RigCamera, scene: DeviceScene, *, farthest_m: float = FARTHEST_M, rays: int = RAYS_PX
 ) -> PolyData:
-    """What a camera sees, up to what stands in the way, as ``pyvista.PolyData``.
+    """What a camera sees, up to what hides the rest, as ``pyvista.PolyData``.
 
     Args:
         camera: The camera.
-        scene: What stands in the way.
-        farthest_m: Where free sight ends [m], positive.
+        scene: What hides the rest.
+        farthest_m: Where an unobstructed view ends [m], positive.
         rays: Rays along each side of the image, at least 2; the outermost go through its corners.
 
     Returns:
         Triangles in the ego frame, with cell data ``part``: ``seen`` surfaces, ``side`` of the volume (the sides meet
-        in the camera's centre), or ``free``, where nothing stands in the way.
+        in the camera's centre), or ``free``, where nothing hides the rest.
     """
     from warpav.evaluation.coverage import free_shares
 
     model, transform = camera.model, camera.ego_from_camera
     row_px, column_px = np.linspace(0.0, model.height_px, rays), np.linspace(0.0, model.width_px, rays)
     ray = model.rays(np.stack(np.meshgrid(column_px, row_px), axis=-1).reshape(-1, 2)) @ transform[:3, :3].T
-    way_m = farthest_m * ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    ray_m = farthest_m * ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     share = np.full(len(ray), np.nan)
     has_ray = np.isfinite(ray).all(axis=-1)
-    share[has_ray] = free_shares(scene, transform[:3, 3], transform[:3, 3] + way_m[has_ray], near_m=model.near_m)
+    share[has_ray] = free_shares(scene, transform[:3, 3], transform[:3, 3] + ray_m[has_ray], near_m=model.near_m)
     # a little before the surface, so that it is drawn above it
     point_m = (
-        transform[:3, 3] + np.maximum(share - np.where(share < 1.0, _LIFT_M / farthest_m, 0.0), 0.0)[:, None] * way_m
+        transform[:3, 3] + np.maximum(share - np.where(share < 1.0, _LIFT_M / farthest_m, 0.0), 0.0)[:, None] * ray_m
     )
     index = np.arange(rays * rays).reshape(rays, rays)
     upper_left, upper_right = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
@@ -89,30 +88,30 @@ def sight_to_pyvista(
     return surface
 
 
-def add_sight(
+def add_visibility(
     plotter: Plotter,
     rig: Rig,
     scene: DeviceScene,
     *,
     farthest_m: float = FARTHEST_M,
     top_m: float = TOP_M,
-    name: str = "sight",
+    name: str = "visibility",
 ) -> None:
     """Paint what every camera of a rig sees in the camera's colour, with the sides of its view up to there.
 
     Args:
         plotter: Where to draw.
         rig: The cameras.
-        scene: What is seen and stands in the way.
-        farthest_m: Where free sight ends [m].
+        scene: What is seen and hides the rest.
+        farthest_m: Where an unobstructed view ends [m].
         top_m: What lies higher in the ego frame is not drawn [m].
         name: First part of the actors' names.
     """
     for index, camera in enumerate(rig.cameras):
-        add_camera_sight(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
+        add_camera_visibility(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
 
 
-def add_camera_sight(
+def add_camera_visibility(
     plotter: Plotter,
     camera: RigCamera,
     index: int,
@@ -121,7 +120,7 @@ def add_camera_sight(
     farthest_m: float = FARTHEST_M,
     top_m: float = TOP_M,
     rays: int = RAYS_PX,
-    name: str = "sight",
+    name: str = "visibility",
 ) -> None:
     """Paint what one camera sees, with the sides of its view up to there.
 
@@ -129,15 +128,15 @@ def add_camera_sight(
         plotter: Where to draw.
         camera: The camera.
         index: Its number in the rig, which gives its colour.
-        scene: What is seen and stands in the way.
-        farthest_m: Where free sight ends [m].
+        scene: What is seen and hides the rest.
+        farthest_m: Where an unobstructed view ends [m].
         top_m: What lies higher in the ego frame is not drawn [m].
         rays: Rays along each side of the image; fewer are faster and coarser.
         name: First part of the actor's name.
     """
-    surface = sight_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
+    surface = visibility_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
     surface = surface.clip("z", origin=(0.0, 0.0, top_m))
-    # most rays graze the ground, so that the way back along them leads hardly off it
+    # most rays graze the ground, so going back along them hardly leaves it
     is_end = ~np.isclose(surface.points, camera.position_m, atol=1e-4).all(axis=1)
     surface.points[is_end, 2] += _LIFT_M
     part = surface.cell_data["part"]
@@ -153,7 +152,7 @@ def add_camera_sight(
 def add_outcomes(
     plotter: Plotter,
     scene: Scene,
-    outcomes: Sequence[ObjectOutcome],
+    outcomes: Sequence[str],
     *,
     name: str = "scene/outcomes",
     legend: bool = True,
@@ -200,9 +199,9 @@ def coverage_to_pyvista(coverage: Coverage) -> PolyData:
     row, column = np.nonzero(coverage.is_open.any(axis=0))
     half_m = 0.5 * ground.cell_m
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
-    place_m = np.stack([ground.x_m[row], ground.y_m[column]], axis=-1)[:, None] + corner
+    position_m = np.stack([ground.x_m[row], ground.y_m[column]], axis=-1)[:, None] + corner
     height_m = np.broadcast_to(ground.ground_m[row, column][:, None, None] + _LIFT_M, (len(row), 4, 1))
-    point_m = np.concatenate([place_m, height_m], axis=-1).reshape(-1, 3)
+    point_m = np.concatenate([position_m, height_m], axis=-1).reshape(-1, 3)
     surface = load_pyvista().PolyData.from_regular_faces(point_m, np.arange(4 * len(row)).reshape(-1, 4))
     for height, count in zip(coverage.heights_m, coverage.count, strict=True):
         surface.cell_data[f"cameras_{height:g}m"] = count[row, column]

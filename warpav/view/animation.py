@@ -1,4 +1,4 @@
-"""A run as a film: the cameras move over the vehicle, and their ways grow."""
+"""A run as an animation: the cameras move over the vehicle, and their trajectories grow."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.descent_view import Descent, add_descent
+from warpav.view.descent_view import Steepest, add_descent
+from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, render_rgb
 from warpav.view.palette import INK_RGB, hex_colour
-from warpav.view.picture import MOVIE_PX, picture_rgb
 from warpav.view.rig_view import add_rig, add_trajectory, no_render, rig_plotter
 
 if TYPE_CHECKING:
@@ -23,33 +23,44 @@ MAX_FRAMES = 60
 """Of a longer run every n-th iteration is shown, and always the last one."""
 
 
-def run_film(
+def run_animation(
     frames: Sequence[Rig],
     events: Sequence[Mapping[str, Any]],
     *,
     end: Rig,
     scene: Scene,
     surface: MountSurface | None = None,
-    window_size: tuple[int, int] = MOVIE_PX,
+    window_size: tuple[int, int] = ANIMATION_PX,
     supersampling: int = 2,
-) -> Iterator[np.ndarray]:
-    """The pictures of a film over the iterations of a run, and at its end the result.
+) -> Animation:
+    """The iterations of a run, and at the end its result; drawn while the images are gone through.
 
     Args:
         frames: The rig before the step of every iteration, at least one.
         events: The iterations, lines of ``events.jsonl``.
         end: The result.
-        scene: Where the run is shown.
+        scene: Traffic and street.
         surface: What the cameras stand on; with it arrows show where every step moves and turns them.
         window_size: Width and height [px].
         supersampling: Rays per pixel and axis, 1 to 4.
-
-    Yields:
-        uint8 [row, column, 3].
-
-    Raises:
-        InputError: Nothing can be drawn on this machine.
     """
+    images = _images(
+        frames, events, end=end, scene=scene, surface=surface, window_size=window_size, supersampling=supersampling
+    )
+    count = len(shown_iterations(len(frames))) + 1
+    return Animation(images, count, frame_s=ANIMATION_FRAME_S, last_s=ANIMATION_LAST_S)
+
+
+def _images(
+    frames: Sequence[Rig],
+    events: Sequence[Mapping[str, Any]],
+    *,
+    end: Rig,
+    scene: Scene,
+    surface: MountSurface | None,
+    window_size: tuple[int, int],
+    supersampling: int,
+) -> Iterator[np.ndarray]:
     plotter = rig_plotter(
         frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False, zoom=ZOOM
     )
@@ -58,28 +69,28 @@ def run_film(
     try:
         for k in shown_iterations(len(frames)):
             event = events[k]
-            # the ways of an earlier descent go when another one begins
+            # trajectories of an earlier descent go when another one begins
             own = [j for j in range(k + 1) if events[j].get("descent") == event.get("descent")]
-            way_m = np.array([[camera.position_m for camera in frames[j].cameras] for j in own])
+            trajectory_m = np.array([[camera.position_m for camera in frames[j].cameras] for j in own])
             with no_render(plotter):
                 add_rig(plotter, frames[k], sectors=False, labels=False)
-                add_trajectory(plotter, way_m)
+                add_trajectory(plotter, trajectory_m)
                 if surface is not None:
-                    add_descent(plotter, frames[k], Descent.of_event(event), surface)
+                    add_descent(plotter, frames[k], Steepest.of_event(event), surface)
                 _write(plotter, [f"iteration {event['iteration']:{width}d}", _objective_text(events[: k + 1])])
-            yield picture_rgb(plotter, supersampling=supersampling)
+            yield render_rgb(plotter, supersampling=supersampling)
         with no_render(plotter):
             add_rig(plotter, end, sectors=False, labels=False)
             if surface is not None:
                 add_descent(plotter, end, None, surface)
             _write(plotter, ["result", _objective_text(events)])
-        yield picture_rgb(plotter, supersampling=supersampling)
+        yield render_rgb(plotter, supersampling=supersampling)
     finally:
         plotter.close()
 
 
 def shown_iterations(count: int, *, most: int = MAX_FRAMES) -> list[int]:
-    """Which of so many iterations a film shows: the first, the last, and evenly spread ones between them."""
+    """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, most))})
 
 

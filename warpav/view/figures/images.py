@@ -1,4 +1,4 @@
-"""Images of a capture: the three kinds from one place (figure 4), and all of them (figures 14 to 16)."""
+"""Images of a capture: the three kinds from one position (figure 4), and all of them (figures 14 to 16)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
-from warpav.view.figures import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, show_image, title
 from warpav.view.palette import INK_RGB, MUTED_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.scene_figures.panels import show_picture, title
 
 KIND_RGB: Mapping[ViewKind, Rgb] = {
     ViewKind.EGO_TOP: (240, 126, 22),
@@ -29,7 +28,7 @@ _KIND_TEXT = {
     ViewKind.EGO_TOP: "over the ego vehicle",
     ViewKind.TOWARDS_VEHICLE: "towards another vehicle",
     ViewKind.VEHICLE_TOP: "over another vehicle",
-    ViewKind.SCENE_TOP: "over the place",
+    ViewKind.SCENE_TOP: "over the scene",
     ViewKind.ROTATION: "all around",
     ViewKind.EGO_SIDE: "beside the ego vehicle",
     ViewKind.OTHER: "other",
@@ -43,7 +42,7 @@ _NOTABLE_SHARE = 0.002  # of an image's pixels: less of a vehicle is not worth s
 
 
 def image_types(capture: Capture, path: Path | str) -> Path:
-    """Figure 4: colour, depth and instances from one place, that from which the ego vehicle sees most vehicles.
+    """Figure 4: colour, depth and instances from one position, that from which the ego vehicle sees most vehicles.
 
     Args:
         capture: Where the images come from.
@@ -70,7 +69,7 @@ def image_types(capture: Capture, path: Path | str) -> Path:
             )
         ):
             axis = _axes(figure, gap_inch + column * across_inch, below_inch, width_inch, down_inch)
-            show_picture(axis, pixels)
+            show_image(axis, pixels)
             title(axis, text)
         _depth_bar(figure, _axes(figure, gap_inch + across_inch, below_inch - 0.2, width_inch, 0.11), limits_m)
         _instance_legend(_axes(figure, gap_inch + 2 * across_inch, below_inch - 0.2, width_inch, 0.11), image)
@@ -144,7 +143,7 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
             else:
                 pixels = instance_rgb(image.instance)
             axis = _axes(figure, left_inch, low_inch, wide_inch, high_inch)
-            show_picture(axis, pixels)
+            show_image(axis, pixels)
             axis.spines[:].set_visible(False)
         if what == "depth":
             _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, below_inch - 0.15, 0.6 * WIDTH_INCH, 0.13), limits_m)
@@ -219,7 +218,7 @@ def _depth_limits_m(images: Sequence[CapturedImage]) -> tuple[float, float]:
 
 
 def _axes(figure: Any, left_inch: float, low_inch: float, width_inch: float, height_inch: float) -> Any:  # noqa: ANN401
-    """Axes at a place in the figure that is not left to the layout."""
+    """Axes at a position in the figure that is not left to the layout."""
     width, height = figure.get_size_inches()
     return figure.add_axes((left_inch / width, low_inch / height, width_inch / width, height_inch / height))
 
@@ -238,7 +237,7 @@ def _depth_bar(figure: Any, axis: Any, limits_m: tuple[float, float]) -> None:  
 
 
 def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (matplotlib)
-    """A line that tells the colours: those of vehicles as one swatch in stripes."""
+    """A legend of the colours: those of vehicles as one swatch in stripes."""
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.patches import Patch
 
