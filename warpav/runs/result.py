@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
