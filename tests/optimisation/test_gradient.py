@@ -33,6 +33,8 @@ SETTINGS = OptimiserSettings(
     check_every=5,
     panorama_until=0.0,
     detector_from=0.0,
+    weight_decay=1e-3,
+    starts=1,
 )
 LONG_STEPS = {"learning_rate_position_m": 0.25, "learning_rate_yaw_deg": math.degrees(0.25), "schedule": "constant"}
 
@@ -177,7 +179,7 @@ class Slope:
 
 @pytest.mark.parametrize("schedule", ["constant", "cosine"])
 def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
-    settings = OptimiserSettings(schedule=schedule, keep="last", multiplier_weight_decay=0.05)
+    settings = changed(**LONG_STEPS | {"schedule": schedule, "keep": "last", "multiplier_weight_decay": 0.05})
     slope = Slope()
     descent, records, _ = run(settings, objective=slope, scenes=street_scenes(), iterations=8, batch_size=4)
     pose = thesis.AdamW(START, weight_decay=settings.weight_decay)

@@ -34,6 +34,9 @@ STEPS = OptimiserSettings(
     schedule="cosine",
     keep="best",
     check_every=5,
+    weight_decay=1e-3,
+    panorama_until=0.3,
+    starts=1,
 )
 
 
