@@ -397,7 +397,7 @@ def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warpav.runs.optimise.compare", interrupted)
+    monkeypatch.setattr("warpav.runs.result.evaluate_on", interrupted)
     assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
     assert "what was reached is in stopped" in capsys.readouterr().out
     assert RunFolder.open("stopped").rig("best").cameras

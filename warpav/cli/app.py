@@ -6,14 +6,13 @@ needs it, so that ``--help`` and ``config`` answer at once.
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError
 
 from warpav import __version__
-from warpav.cli.arguments import complain
+from warpav.cli.arguments import complain, flag_of, with_flags
 from warpav.cli.config import config_app
 from warpav.cli.detector import detector_app
 from warpav.cli.experiment import experiment_app
@@ -74,16 +73,12 @@ def _text_of(error: InputError | CycloptsError) -> str:
     if isinstance(error, CycloptsError):
         return _usage_text(error)
     if not isinstance(error, ArgumentError):
-        return str(error)
-    text = re.sub(r"`(\w+)`", lambda found: _flag(found[1]), error.text)
-    if "." in error.option:  # an option of the configuration
-        return f"{error.option}: {text}"
-    flag = _flag(error.option)
-    return f"command line ({flag}): {text}" if error.place is None else f"{error.place}: {flag}: {text}"
-
-
-def _flag(argument: str) -> str:
-    return f"--{argument.replace('_', '-')}"
+        return with_flags(str(error))
+    text, option = with_flags(error.text), error.option or ""
+    if "." in option:  # an option of the configuration
+        return f"{option}: {text}"
+    named = flag_of(option)
+    return f"command line ({named}): {text}" if error.place is None else f"{error.place}: {named}: {text}"
 
 
 def _usage_text(error: CycloptsError) -> str:

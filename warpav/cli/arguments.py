@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -40,6 +41,16 @@ TaskExecutor = Annotated[
 ]
 FileAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
+
+
+def flag_of(argument: str) -> str:
+    """What the command line calls an argument of a function."""
+    return "--format" if argument == "format_name" else f"--{argument.replace('_', '-')}"
+
+
+def with_flags(text: str) -> str:
+    """A message whose arguments, in backquotes, are written as the flags that they are here."""
+    return re.sub(r"`([a-z_]+)`", lambda found: flag_of(found[1]), text)
 
 
 def say(text: str) -> None:

@@ -14,6 +14,7 @@ from warpav.cli.arguments import (
     RigSource,
     complain,
     say,
+    with_flags,
 )
 
 rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; what is in a rig.")
@@ -62,7 +63,7 @@ def rig_import(
     )
     rig, notes = import_rig(file, format_name, options)
     for note in notes:
-        (complain if out is None else say)(note)  # what is printed is the rig, and nothing else
+        (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else
     if out is None:
         say(rig_text(rig).rstrip())
     else:
@@ -98,7 +99,7 @@ def rig_export(
         overwrite=overwrite,
     )
     for line in (*notes, *(f"wrote {file}" for file in files)):
-        say(line)
+        say(with_flags(line))
 
 
 @rig_app.command(name="check")
@@ -123,7 +124,7 @@ def rig_check(
     fit, unfit = formats_for(found)
     say(f"can be exported as {', '.join(fit)}")
     for name, reason in unfit.items():
-        say(f"not as {name}: {reason}")
+        say(with_flags(f"not as {name}: {reason}"))
     mirrored = [] if accept_mirrored else list(mirrored_cameras(found.cameras))
     if is_run_folder(rig):  # the optimiser knows no names
         for text in mirrored:

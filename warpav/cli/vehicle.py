@@ -15,6 +15,7 @@ from warpav.cli.arguments import (
     Overrides,
     complain,
     say,
+    with_flags,
 )
 
 vehicle_app = App(name="vehicle", help="Your own vehicle.")
@@ -53,9 +54,9 @@ def vehicle_check(
             file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, picture=picture
         )
     for line in report.lines:
-        say(line)
+        say(with_flags(line))
     for problem in report.problems:
-        complain(problem)
+        complain(with_flags(problem))
     if report.fix is None:
         return 2 if report.problems else 0
     target = out or file.with_name(f"{file.stem}_ego.glb")

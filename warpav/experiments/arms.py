@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.gradient import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
@@ -142,7 +142,7 @@ class Arm:
         least = self._least_renders(config)
         if render_budget is not None and render_budget < least:
             raise InputError(
-                f"arm {self.name}: --budget: expected at least {least} scene renders, got {render_budget}; raise it, "
+                f"arm {self.name}: `budget`: expected at least {least} scene renders, got {render_budget}; raise it, "
                 "or leave it out for as many as the gradient method spends"
             )
 
@@ -190,7 +190,7 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
-    raise OptionError("--arms", f"expected names out of {names}, got {name!r}{hint}")
+    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
 
 
 def common_arms() -> dict[str, Arm]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.devices import device_name
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
@@ -121,13 +121,13 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     """
     if name is not None:
         if not re.fullmatch(r"[a-z0-9_]+", name):
-            raise OptionError("--name", f"expected lower-case letters, digits and underscores, got {name!r}")
+            raise ArgumentError("name", f"expected lower-case letters, digits and underscores, got {name!r}")
         return name
     values = [override.partition("=")[2] for override in overrides if not override.startswith(("executor.", "device="))]
     words = [Path(value).stem if value.endswith(".onnx") else value for value in values]
     made = re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
     if not made:
-        raise OptionError("--name", f"expected a name, as {' '.join(overrides)} makes none, got none")
+        raise ArgumentError("name", f"expected a name, as {' '.join(overrides)} makes none, got none")
     return made
 
 

@@ -214,7 +214,8 @@ class Placement:
     def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:
         """A placement from its parts, whose scenes are loaded when they are first needed."""
         placement = cls.__new__(cls)
-        placement._parts, placement._load, placement._prepared = parts, load, None
+        placement._parts, placement._load = parts, load
+        placement._own = placement._prepared = None
         return placement
 
     @property
@@ -243,14 +244,14 @@ class Placement:
 
     def with_config(self, config: Config) -> Placement:
         """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
-        placement = Placement.of(replace(self._parts, config=config), self._load)
+        parts = replace(self._parts, config=config)
+        placement = Placement.of(parts, self._load)
+        placement._own = self._own
         if self._prepared is not None and _have_one_objective(config, self.config):
             placement._prepared = self._prepared
         elif self._prepared is not None:
             done = self._prepared
-            placement._prepared = _assembled(
-                replace(self._parts, config=config), done.scenes, done.networks, done.probability
-            )
+            placement._prepared = _assembled(parts, done.scenes, done.networks, done.probability)
         return placement
 
     def prepare(self, progress: Progress | None = None) -> Placement:
