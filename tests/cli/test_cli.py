@@ -92,7 +92,7 @@ def test_config_show_takes_overrides_without_a_file(capsys):
 
 def test_config_schema_covers_every_section(capsys):
     assert main(["config", "schema"]) == 0
-    assert set(json.loads(capsys.readouterr().out)["properties"]) == set(Config.model_fields)
+    assert set(json.loads(capsys.readouterr().out)["properties"]) == {*Config.model_fields, "extends"}
 
 
 def test_config_copy_keeps_the_comments_and_overwrites_nothing(working_directory, capsys):

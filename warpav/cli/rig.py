@@ -53,7 +53,7 @@ def rig_import(
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
-    from warpav.rig.formats.convert import ImportOptions, check_target, import_rig
+    from warpav.rig.formats.convert import ImportOptions, check_target, import_rig_with_notes
     from warpav.rig.rig import rig_text, write_rig
 
     if out is not None:
@@ -61,7 +61,7 @@ def rig_import(
     options = ImportOptions(
         origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
     )
-    rig, notes = import_rig(file, format_name, options)
+    rig, notes = import_rig_with_notes(file, format_name, options)
     for note in notes:
         (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else
     if out is None:
@@ -86,10 +86,10 @@ def rig_export(
     overwrite: Annotated[bool, Parameter(help="Replace files that are there.", negative="")] = False,
 ) -> None:
     """Write a rig for another tool."""
-    from warpav.rig.formats.convert import export_rig
+    from warpav.rig.formats.convert import export_rig_with_notes
     from warpav.runs.rig_source import rig_to_export
 
-    files, notes = export_rig(
+    files, notes = export_rig_with_notes(
         rig_to_export(rig),
         format_name,
         out,

@@ -97,7 +97,52 @@ def find_format(name: str) -> RigFormat:
     return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)
 
 
-def import_rig(path: str | Path, format_name: str, options: ImportOptions | None = None) -> tuple[Rig, list[str]]:
+def import_rig(
+    path: str | Path,
+    format_name: str,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    width_px: int | None = None,
+    height_px: int | None = None,
+    fov_deg: float | None = None,
+    intrinsics: str | Path | None = None,
+    part: str | None = None,
+    accept_mirrored: bool = False,
+) -> Rig:
+    """The rig in another tool's file, in the ego frame.
+
+    Args:
+        path: File or folder.
+        format_name: One of `FORMAT_NAMES`, such as ``"urdf"``.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        width_px: Image width [px] of cameras without one.
+        height_px: Image height [px] of cameras without one.
+        fov_deg: Horizontal field of view [deg] of cameras without a lens.
+        intrinsics: camera_info YAML, or a folder of such: it replaces what the file says of those cameras.
+        part: Which of several rigs in the file.
+        accept_mirrored: Take cameras that lie or look to the side that their name denies.
+
+    Raises:
+        InputError: The file cannot be used.
+    """
+    options = ImportOptions(
+        origin_m,
+        origin_rpy_deg,
+        width_px,
+        height_px,
+        fov_deg,
+        None if intrinsics is None else Path(intrinsics),
+        part,
+        accept_mirrored,
+    )
+    return import_rig_with_notes(path, format_name, options)[0]
+
+
+def import_rig_with_notes(
+    path: str | Path, format_name: str, options: ImportOptions | None = None
+) -> tuple[Rig, list[str]]:
     """The rig in another tool's file.
 
     Args:
@@ -153,6 +198,41 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
 
 
 def export_rig(
+    rig: Rig,
+    format_name: str,
+    target: str | Path,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approximate: bool = False,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a rig for another tool, and return the files.
+
+    Args:
+        rig: The cameras.
+        format_name: One of `FORMAT_NAMES`, such as ``"autoware"``.
+        target: File or folder, as the format has it; folders are made.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        approximate: Leave out what the format cannot hold, instead of rejecting the rig.
+        overwrite: Replace files that are there already.
+
+    Raises:
+        InputError: The format cannot hold the rig, a file is there already, or cannot be written.
+    """
+    return export_rig_with_notes(
+        rig,
+        format_name,
+        target,
+        origin_m=origin_m,
+        origin_rpy_deg=origin_rpy_deg,
+        approximate=approximate,
+        overwrite=overwrite,
+    )[0]
+
+
+def export_rig_with_notes(
     rig: Rig,
     format_name: str,
     target: str | Path,

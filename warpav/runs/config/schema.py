@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     BeforeValidator,
+    ConfigDict,
     Field,
     PlainSerializer,
     WithJsonSchema,
@@ -519,11 +520,19 @@ def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
     return result
 
 
+def _add_extends(schema: dict[str, Any]) -> None:
+    """Let editors know the key that files have besides the options."""
+    text = "YAML file, beside this one or by its path, or shipped name, on top of which this file stands"
+    schema["properties"][EXTENDS] = {"type": "string", "description": text}
+
+
 class Config(Section):
     """Everything that a run of warpav can be told.
 
     What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
     """
+
+    model_config = ConfigDict(json_schema_extra=_add_extends)
 
     run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
     device: Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")] = Field(
