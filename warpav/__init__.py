@@ -2,8 +2,8 @@
 
 This is the public API; every name is imported when it is first used. ``warpav.raster`` is the rasteriser on its own.
 
-The packages below this one stand in layers, listed in ``pyproject.toml`` under ``[tool.importlinter]``: imports only point
-downwards.
+The packages below this one stand in layers, which ``pyproject.toml`` lists under ``[tool.importlinter]``: imports only
+point downwards.
 """
 
 import importlib
