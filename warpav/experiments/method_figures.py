@@ -53,7 +53,7 @@ from warpav.view.scene_figures.by_number import RIG_NUMBERS
 from warpav.view.scene_figures.panels import checked_png, count_text, title
 
 if TYPE_CHECKING:
-    from warpav.optimisation.gradient import Descent
+    from warpav.optimisation.descent import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 _IMAGES_A_ROW = 4
@@ -170,7 +170,7 @@ def _walk(placement: Placement, descent: Descent, progress: Progress, how: str) 
     mount, constraints = placement.objective.mount, placement.objective.constraints
     count = placement.config.run.iterations
     records = [descent.step() for _ in progress.steps(how, range(count), count=count)]
-    pose = descent.state()["pose_value"]
+    pose = descent.mount_pose
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
     if placement.config.optimiser.multiplier_learning_rate != 0.0:

@@ -36,12 +36,20 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.section import Expectation, Section, mistake, shown
+from warpav.core.section import (
+    Expectation,
+    Section,
+    mistake,
+    move_option,
+    renamed_options,
+    section_of,
+    shown,
+    warn_renamed,
+)
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
 from warpav.core.yaml_file import Location, parse_yaml, read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
-    ONE_FIELD_LOSSES,
     LossSettings,
     OptimiserSettings,
     SegregationSettings,
@@ -585,6 +593,7 @@ class Config(Section):
         losses = data.get("losses", {})
         if not isinstance(method, str) or method not in METHOD_LOSSES or not isinstance(losses, dict):
             return data  # refused in a moment, with its place
+        losses = typing.cast(dict, LossSettings.with_new_names(losses))
         return {**data, "losses": {**METHOD_LOSSES[method], **losses}}
 
     @model_validator(mode="after")
@@ -647,7 +656,7 @@ class Config(Section):
         if self.camera.lens != "pinhole":
             text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
             mistake(text, "rig.free.fov_deg", "camera.lens")
-        alike = [name for name in ONE_FIELD_LOSSES if getattr(self.losses, name)]
+        alike = self.losses.one_field
         if alike:
             mistake(
                 f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
@@ -731,9 +740,17 @@ def _validated(
     origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
+    line_of, new_name = dict(line_of), dict(renamed_options(Config))
+    for old, new in new_name.items():
+        if move_option(data, old, new):
+            line_of[new] = line_of.get(old, 1)
+            warn_renamed(_place(new, file, line_of, {}), ".".join(old), ".".join(new))
     for override in overrides:
         place = _override_place(override, origin)
         location, value = _read_override(override, place)
+        if location in new_name:
+            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
+            location = new_name[location]
         override_of[location] = place
         _put(data, location, value, place)
     try:
@@ -802,7 +819,7 @@ def described_options() -> Iterator[DescribedOption]:
     default_of = option_values(Config())
 
     def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
-        inner = {name: _section_of(field.annotation) for name, field in section.model_fields.items()}
+        inner = {name: section_of(field.annotation) for name, field in section.model_fields.items()}
         for name, field in section.model_fields.items():
             if inner[name] is None:
                 yield DescribedOption(
@@ -938,13 +955,9 @@ def _put(data: dict[str, Any], location: Location, value: object, place: str) ->
     data[location[-1]] = value
 
 
-def _section_of(annotation: object) -> type[Section] | None:
-    return annotation if isinstance(annotation, type) and issubclass(annotation, Section) else None
-
-
 def _option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
     for name, field in section.model_fields.items():
-        inner = _section_of(field.annotation)
+        inner = section_of(field.annotation)
         if inner:
             yield from _option_locations(inner, (*prefix, name))
         else:
@@ -966,7 +979,7 @@ def _explain(
         if field is not None:
             break
         location = (*location, str(part))
-        inner = _section_of(known.annotation) if known else None
+        inner = section_of(known.annotation) if known else None
         if inner:
             section = inner
         else:
