@@ -16,7 +16,7 @@ import yaml
 from pydantic import ValidationError
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.section import shown
+from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, parse_yaml, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, Config, merged
@@ -97,9 +97,18 @@ def _validated(
     origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
+    written_at, new_name = dict(written_at), dict(renamed_options(Config))
+    for old, new in new_name.items():
+        if move_option(data, old, new):
+            if old in written_at:
+                written_at[new] = written_at[old]
+            warn_renamed(place_of(new, file, written_at, {}), ".".join(old), ".".join(new))
     for override in overrides:
         place = _override_place(override, origin)
         location, value = _read_override(override, place)
+        if location in new_name:
+            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
+            location = new_name[location]
         override_of[location] = place
         _put(data, location, value, place)
     try:
