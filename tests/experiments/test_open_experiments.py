@@ -33,12 +33,11 @@ GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 
 
 @pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
+def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    monkeypatch.chdir(tmp_path)
     for function in (open_experiments.run_open, rescore.run_rescore):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
-    return tmp_path
+    return working_directory
 
 
 @pytest.fixture(scope="module")

@@ -14,22 +14,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.devices import checked_device
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import check_folder
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.events import trajectory
 from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder, check_folder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
-    from warpav.optimisation.objective import AssignedScene, RigObjective
+    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.objective import RigObjective
     from warpav.scene.scene import Scene
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
 VIEW_PX = 960
-"""Longer side of the pictures that are kept of what cameras see."""
+"""Longer side of the images that are kept of what cameras see."""
 
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
@@ -54,7 +57,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     """
     from warpav.detection.images import render_images
 
-    check_folder(out, "--out")
+    check_folder(out, "out")
     scene = load_scene(source, config)
     device = checked_device(config.device)
     cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
@@ -69,7 +72,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
             for file in sorted(Path(draft).iterdir()):
                 os.replace(file, out / file.name)
     except OSError as error:
-        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
+        raise ArgumentError("out", f"expected a folder to write to, got: {error.strerror}", place=out) from None
     return out
 
 
@@ -87,20 +90,22 @@ def draw_run(
     Args:
         folder: The run folder; its events are drawn too.
         rigs: The start and the result, in this order, by their headings.
-        objective: Looks at the scene through the rigs.
+        objective: Observes the scene through the rigs.
         scene: A test scene.
         assigned: The same scene on the device, and others of which views are kept.
-        say: Told when this machine cannot draw.
+        say: Called with a line when this machine cannot draw.
     """
-    from warpav.view import figures
+    from warpav.view import plot
+    from warpav.view.figures.convergence import loss_curves
+    from warpav.view.figures.detections import detections_sheet
+    from warpav.view.figures.top_view import rig_top_view
     from warpav.view.opengl import opengl_problem
-    from warpav.view.picture import inspect_rig as show
 
     start, result = rigs.values()
     path_m, surface = trajectory(folder.events()), objective.mount.surface
     spacing_m = objective.constraints.min_spacing_m
-    figures.loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
-    figures.rig_top_view(
+    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
+    rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,
         ego=scene.ego,
@@ -110,17 +115,17 @@ def draw_run(
         shows_zone=objective.constraints.are_inequalities,
     )
     seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
-    figures.detections_sheet(seen[0], folder.figure_path("detections"))
+    detections_sheet(seen[0], folder.figure_path("detections"))
     _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
     problem = opengl_problem()
     if problem:
-        say(f"no picture of the rig: {problem}")
+        say(f"no image of the rig: {problem}")
         return
-    show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+    plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes.
+    """Write what cameras see into a run folder, by scene and by rig, as images and boxes.
 
     Args:
         folder: The run folder.
@@ -159,7 +164,7 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
     seen, _, _ = objective.observe_rig(rig, assigned)
     return [
