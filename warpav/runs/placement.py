@@ -153,8 +153,8 @@ class Placement:
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
-            probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it; None: the
-                stored one, which is fitted first if there is none.
+            probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
+                None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
 
         Raises:
