@@ -20,7 +20,7 @@ from PIL import Image
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.rig.rig import rig_text
 from warpav.runs.config import Config
 from warpav.runs.inspect import inspector

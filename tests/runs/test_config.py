@@ -7,6 +7,7 @@ import pytest
 
 from warpav.core.errors import InputError, OptionError
 from warpav.optimisation.mount import FreeRanges
+from warpav.optimisation.settings import LossSettings
 from warpav.runs.config import (
     Config,
     config_names,
@@ -55,7 +56,7 @@ def test_shipped_configurations_load_by_name_and_round_trip(name, tmp_path):
 
 
 RESOLVED = Path(__file__).parent / "resolved"
-"""What the shipped configurations meant before defaults came from quick."""
+"""What the shipped configurations meant before defaults came from quick, by the present names."""
 
 
 @pytest.mark.parametrize("name", config_names())
@@ -279,8 +280,8 @@ FILE_MISTAKES = [
     ),
     ("losses: {in_frame_rotation: -1}\n", "mine.yaml:1: losses.in_frame_rotation: expected a number from 0, got -1;"),
     (
-        "losses: {in_frame_rotation: 0, missed: 0}\n",
-        "mine.yaml:1: losses.missed: expected at least one weight above 0, got only zeros",
+        "losses: {in_frame_rotation: 0, expected_miss_rate: 0}\n",
+        "mine.yaml:1: losses.expected_miss_rate: expected at least one weight above 0, got only zeros",
     ),
     ("run: {batch_size: 31}\n", "mine.yaml:1: run.batch_size: expected at most the 30 training scene(s), got 31"),
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
@@ -417,3 +418,42 @@ def test_what_turns_out_wrong_later_is_told_with_its_place(yaml_file, option, pl
     with pytest.raises(InputError) as caught, placed_config(file, overrides):
         raise OptionError(option, "expected more, got less")
     assert str(caught.value) == f"{place}: {option}: expected more, got less"
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "warning"),
+    [
+        ("losses: {missed: 2}\n", [], r"mine.yaml:1: losses.missed is called losses.expected_miss_rate now; the old"),
+        (
+            "",
+            ["losses.missed=2"],
+            r"command line \(losses.missed=2\): losses.missed is called losses.expected_miss_rate",
+        ),
+        ("losses:\n  expected_miss_rate: 3\n", ["losses.missed=2"], r"losses.missed is called"),
+    ],
+)
+def test_an_option_that_was_renamed_works_with_one_line_of_warning(yaml_file, text, overrides, warning):
+    with pytest.warns(FutureWarning, match=warning) as warnings:
+        config = load_config(yaml_file(text), overrides)
+    assert len(warnings) == 1
+    assert config.losses.weights["expected_miss_rate"] == 2.0
+    assert config == load_config(yaml_file(""), ["losses.expected_miss_rate=2"])
+
+
+def test_a_mistake_under_an_old_name_is_found_where_it_stands(yaml_file):
+    with (
+        pytest.warns(FutureWarning),
+        pytest.raises(InputError, match=r"mine.yaml:2: losses.expected_miss_rate: expected"),
+    ):
+        load_config(yaml_file("losses:\n  missed: -1\n"))
+    with pytest.raises(InputError, match="expected one of missed and expected_miss_rate, its new name, got both"):
+        load_config(yaml_file("losses: {missed: 1, expected_miss_rate: 1}\n"))
+
+
+def test_sections_made_in_python_take_old_names_too():
+    with pytest.warns(FutureWarning, match="missed is called expected_miss_rate now") as warnings:
+        whole = Config(losses={"missed": 2.0})
+    assert len(warnings) == 1
+    with pytest.warns(FutureWarning, match="missed is called expected_miss_rate now"):
+        part = LossSettings(missed=2.0)
+    assert whole.losses == part == LossSettings(expected_miss_rate=2.0)

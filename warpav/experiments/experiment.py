@@ -546,7 +546,12 @@ def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> No
     for arm in arms:
         for each in (arm.judged_config(config), arm.search_config(config)):
             losses = each.losses
-            needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
+            needs = (
+                each.detector,
+                each.camera,
+                losses.weights["expected_miss_rate"] > 0.0,
+                losses.weights["detector_gradient"] > 0.0,
+            )
             if needs not in tried:
                 load_networks(each)
                 needed_fit(each, progress)

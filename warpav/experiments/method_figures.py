@@ -38,7 +38,7 @@ from warpav.view.figures.rigs import OptimisedRig, SceneViews
 from warpav.view.figures.style import checked_png
 
 if TYPE_CHECKING:
-    from warpav.optimisation.gradient import Descent
+    from warpav.optimisation.descent import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 
@@ -122,7 +122,7 @@ def _optimised(placement: Placement, descent: Descent, progress: Progress, how: 
     mount, constraints = placement.objective.mount, placement.objective.constraints
     count = placement.config.run.iterations
     records = [descent.step() for _ in progress.steps(how, range(count), count=count)]
-    pose = descent.state()["pose_value"]
+    pose = descent.mount_pose
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
     if placement.config.optimiser.multiplier_learning_rate != 0.0:

@@ -39,7 +39,7 @@ from warpav.experiments.experiment import (
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment
@@ -138,7 +138,7 @@ def light_overrides(config: Config) -> tuple[str, ...]:
         "scenes.validation_seeds=null",
         "scenes.mirror=false",
         "run.batch_size=1",
-        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in (*OBJECTIVES, DETECTOR_GRADIENT)),
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in LOSSES),
     )
 
 

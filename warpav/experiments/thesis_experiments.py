@@ -14,7 +14,7 @@ from warpav.experiments.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import result_table
 from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.runs.config import Config
 
 RUNS = 5
@@ -33,7 +33,7 @@ def loss_overrides(expression: str) -> tuple[str, ...]:
     Raises:
         ValueError: It names another loss.
     """
-    weights: dict[str, float] = dict.fromkeys((*OBJECTIVES, DETECTOR_GRADIENT), 0.0)
+    weights: dict[str, float] = dict.fromkeys(LOSSES, 0.0)
     for term in expression.removesuffix("*").split("+"):  # the mark of a footnote
         factor, _, name = term.rpartition("*")
         if name not in LOSS_OF or LOSS_OF[name] not in weights:

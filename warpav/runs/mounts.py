@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
-from warpav.optimisation.settings import ONE_FIELD_LOSSES
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
@@ -134,7 +133,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
                 f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
                 f"({shared.lens}); {_as_held(model)}",
             )
-        alike = [each for each in ONE_FIELD_LOSSES if getattr(config.losses, each)]
+        alike = config.losses.one_field
         if alike and model.log_zoom_over(shared):
             raise OptionError(
                 "rig.freeze",

@@ -17,7 +17,8 @@ from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.gradient import Candidate, Descent, IterationRecord
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
 from warpav.rig.rig import Rig
@@ -33,7 +34,7 @@ from warpav.scene.store import scene_path
 from warpav.view import Canvas, drawing_of
 
 if TYPE_CHECKING:
-    from warpav.optimisation.objective import AssignedScene
+    from warpav.optimisation.assignment import AssignedScene
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""

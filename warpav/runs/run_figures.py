@@ -26,7 +26,8 @@ from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
-    from warpav.optimisation.objective import AssignedScene, RigObjective
+    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.objective import RigObjective
     from warpav.scene.scene import Scene
     from warpav.view.figures.detections import DetectionPanel
 

@@ -16,7 +16,7 @@ import yaml
 from pydantic import ValidationError
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.section import shown
+from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, parse_yaml, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, Config, merged
@@ -97,9 +97,13 @@ def _validated(
     origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
+    new_name = dict(renamed_options(Config))
     for override in overrides:
         place = _override_place(override, origin)
         location, value = _read_override(override, place)
+        if location in new_name:
+            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
+            location = new_name[location]
         override_of[location] = place
         _put(data, location, value, place)
     try:
@@ -160,6 +164,10 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
         raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
     data = data or {}
     written_at = {location: f"{file}:{line}" for location, line in line_of.items()}
+    for old, new in renamed_options(Config):
+        if move_option(data, old, new):
+            written_at[new] = written_at.get(old, f"{file}:1")
+            warn_renamed(written_at[new], ".".join(old), ".".join(new))
     base = data.pop(EXTENDS, None)
     if base is None:
         return data, written_at

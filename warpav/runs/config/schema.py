@@ -25,7 +25,6 @@ from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT,
 from warpav.core.yaml_file import parse_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
-    ONE_FIELD_LOSSES,
     LossSettings,
     OptimiserSettings,
     SegregationSettings,
@@ -594,6 +593,8 @@ class Config(Section):
         method = data.get("method", cls.model_fields["method"].default)
         if not isinstance(method, str) or method not in METHOD_LOSSES:
             return data  # refused in a moment, with its place
+        if isinstance(data.get("losses"), dict):
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
@@ -658,7 +659,7 @@ class Config(Section):
         if self.camera.lens != "pinhole":
             text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
             mistake(text, "rig.free.fov_deg", "camera.lens")
-        alike = [name for name in ONE_FIELD_LOSSES if getattr(self.losses, name)]
+        alike = self.losses.one_field
         if alike:
             mistake(
                 f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "

@@ -190,7 +190,7 @@ class EvaluationRecord(_Part):
 
 
 class Event(_Part):
-    """An iteration of ``events.jsonl``, see `warpav.optimisation.gradient.IterationRecord`."""
+    """An iteration of ``events.jsonl``, see `warpav.optimisation.history.IterationRecord`."""
 
     iteration: int
     loss: float | None
