@@ -23,6 +23,7 @@ fit_seeds, held_out_seeds = range(500000, 500016), range(500050, 500058)
 train_seeds, test_seeds, iterations = range(12), range(1000, 1006), 30
 
 # %%
+import math
 import os
 import shutil
 import tempfile
@@ -45,24 +46,19 @@ os.chdir(folder.name)
 
 # %%
 detector = OnnxDetector("mine.onnx")
-lens = wa.CameraModel(width_px=640, height_px=480)
-camera = wa.Camera("front", np.array([1.2, 0.0, 1.75]), yaw_rad=0.0, pitch_rad=0.05, roll_rad=0.0, model=lens)
-image_rgb = render_images(wa.town([7])[0], [camera])[0].rgb
+lens = wa.CameraModel(width_px=640, height_px=480, fov_rad=math.radians(70))
+camera = wa.Camera("front", np.array([1.0, 0.0, 1.75]), yaw_rad=0.0, pitch_rad=0.05, roll_rad=0.0, model=lens)
+image_rgb = render_images(wa.town([5])[0], [camera])[0].rgb
 (found,) = detector.detect(image_rgb[None])
 
 
-def draw(axis, detections):
-    axis.imshow(image_rgb)
-    axis.axis("off")
-    for box_px, confidence, label in zip(detections.box_px, detections.confidence, detections.label, strict=True):
-        if confidence >= 0.25:
-            x0, y0, x1, y1 = box_px
-            axis.add_patch(plt.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="tab:orange"))
-            axis.text(x0, y0 - 4, f"{label} {confidence:.2f}", fontsize=8, color="black", backgroundcolor="orange")
-
-
 figure, axis = plt.subplots(figsize=(8, 6), layout="constrained")
-draw(axis, found)
+axis.imshow(image_rgb)
+axis.axis("off")
+for (x0, y0, x1, y1), confidence, label in zip(found.box_px, found.confidence, found.label, strict=True):
+    if confidence >= 0.25:
+        axis.add_patch(plt.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="yellow", linewidth=1.5))
+        axis.text(x0, y0 - 5, f"{label} {confidence:.2f}", fontsize=9, color="yellow", weight="bold")
 plt.show()
 
 # %% [markdown]
