@@ -623,7 +623,7 @@ def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, 
     (working_directory / "copy" / "events.jsonl").unlink()
     capsys.readouterr()
     assert _complaint(capsys, "inspect", "copy", "--out", "y.gif").startswith(
-        "copy/events.jsonl: expected iterations to animate, got none"
+        "copy: expected iterations to animate, got none"
     )
     assert main(["inspect", "copy", "--out", "y.png"]) == 0
 

@@ -59,7 +59,7 @@ def run(folder):
 
 def draw(number, path, config, run=None):
     with RunDisplay() as display:
-        return draw_method_figure(number, path, config, run=run, display=display)
+        return draw_method_figure(number, path, config, run=run, progress=display)
 
 
 def pixels(path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -66,7 +66,7 @@ def inspect_rig(
     is_run = is_run_folder(source)
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
     if is_run and shown == "rig":
-        return plot(OpenRun.of(RunFolder.open(source), config=config), out=out, progress=progress)
+        return plot(DrawnRun.of(RunFolder.open(source), config=config), out=out, progress=progress)
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
     return plot(
@@ -82,27 +82,27 @@ def inspect_rig(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class OpenRun:
+class DrawnRun:
     """What images of a run are drawn from.
 
     Attributes:
-        folder: The run folder.
-        config: Its configuration, or another one that names the scene.
-        events: Its iterations.
+        name: Where it is, for messages.
+        events: Its iterations, as in ``events.jsonl``.
         rig: Its result.
         frames: The rig before the step of every iteration.
         scene: Traffic and street around it.
+        surface_of: Gives what the cameras stand on.
     """
 
-    folder: RunFolder
-    config: Config
-    events: list[dict[str, Any]]
+    name: str
+    events: Sequence[Mapping[str, Any]]
     rig: Rig
-    frames: list[Rig]
+    frames: Sequence[Rig]
     scene: Scene
+    surface_of: Callable[[], MountSurface]
 
     @classmethod
-    def of(cls, folder: RunFolder, *, config: Config | None = None, scene: Scene | None = None) -> OpenRun:
+    def of(cls, folder: RunFolder, *, config: Config | None = None, scene: Scene | None = None) -> DrawnRun:
         """A run folder, read.
 
         Args:
@@ -116,12 +116,13 @@ class OpenRun:
         config = folder.config() if config is None else config
         scene = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
         events, rig = folder.events(), find_rig(str(folder.path), config, scene.ego)
-        return cls(folder, config, events, rig, rigs_of_events(events, rig, place=folder.path), scene)
+        frames = rigs_of_events(events, rig, place=folder.path)
+        return cls(str(folder.path), events, rig, frames, scene, lambda: mount_surface(config, scene.ego))
 
     @cached_property
     def surface(self) -> MountSurface:
         """What the cameras stand on."""
-        return mount_surface(self.config, self.scene.ego)
+        return self.surface_of()
 
     def drawing(
         self, canvas: Canvas, *, iteration: int | None = None, arrows: bool = True, visibility: bool = False
@@ -140,13 +141,6 @@ class OpenRun:
     def rig_at(self, iteration: int | None) -> Rig:
         """The rig before the step of an iteration; None: the result."""
         return self.rig if iteration is None else self.frames[self._checked(iteration)]
-
-    def to_pyvista(self) -> Any:  # noqa: ANN401 (a pyvista.MultiBlock)
-        """What `RunFolder.to_pyvista` returns."""
-        from warpav.view.blocks import run_to_pyvista
-
-        start = find_rig(str(self.folder.path / "rig_initial.yaml"), self.config, self.scene.ego)
-        return run_to_pyvista(self.frames, start=start, end=self.rig, scene=self.scene)
 
     def trajectory_to(self, iteration: int | None) -> np.ndarray | None:
         """Camera positions up to an iteration of its descent [m], [iteration, camera, 3]; None: of the best one."""
@@ -171,9 +165,7 @@ class OpenRun:
         from warpav.view.animation import run_animation
 
         if not self.events:
-            raise InputError(
-                f"{self.folder.path / 'events.jsonl'}: expected iterations to animate, got none; write a .png instead"
-            )
+            raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
         return run_animation(
             self.frames,
             self.events,
@@ -197,11 +189,11 @@ class OpenRun:
     def _checked(self, iteration: int) -> int:
         count = len(self.events)
         if not -count <= iteration < count:
-            raise InputError(f"{self.folder.path}: iteration: expected one of {count} from 0, got {iteration}")
+            raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
         return iteration % count
 
 
-drawing_of.register(OpenRun, OpenRun.drawing)
+drawing_of.register(DrawnRun, DrawnRun.drawing)
 
 
 def inspector(

@@ -6,7 +6,7 @@ import html
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.store import scene_path
-from warpav.view import Canvas, drawing_of
+from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     from warpav.optimisation.assignment import AssignedScene
@@ -166,6 +166,10 @@ class Result:
             write_verdict(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the result in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        return plot(self, out=out, **options)
+
     def __repr__(self) -> str:
         return f"Result({self._description()})"
 
@@ -177,6 +181,25 @@ class Result:
         text = f"{count} cameras, {len(self.records)} iterations, objective {self.start_objective:.4f} -> "
         text += f"{self.found_objective:.4f}"
         return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.runs.inspect import DrawnRun, rigs_of_events
+
+    placement, events = result.placement, [asdict(record) for record in result.records]
+    frames = rigs_of_events(events, result.rig, place="result")
+    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
+    return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 
 
 class StageTimer:

@@ -278,9 +278,11 @@ class RunFolder:
         Raises:
             InputError: A file of the folder is missing or cannot be used.
         """
-        from warpav.runs.inspect import OpenRun
+        from warpav.runs.inspect import DrawnRun
+        from warpav.view.blocks import run_to_pyvista
 
-        return OpenRun.of(self, scene=scene).to_pyvista()
+        run = DrawnRun.of(self, scene=scene)
+        return run_to_pyvista(run.frames, start=self.rig("initial"), end=run.rig, scene=run.scene)
 
     def _append(self, name: str, line: str) -> None:
         with writing(self.path / name), (self.path / name).open("ab", buffering=0) as file:
@@ -369,6 +371,6 @@ def _drawing(
     arrows: bool = True,
     visibility: bool = False,
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    from warpav.runs.inspect import OpenRun
+    from warpav.runs.inspect import DrawnRun
 
-    return OpenRun.of(run, scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+    return DrawnRun.of(run, scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)

@@ -111,12 +111,14 @@ def plot(
 
     Of a scene: ``rig``, ``outcomes``, ``coverage``, ``visibility``. Of a mesh, which is a vehicle in the ego frame:
     ``mount_surface`` (where it can carry cameras), ``axle_m`` (x of its axles [m]). Of a mount surface: ``vehicle``
-    (the mesh below it). Of a run:
+    (the mesh below it). Of a run folder or the result of an optimisation:
 
     - ``iteration``: instead of the result, the rig before the step of this one; negative ones count from the end.
     - ``scene``: traffic and street; by default the first test scene.
     - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
     - ``visibility``: as of a rig; not in animations.
+
+    An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options.
 
     Args:
         obj: What to show.

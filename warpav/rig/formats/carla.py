@@ -22,14 +22,15 @@ from warpav.rig.formats.format import (
     Found,
     FoundCamera,
     Losses,
+    Optics,
     PlacedCamera,
     RigFormat,
     file_at,
     file_in,
     link_of_transform,
+    pinhole_of,
     transform_of_link,
 )
-from warpav.rig.formats.optics import Optics, pinhole_of
 from warpav.rig.formats.record import Record, read_json
 
 _CAMERA = "sensor.camera.rgb"

@@ -21,8 +21,7 @@ from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
 from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
-from warpav.rig.formats.format import FoundCamera, Losses, PlacedCamera, RigFormat
-from warpav.rig.formats.optics import Optics
+from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
 from warpav.rig.rig import Rig, RigCamera, replace_file
 
 _PLACES = {

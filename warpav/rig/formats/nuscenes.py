@@ -11,8 +11,18 @@ from pathlib import Path
 
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, file_at, file_in
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix, pinhole_of
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_at,
+    file_in,
+    optics_of_matrix,
+    pinhole_of,
+)
 from warpav.rig.formats.record import Record, read_json, rigid_transform
 
 _TABLE = "calibrated_sensor.json"

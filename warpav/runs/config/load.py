@@ -97,7 +97,12 @@ def _validated(
     origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
-    new_name = dict(renamed_options(Config))
+    written_at, new_name = dict(written_at), dict(renamed_options(Config))
+    for old, new in new_name.items():
+        if move_option(data, old, new):
+            if old in written_at:
+                written_at[new] = written_at[old]
+            warn_renamed(place_of(new, file, written_at, {}), ".".join(old), ".".join(new))
     for override in overrides:
         place = _override_place(override, origin)
         location, value = _read_override(override, place)

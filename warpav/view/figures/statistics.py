@@ -220,40 +220,78 @@ def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str,
         title: A short line above.
         unit: What follows the groups' names, such as `` m``.
     """
-    first, *others = tables
-    groups = [name for name, group in tables[first].items() if group.objects]
+    groups = _groups(tables)
     if not groups:
         return None
 
     def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        colour = hex_colour(camera_rgb(0))
-        low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
-        axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
-        for name in reversed(others):
-            values = [tables[name][group].recall if group in tables[name] else None for group in groups]
-            style: dict[str, Any] = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": ""}
-            axis.plot(
-                np.array(values, np.float64),
-                range(len(groups)),
-                markerfacecolor="none",
-                markeredgecolor=hex_colour(BASELINE_RGB.get(name, INK_RGB)),
-                markeredgewidth=1.6,
-                clip_on=False,
-                label=name,
-                **style,
-            )
-        values = np.array([tables[first][group].recall for group in groups], np.float64)
-        axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
-        handles, names = axis.get_legend_handles_labels()
-        axis.set_yticks(range(len(groups)), [f"{group}{unit}  ({tables[first][group].objects})" for group in groups])
-        axis.set_ylim(len(groups) - 0.4, -0.6)
-        axis.set_xlim(0.0, 1.02)
-        axis.set_title(title)
-        axis.set_xlabel("recall (number of objects)")
+        handles, names = _draw_recall(axis, tables, title, unit=unit)
         below = (0.4, -0.55 / (0.3 * len(groups) + 0.6))
         axis.legend(handles[::-1], names[::-1], loc="upper center", bbox_to_anchor=below, ncols=4)
 
     return svg_text(draw, 1.45 + 0.3 * len(groups))
+
+
+def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
+    """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``.
+
+    Args:
+        groupings: By the heading of the panel: groups by their names, by rig; at least one rig and one group.
+        title: A line above all panels.
+    """
+    shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
+    lines = max(len(_groups(tables)) for tables in shown.values())
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 1.5 + 0.3 * lines)
+        handles, names = [], []
+        axes = figure.subplots(1, len(shown), squeeze=False)[0]
+        for axis, (heading, tables) in zip(axes, shown.items(), strict=True):
+            handles, names = _draw_recall(axis, tables, heading)
+        figure.suptitle(title, color=hex_colour(MUTED_RGB), fontsize=9.0)
+        figure.legend(handles[::-1], names[::-1], loc="outside lower center", ncols=6)
+    return figure
+
+
+def _groups(tables: Mapping[str, Mapping[str, ObjectGroup]]) -> list[str]:
+    """The names of the groups that hold objects."""
+    return [name for name, group in next(iter(tables.values())).items() if group.objects]
+
+
+def _draw_recall(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    tables: Mapping[str, Mapping[str, ObjectGroup]],
+    title: str,
+    *,
+    unit: str = "",
+) -> tuple[list[Any], list[str]]:
+    """Draw recall by group; returns what a legend needs."""
+    first, *others = tables
+    groups = _groups(tables)
+    colour = hex_colour(camera_rgb(0))
+    low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
+    axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
+    for name in reversed(others):
+        values = [tables[name][group].recall if group in tables[name] else None for group in groups]
+        style: dict[str, Any] = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": ""}
+        axis.plot(
+            np.array(values, np.float64),
+            range(len(groups)),
+            markerfacecolor="none",
+            markeredgecolor=hex_colour(BASELINE_RGB.get(name, INK_RGB)),
+            markeredgewidth=1.6,
+            clip_on=False,
+            label=name,
+            **style,
+        )
+    values = np.array([tables[first][group].recall for group in groups], np.float64)
+    axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
+    handles, names = axis.get_legend_handles_labels()
+    axis.set_yticks(range(len(groups)), [f"{group}{unit}  ({tables[first][group].objects})" for group in groups])
+    axis.set_ylim(len(groups) - 0.4, -0.6)
+    axis.set_xlim(0.0, 1.02)
+    axis.set_title(title)
+    axis.set_xlabel("recall (number of objects)")
+    return handles, names
 
 
 def _wilson_interval(group: ObjectGroup) -> tuple[float, float]:
