@@ -41,8 +41,8 @@ OBJECTIVE_KERNELS = tuple(
     for name in (
         "raster.measure", "raster.window", "detection.detection_probability", "raster.image_flow", "raster.rasterise",
         "raster.layers", "evaluation.ground", "raster.extent", "placement.constraint_losses", "raster.shade",
-        "raster.hide", "raster.linearise", "placement.mount_pose", "placement.missed_loss", "raster.view",
-        "placement.lagrangian", "placement.update", "detection.network_input",
+        "raster.hide", "raster.linearise", "placement.mount_pose", "placement.expected_misses", "raster.view",
+        "placement.lagrangian", "placement.exchange", "detection.network_input",
     )
 )  # fmt: skip
 """Kernels that runs with the default losses launch, those that take longest to compile first."""
