@@ -93,7 +93,7 @@ def look_at_starts(
         if len(looked) == count - 1 and len(looked) == len(probability) > 1:
             best = int(np.argmin([each.value for each in looked]))
             first = best * space.camera_count + np.arange(space.camera_count)
-            chosen = exchange_cameras(np.concatenate(probability), first, is_held=space.is_held)
+            chosen = exchange_cameras(np.concatenate(probability), first, is_frozen=space.is_frozen)
             look(np.concatenate([each.mount_pose for each in looked])[chosen])
         else:
             look(next(rigs))
@@ -104,7 +104,7 @@ def look_at_starts(
 
 
 def exchange_cameras(
-    detection_probability: np.ndarray, chosen: np.ndarray, *, is_held: np.ndarray | None = None
+    detection_probability: np.ndarray, chosen: np.ndarray, *, is_frozen: np.ndarray | None = None
 ) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
@@ -114,7 +114,7 @@ def exchange_cameras(
     Args:
         detection_probability: Probability p that each candidate finds each object, float [candidate, object].
         chosen: Candidates that the rig begins with, int [camera].
-        is_held: Cameras that are not exchanged, bool [camera]; None: none.
+        is_frozen: Cameras that are not exchanged, bool [camera]; None: none.
 
     Returns:
         Candidates, int [camera]; one may be there twice.
@@ -123,7 +123,7 @@ def exchange_cameras(
     chosen = np.array(chosen)
     while True:
         before = chosen.copy()
-        for camera in range(len(chosen)) if is_held is None else np.flatnonzero(~is_held):
+        for camera in range(len(chosen)) if is_frozen is None else np.flatnonzero(~is_frozen):
             others = np.prod(missed[np.delete(chosen, camera)], axis=0)
             loss = missed @ others
             best = int(np.argmin(loss))

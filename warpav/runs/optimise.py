@@ -95,7 +95,7 @@ class Optimisation:
         config, mount = placement.config, placement.mount
         start = start_pose(placement)
         further: list[np.ndarray] = []
-        began_as = placement.held_rig if placement.has_ordered_start else mount.rig(start)
+        began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
         if config.optimiser.starts > 1:
             if progress is not None:
                 progress.stage(f"best of {config.optimiser.starts} rigs to start from")
