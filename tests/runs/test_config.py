@@ -56,7 +56,7 @@ def test_shipped_configurations_load_by_name_and_round_trip(name, tmp_path):
 
 
 RESOLVED = Path(__file__).parent / "resolved"
-"""What the shipped configurations meant before defaults came from quick."""
+"""What the shipped configurations meant before defaults came from quick, by the present names."""
 
 
 @pytest.mark.parametrize("name", config_names())

@@ -17,7 +17,7 @@ SMALL = [
     "optimiser.check_every=2",
     "baselines.random_samples=2",
     # detection probability would have to be fitted for so small a camera
-    "losses={missed: 0, in_frame_rotation: 1, object_visibility: 10}",
+    "losses={expected_miss_rate: 0, in_frame_rotation: 1, object_visibility: 10}",
 ]
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import annotated_types
 from pydantic.fields import FieldInfo
 
-from warpav.core.section import Expectation, Section, shown
+from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
 from warpav.runs.config.schema import Config
 
@@ -43,7 +43,7 @@ def explain(
         if field is not None:
             break
         location = (*location, str(part))
-        inner = _section_of(known.annotation) if known else None
+        inner = section_of(known.annotation) if known else None
         if inner:
             section = inner
         else:
@@ -181,7 +181,7 @@ def described_options() -> Iterator[DescribedOption]:
     default_of = option_values(Config())
 
     def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
-        inner = {name: _section_of(field.annotation) for name, field in section.model_fields.items()}
+        inner = {name: section_of(field.annotation) for name, field in section.model_fields.items()}
         for name, field in section.model_fields.items():
             if inner[name] is None:
                 yield DescribedOption(
@@ -199,14 +199,10 @@ def described_options() -> Iterator[DescribedOption]:
     return walk(Config, "")
 
 
-def _section_of(annotation: object) -> type[Section] | None:
-    return annotation if isinstance(annotation, type) and issubclass(annotation, Section) else None
-
-
 def option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
     """Where the options of a section stand, in order."""
     for name, field in section.model_fields.items():
-        inner = _section_of(field.annotation)
+        inner = section_of(field.annotation)
         if inner:
             yield from option_locations(inner, (*prefix, name))
         else:

@@ -169,6 +169,10 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
         raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
     data = data or {}
     written_at = {location: f"{file}:{line}" for location, line in line_of.items()}
+    for old, new in renamed_options(Config):
+        if move_option(data, old, new):
+            written_at[new] = written_at.get(old, f"{file}:1")
+            warn_renamed(written_at[new], ".".join(old), ".".join(new))
     base = data.pop(EXTENDS, None)
     if base is None:
         return data, written_at

@@ -593,9 +593,8 @@ class Config(Section):
         method = data.get("method", cls.model_fields["method"].default)
         if not isinstance(method, str) or method not in METHOD_LOSSES:
             return data  # refused in a moment, with its place
-        losses = data.get("losses", {})
-        if isinstance(losses, dict):  # anything else is refused in a moment
-            data = {**data, "losses": LossSettings.with_new_names(losses)}
+        if isinstance(data.get("losses"), dict):
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
