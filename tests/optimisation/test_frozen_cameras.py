@@ -18,7 +18,7 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings
-from warpav.optimisation.starts import exchange_cameras, first_rigs, look_at_starts
+from warpav.optimisation.starts import evaluate_starts, exchange_cameras, first_rigs
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
@@ -220,7 +220,7 @@ def test_all_starts_hold_it():
     objective = objective_of(mount)
     space = SearchSpace.over(mount, 2, constraints=objective.constraints)
     known = mount.start_pose_of_rig(Rig.create((ROOF, BUMPER)))
-    starts = look_at_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
+    starts = evaluate_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
     for start in starts:
         np.testing.assert_array_equal(start.mount_pose[1], mount.frozen.mount_pose[1])
     assert len({start.mount_pose[0].tobytes() for start in starts}) > 3
