@@ -319,7 +319,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     began_as = result.began_as
     return (
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.held_rig},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig},
     )
 
 

@@ -42,7 +42,7 @@ OBJECTIVE_KERNELS = tuple(
         "raster.measure", "raster.window", "detection.detection_probability", "raster.image_flow", "raster.rasterise",
         "raster.layers", "evaluation.ground", "raster.extent", "placement.constraint_losses", "raster.shade",
         "raster.hide", "raster.linearise", "placement.mount_pose", "placement.expected_misses", "raster.view",
-        "placement.lagrangian", "detection.network_input",
+        "placement.lagrangian", "placement.exchange", "detection.network_input",
     )
 )  # fmt: skip
 """Kernels that runs with the default losses launch, those that take longest to compile first."""
