@@ -11,7 +11,7 @@ from warpav.experiments import arms, thesis_experiments
 from warpav.experiments.tables import Cell, compare_results, result_table
 from warpav.experiments.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_overrides
 from warpav.experiments.thesis_tables import WARNING, thesis_table
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -89,7 +89,7 @@ def test_losses_are_read_as_the_thesis_writes_them():
     weights = dict(override.removeprefix("losses.").split("=") for override in loss_overrides("IFR+10*DOA"))
     assert weights.pop("in_frame_rotation") == "1.0"
     assert weights.pop("detected_area") == "10.0"
-    assert set(weights) == {*OBJECTIVES, DETECTOR_GRADIENT} - {"in_frame_rotation", "detected_area"}
+    assert set(weights) == {*LOSSES} - {"in_frame_rotation", "detected_area"}
     assert set(weights.values()) == {"0.0"}
     assert loss_overrides("IFR+DOA*") == loss_overrides("DOA+IFR")
     with pytest.raises(ValueError, match=r"got 'CD' in 'IFR\+CD'"):

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, flat_surface, roof
 from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
-from tests.optimisation.test_gradient import START, Slope, street_scenes
+from tests.optimisation.objectives import rig_objective
+from tests.optimisation.test_descent import START, Slope, street_scenes
 from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
-from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
@@ -182,7 +183,7 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
             assert 60.0 - 1e-4 <= value <= 110.0 + 1e-4
         for value in record.free["height_m"]:
             assert 0.05 <= value <= 0.6
-    moved = descent.state()["pose_value"] != objective.mount.within(start).astype(np.float32)
+    moved = descent.mount_pose != objective.mount.within(start).astype(np.float32)
     assert not moved[:, 4].any()  # the roll
 
 
@@ -216,11 +217,11 @@ def fenced_objective(free):
     surface = flat_surface([-0.5, -0.5], [0.5, 0.5], height_m=1.5)
     fence = _block([0.2, 30.0, 2.0], [5.0, 0.0, 1.0])
     scene = _scene("fence", [fence], _body(surface), [_vehicle(0, [2.4, 4.0, 2.6], [14.0, 0.0, 1.3])])
-    objective = RigObjective(
+    objective = rig_objective(
         mount_of(free, surface),
         ConstantDetector.silent(1),
         camera_count=1,
-        settings=LossSettings(missed=1.0),
+        settings=LossSettings(expected_miss_rate=1.0),
         occlusion=Occlusion.EXACT,
         supersampling=2,
         # more of it, less of it hidden, less of it cut off, farther from the border

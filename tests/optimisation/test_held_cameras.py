@@ -9,14 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import roof
-from tests.optimisation.test_gradient import WholeImageDetector, changed, street_scenes
-from tests.optimisation.thesis_losses import thesis_losses
+from tests.optimisation.objectives import rig_objective, thesis_losses
+from tests.optimisation.test_descent import WholeImageDetector, changed, street_scenes
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.gradient import Descent
-from warpav.optimisation.missed import Stage
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import LOG_ZOOM, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings
 from warpav.optimisation.starts import exchange_cameras, first_rigs, look_at_starts
@@ -50,11 +49,11 @@ def constraints_of(mount, **options):
 
 
 def objective_of(mount):
-    return RigObjective(
+    return rig_objective(
         mount,
         WholeImageDetector(),
         camera_count=len(mount.held.is_held),
-        settings=LossSettings(missed=1.0),
+        settings=LossSettings(expected_miss_rate=1.0),
         multiplier_damping=10.0,
         constraints=constraints_of(mount),
         iou_min=0.01,
@@ -124,9 +123,9 @@ def test_names_are_some_of_the_rigs_and_not_all(names):
 
 def test_losses_of_the_thesis_refuse_several_fields_of_view():
     with pytest.raises(ValueError, match="one field of view for all cameras, got several"):
-        RigObjective(held_mount(), WholeImageDetector(), camera_count=2, settings=thesis_losses())
+        rig_objective(held_mount(), WholeImageDetector(), camera_count=2, settings=thesis_losses())
     same = held_mount(camera("bumper", BUMPER.position_m), ROOF)
-    RigObjective(same, WholeImageDetector(), camera_count=2, settings=thesis_losses())
+    rig_objective(same, WholeImageDetector(), camera_count=2, settings=thesis_losses())
 
 
 # --- constraints ----------------------------------------------------------------------------------------------------
@@ -234,20 +233,20 @@ def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
     rig = Rig.create((ROOF, camera("bumper", BUMPER.position_m, 12.3, -4.5, 6.7)))
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
     held = mount.holding(rig, ["bumper"])
-    pose, scenes, stage = held.held.mount_pose, street_scenes(), Stage(0.5, 0.0)
+    pose, scenes, stage = held.held.mount_pose, street_scenes(), LossSchedule(0.5, 0.0)
     objective = objective_of(held)
-    found = objective.evaluate(pose, scenes, gradient=True, stage=stage)
-    free = RigObjective(
+    found = objective.evaluate(pose, scenes, gradient=True, schedule=stage)
+    free = rig_objective(
         mount,
         WholeImageDetector(),
         camera_count=2,
-        settings=objective.settings,
+        settings=LossSettings(expected_miss_rate=1.0),
         constraints=ZoneAndSpacing(mount.surface, camera_count=2, margin_m=0.02),
         iou_min=0.01,
         probability=size_alone(),
     )
     # without multipliers the zone that the bumper is out of counts by its damping alone, and for itself
-    expected = free.evaluate(pose, scenes, gradient=True, stage=stage)
+    expected = free.evaluate(pose, scenes, gradient=True, schedule=stage)
     np.testing.assert_array_equal(found.gradient[1], 0.0)
     assert np.abs(expected.gradient[1]).max() > 0.0
     assert np.abs(found.gradient[0, [X_M, Y_M, YAW_RAD]]).max() > 0.0
@@ -276,7 +275,7 @@ def test_a_descent_leaves_it_alone_and_improves_the_others(free):
     )
     for _ in range(16):
         descent.step()
-        np.testing.assert_array_equal(descent.state()["pose_value"][1], mount.held.mount_pose[1])
+        np.testing.assert_array_equal(descent.mount_pose[1], mount.held.mount_pose[1])
     best = descent.finish()
     for each in descent.candidates:
         np.testing.assert_array_equal(each.mount_pose[1], mount.held.mount_pose[1])

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
-from warpav.optimisation.gradient import Descent
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.rivals import (
     GradientStage,
     cma_es,
@@ -34,6 +34,9 @@ STEPS = OptimiserSettings(
     schedule="cosine",
     keep="best",
     check_every=5,
+    weight_decay=1e-3,
+    panorama_until=0.3,
+    starts=1,
 )
 
 

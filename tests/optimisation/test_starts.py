@@ -59,8 +59,8 @@ class Chances:
         away_m = np.linalg.norm(mount_pose[:, None, [X_M, Y_M]] - self.place_m, axis=-1)
         return np.exp(-((away_m / 0.5) ** 2))
 
-    def evaluate(self, mount_pose, scenes, *, chances):
-        assert chances
+    def evaluate(self, mount_pose, scenes, *, detection_probability):
+        assert detection_probability
         assert scenes == ["a scene"]
         assert SPACE.violation_m(mount_pose) == 0.0
         self.looked.append(mount_pose)

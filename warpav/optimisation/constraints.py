@@ -365,7 +365,7 @@ class ZoneAndSpacing(Constraints):
                 f"expected less than {widest_m:.3g} m, the largest distance to the border of the mountable zone, "
                 f"got {margin_m:g}",
             )
-        self._raster: dict[str, wp.array] = {}
+        self._arrays: dict[tuple[str, str], wp.array] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -386,6 +386,17 @@ class ZoneAndSpacing(Constraints):
         pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
         return np.flatnonzero(~np.concatenate([is_held, is_held[pairs].all(axis=1)])).astype(np.int32)
 
+    def _on_device(self, name: str, device: wp.Device) -> wp.array:
+        """``raster``, the distances to the border, or ``kept``, the losses that count; copied to a device once."""
+        key = (name, str(device))
+        if key not in self._arrays:
+            self._arrays[key] = (
+                wp.array(self.surface.border_distance_m, dtype=float, device=device)
+                if name == "raster"
+                else wp.array(self._kept, dtype=wp.int32, device=device)
+            )
+        return self._arrays[key]
+
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
         """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close.
 
@@ -395,16 +406,18 @@ class ZoneAndSpacing(Constraints):
         if views.mount_pose.shape[0] != self.camera_count:
             raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
         device = views.mount_pose.device
-        raster = self._raster.get(str(device))
-        if raster is None:
-            raster = wp.array(self.surface.border_distance_m, dtype=float, device=device)
-            self._raster[str(device)] = raster
         count = self.camera_count * (self.camera_count + 1) // 2
         excess_m = wp.zeros(count, dtype=float, device=device, requires_grad=True)
         wp.launch(
             constraint_losses.zone_excess_kernel,
             dim=self.camera_count,
-            inputs=[views.mount_pose, raster, wp.vec2(*self.surface.origin_m), self.surface.cell_m, self.margin_m],
+            inputs=[
+                views.mount_pose,
+                self._on_device("raster", device),
+                wp.vec2(*self.surface.origin_m),
+                self.surface.cell_m,
+                self.margin_m,
+            ],
             outputs=[excess_m],
             device=device,
         )
@@ -421,7 +434,7 @@ class ZoneAndSpacing(Constraints):
         wp.launch(
             constraint_losses.keep_excess_kernel,
             dim=len(kept_m),
-            inputs=[excess_m, wp.array(self._kept, dtype=wp.int32, device=device)],
+            inputs=[excess_m, self._on_device("kept", device)],
             outputs=[kept_m],
             device=device,
         )

@@ -40,6 +40,23 @@ class PlacedViews:
     camera_from_ego: wp.array
     log_zoom: wp.array
 
+    @classmethod
+    def zeros(cls, mount_pose: wp.array, rotation_count: int) -> PlacedViews:
+        """Arrays with gradients for the views of cameras at ``mount_pose``, not placed yet."""
+        view_count, device = mount_pose.shape[0] * rotation_count, mount_pose.device
+        return cls(
+            mount_pose,
+            wp.zeros(view_count, dtype=wp.vec3, device=device, requires_grad=True),
+            wp.zeros(view_count, dtype=wp.mat33, device=device, requires_grad=True),
+            wp.zeros(view_count, dtype=float, device=device, requires_grad=True),
+        )
+
+    def zero_grad(self) -> None:
+        """Gradients of 0, but for that of the mount poses."""
+        for array in (self.position_ego_m, self.camera_from_ego, self.log_zoom):
+            assert array.grad is not None
+            array.grad.zero_()
+
 
 @dataclass(frozen=True)
 class FreeRanges:
@@ -202,12 +219,15 @@ class CameraMount:
         held = self.held
         return held is not None and any(held.camera[k].model == model for k in np.flatnonzero(held.is_held))
 
-    def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
+    def place(
+        self, mount_pose: wp.array, rotation_count: int | None = None, *, into: PlacedViews | None = None
+    ) -> PlacedViews:
         """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
 
         Args:
             mount_pose: Of every camera, float [camera, 7].
             rotation_count: Views of every camera; None: all rotational additions.
+            into: Arrays to write to; None: new ones.
 
         Raises:
             ValueError: Not so many numbers for a camera.
@@ -216,10 +236,7 @@ class CameraMount:
             raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
         camera_count = mount_pose.shape[0]
         rotation_count = self.rotation_count if rotation_count is None else rotation_count
-        view_count = camera_count * rotation_count
-        position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
-        camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
-        log_zoom = wp.zeros(view_count, dtype=float, device=self.device, requires_grad=True)
+        views = PlacedViews.zeros(mount_pose, rotation_count) if into is None else into
         wp.launch(
             kernels.place_on_surface_kernel,
             dim=camera_count,
@@ -232,10 +249,10 @@ class CameraMount:
                 rotation_count,
                 self.rotation_step_rad,
             ],
-            outputs=[position_ego_m, camera_from_ego, log_zoom],
+            outputs=[views.position_ego_m, views.camera_from_ego, views.log_zoom],
             device=self.device,
         )
-        return PlacedViews(mount_pose, position_ego_m, camera_from_ego, log_zoom)
+        return views
 
     @property
     def windows_move(self) -> bool:

@@ -11,10 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import random_mount_pose
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.mount import YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import SearchSpace
 
 HIGHEST_TURNS = 4
@@ -77,22 +78,22 @@ def look_at_starts(
         ValueError: No rig had a finite value.
     """
     looked: list[Start] = []
-    chances: list[np.ndarray] = []
+    probability: list[np.ndarray] = []
 
     def look(mount_pose: np.ndarray) -> None:
         pose = space.feasible(space.in_order(mount_pose))
-        found = objective.evaluate(pose, scenes, chances=True)
+        found = objective.evaluate(pose, scenes, detection_probability=True)
         looked.append(Start(pose, found.objective))
-        if found.chance is not None:
-            chances.append(found.chance)
+        if found.detection_probability is not None:
+            probability.append(found.detection_probability)
 
     look(known)
     rigs = first_rigs(space, rng)
     while len(looked) < count:
-        if len(looked) == count - 1 and len(looked) == len(chances) > 1:
+        if len(looked) == count - 1 and len(looked) == len(probability) > 1:
             best = int(np.argmin([each.value for each in looked]))
             first = best * space.camera_count + np.arange(space.camera_count)
-            chosen = exchange_cameras(np.concatenate(chances), first, is_held=space.is_held)
+            chosen = exchange_cameras(np.concatenate(probability), first, is_held=space.is_held)
             look(np.concatenate([each.mount_pose for each in looked])[chosen])
         else:
             look(next(rigs))
@@ -102,21 +103,23 @@ def look_at_starts(
     return sorted(finite, key=lambda each: each.value)
 
 
-def exchange_cameras(chance: np.ndarray, chosen: np.ndarray, *, is_held: np.ndarray | None = None) -> np.ndarray:
+def exchange_cameras(
+    detection_probability: np.ndarray, chosen: np.ndarray, *, is_held: np.ndarray | None = None
+) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
-    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - chance over its
+    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - p over its
     cameras; no exchange of a single camera lowers that of the result.
 
     Args:
-        chance: Probability that each candidate finds each object, float [candidate, object].
+        detection_probability: Probability p that each candidate finds each object, float [candidate, object].
         chosen: Candidates that the rig begins with, int [camera].
         is_held: Cameras that are not exchanged, bool [camera]; None: none.
 
     Returns:
         Candidates, int [camera]; one may be there twice.
     """
-    missed = 1.0 - np.asarray(chance, np.float64)
+    missed = 1.0 - np.asarray(detection_probability, np.float64)
     chosen = np.array(chosen)
     while True:
         before = chosen.copy()

@@ -14,9 +14,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError
 from warpav.core.warp_setup import load_warp
-from warpav.runs.run_folder import package_versions, required_packages
+from warpav.runs.environment import package_versions, required_packages
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120
@@ -54,7 +54,11 @@ def examine(json_file: Path | None = None) -> int:
     from rich.console import Console
 
     if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
+        raise ArgumentError(
+            place=json_file,
+            option="json",
+            text=f"expected an existing folder to write to, got {str(json_file.parent)!r}",
+        )
     console = Console(highlight=False, soft_wrap=True)
     styles = {"ok": "green", "warning": "yellow", "failed": "red"}
     findings = []

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
-from warpav.optimisation.settings import ONE_FIELD_LOSSES
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config
+from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
@@ -112,6 +111,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
     Raises:
         InputError: The rig has no such camera, or one that cannot be in one rig with those of the configuration.
     """
+    named = "the start rig" if config.rig.start in NAMED_STARTS else config.rig.start
     shared, known = camera_model(config), [camera.name for camera in start.cameras]
     cameras = []
     for camera in start.cameras:
@@ -122,7 +122,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1, 0.5)
             hint = f"; did you mean {near[0]}?" if near else ""
-            names = f"{', '.join(known)}, the cameras of the rig that the run starts from"
+            names = f"{', '.join(known)}, the cameras of {named}"
             raise OptionError("rig.freeze", f"expected names out of {names}, got {name!r}{hint}")
         model = models[name]
         if not model.fits_beside(shared):
@@ -133,7 +133,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
                 f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
                 f"({shared.lens}); {_as_held(model)}",
             )
-        alike = [each for each in ONE_FIELD_LOSSES if getattr(config.losses, each)]
+        alike = config.losses.one_field
         if alike and model.log_zoom_over(shared):
             raise OptionError(
                 "rig.freeze",

@@ -9,7 +9,8 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.gradient import Descent, IterationRecord
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import look_at_starts
 from warpav.rig.rig import Rig

@@ -45,7 +45,7 @@ def read(path: Path, part: str | None) -> Found:
         if has_imu
         else "places are relative to cam0, which is taken to look forward"
     )
-    return Found(tuple(cameras), (f"{note}; --origin-rpy-deg turns them",))
+    return Found(tuple(cameras), (f"{note}; `origin_rpy_deg` turns them",))
 
 
 def _optics(entry: Record) -> Optics:

@@ -47,8 +47,8 @@ def read(path: Path, part: str | None) -> Found:
     name, count = Counter(names).most_common(1)[0]
     if count > 1:
         raise InputError(
-            f"{file}: expected one row a camera, got {count} of {name}; --part SCENE takes those of a scene, such as "
-            "--part scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
+            f"{file}: expected one row a camera, got {count} of {name}; `part` SCENE takes those of a scene, such as "
+            "`part` scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
         )
     size_of = _sizes(file.parent, {row.at("token").text("") for row in rows})
     cameras = []
