@@ -49,7 +49,8 @@ def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
     names = [name for name in sys.modules if name.startswith(own) and not name.startswith(left_out)]
     sizes = {name: len(Path(file).read_bytes()) for name in names if (file := sys.modules[name].__file__)}
     # the longest first, as the others then fill the time of the cores that are done
-    modules = [warp.get_module(name) for name in sorted(sizes, key=lambda name: -sizes[name])]
+    found = [warp.get_module(name) for name in sorted(sizes, key=lambda name: -sizes[name])]
+    modules = [module for module in found if module.kernels]
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(warp.force_load, device, modules, max_workers=available_cores())
         yield
