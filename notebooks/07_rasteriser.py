@@ -43,7 +43,7 @@ handle = trimesh.creation.torus(0.35, 0.09)
 handle.apply_transform(trimesh.transformations.rotation_matrix(math.pi / 2, [1, 0, 0]))
 handle.apply_translation([0.55, 0.0, 0.05])
 cup = trimesh.util.concatenate([body, handle])
-bar = trimesh.creation.box(extents=[0.15, 0.15, 3.0]).apply_translation([-0.25, -0.9, 0.0])
+bar = trimesh.creation.box(extents=[0.15, 0.15, 3.0]).apply_translation([0.05, -0.9, 0.0])
 scene = raster.Scene(
     {"cup": raster.Mesh(cup.vertices, cup.faces, np.clip(128 + 100 * cup.vertex_normals, 0, 255))},
     occluders=[raster.Mesh(bar.vertices, bar.faces, [90, 70, 50])],
