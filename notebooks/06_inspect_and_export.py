@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 
 import warpav as wa
 from warpav.evaluation.coverage import Ground
-from warpav.raster.device_scene import DeviceScene
 
 train, test = wa.town(train_seeds), wa.town(test_seeds)
 
@@ -61,23 +60,26 @@ start
 # %% [markdown]
 # ## What it does not see
 #
+# A `Placement` joins the rig with traffic, vehicle and detector. `freeze` names the cameras that keep their poses,
+# wherever they are; the others may move over roof and bonnet.
+#
 # Where would a child of 1.1 m be seen by no camera (red), by one, by two, by more?
 
-
 # %%
+placement = wa.Placement(train, start=start, freeze=["front", "rear"])
+
+
 def coverage(rig, scene):
-    return Ground.around(DeviceScene.pack(scene)).coverage(rig.cameras)
+    (observed,) = placement.observed([scene])
+    return Ground.around(observed.scene).coverage(rig.cameras)
 
 
 wa.plot(start, scene=test[0], coverage=coverage(start, test[0]))
 
 # %% [markdown]
 # ## Two stay, two move
-#
-# `freeze` names the cameras that keep their poses, wherever they are. The others move around them on roof and bonnet:
 
 # %%
-placement = wa.Placement(train, start=start, freeze=["front", "rear"])
 result = wa.optimise(placement, iterations=iterations)
 wa.plot(result, scene=test[0])
 
