@@ -221,13 +221,13 @@ def test_bad_words_are_told_in_one_line(working_directory, scenes, capsys):
         return complaint(capsys, "experiment", *words)
 
     assert line("table2", *given, "--arms", "sgd_irf").endswith("got 'sgd_irf'; did you mean sgd_ifr?")
-    assert line("table2", *given, "--budget", "0") == "--budget: expected at least 1, got 0"
-    assert line("table2", *given, "--runs", "0") == "--runs: expected at least 1, got 0"
+    assert line("table2", *given, "--budget", "0") == "command line (--budget): expected at least 1, got 0"
+    assert line("table2", *given, "--runs", "0") == "command line (--runs): expected at least 1, got 0"
     assert line("table2", *given, "--budget", "5").startswith(
         "arm sgd_ifr: --budget: expected at least 6 scene renders"
     )
     assert line("table1", *given[:3], "--arms", "cma").startswith(
-        "--arms: expected nothing, as table1 measures gradients"
+        "command line (--arms): expected nothing, as table1 measures gradients"
     )
     assert "losses.detected_area: expected an option that the arms of table2 leave alone" in line(
         "table2", "losses.detected_area=3"

@@ -16,9 +16,9 @@ from warpav.cli.arguments import complain, flag_of, with_flags
 from warpav.cli.config import config_app
 from warpav.cli.detector import detector_app
 from warpav.cli.experiment import experiment_app
-from warpav.cli.machine import machine_app
+from warpav.cli.machine import bench, doctor
 from warpav.cli.rig import rig_app
-from warpav.cli.runs import runs_app
+from warpav.cli.runs import evaluate, inspect, optimise, render, report
 from warpav.cli.scenes import scenes_app
 from warpav.cli.vehicle import vehicle_app
 from warpav.core.errors import ArgumentError, InputError
@@ -32,10 +32,11 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
+app.command(optimise, alias="optimize")
+for _verb in (evaluate, render, inspect, report, doctor, bench):
+    app.command(_verb)
 for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app, vehicle_app):
     app.command(_group)
-for _group in (runs_app, machine_app):
-    app.command(_group, name="*")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

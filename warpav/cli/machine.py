@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
-
-machine_app = App()
+from cyclopts import Parameter
 
 
-@machine_app.command
 def doctor(*, json: Annotated[Path | None, Parameter(help="File to write the findings to.")] = None) -> int:
     """Check this machine: versions, devices, OpenGL, execution providers, cache, a self-test of the renderer."""
     from warpav.runs.doctor import examine
@@ -18,7 +15,6 @@ def doctor(*, json: Annotated[Path | None, Parameter(help="File to write the fin
     return examine(json_file=json)
 
 
-@machine_app.command
 def bench(
     *,
     workload: Annotated[Path | None, Parameter(help="Workload (.npz of format 1); by default the embedded.")] = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from warpav.cli.arguments import (
     DEFAULT_CONFIG,
@@ -17,10 +17,7 @@ from warpav.cli.arguments import (
     say,
 )
 
-runs_app = App()
 
-
-@runs_app.command(alias="optimize")
 def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
@@ -35,7 +32,6 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
         show_verdict(display.console, evaluation)
 
 
-@runs_app.command
 def evaluate(
     rig: RigSource,
     /,
@@ -53,7 +49,6 @@ def evaluate(
         show_verdict(display.console, measure_rig(rig, settings, json_file=json, progress=display))
 
 
-@runs_app.command
 def render(
     scene: SceneSource,
     /,
@@ -70,7 +65,6 @@ def render(
     say(f"wrote {folder}")
 
 
-@runs_app.command
 def inspect(
     run_or_rig: RigSource,
     /,
@@ -108,7 +102,6 @@ def inspect(
         say(f"wrote {file}")
 
 
-@runs_app.command
 def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
     """Write the HTML report of a run again."""
     from warpav.runs.report.report import write_report

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 
@@ -446,8 +446,8 @@ def _place_findings(
     if rear_axle_m is not None:
         if not 0.0 <= rear_axle_m <= high[0] - low[0]:
             length = f"{high[0] - low[0]:.2f} m"
-            raise InputError(
-                f"`rear_axle`: expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
+            raise ArgumentError(
+                "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
         middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
         target_m = np.array([low[0] + rear_axle_m, middle_m])

@@ -184,12 +184,12 @@ def test_argoverse2_refuses_what_is_no_feather(tmp_path):
 
 def test_missing_sizes_and_lenses_are_asked_for(tmp_path):
     kitti = write_sample("kitti", tmp_path / "kitti")
-    assert "give --width-px and --height-px" in refusal(kitti, "kitti", ImportOptions())
+    assert "give `width_px` and `height_px`" in refusal(kitti, "kitti", ImportOptions())
     urdf = write_sample("urdf", tmp_path / "urdf")
     (tmp_path / "urdf/camera_info/front_left.yaml").rename(tmp_path / "info.yaml")
     (tmp_path / "urdf/camera_info").rmdir()
-    assert "give --width-px, --height-px and --fov-deg, or --intrinsics" in refusal(urdf, "urdf", ImportOptions())
-    assert "(--fov-deg): expected a number" in refusal(urdf, "urdf", ImportOptions(None, (0, 0, 0), 640, 480, 200.0))
+    assert "give `width_px`, `height_px` and `fov_deg`, or `intrinsics`" in refusal(urdf, "urdf", ImportOptions())
+    assert "fov_deg: expected a number" in refusal(urdf, "urdf", ImportOptions(None, (0, 0, 0), 640, 480, 200.0))
     given = ImportOptions(width_px=320, height_px=240, fov_deg=70.0)
     (camera,) = import_rig_with_notes(urdf, "urdf", given)[0].cameras
     assert (camera.model.width_px, math.degrees(camera.model.fov_rad)) == (320, pytest.approx(70.0))
@@ -203,7 +203,7 @@ def test_nuscenes_with_many_calibrations_asks_for_a_scene(tmp_path):
     other = {**rows[1], "token": "other", "translation": [1.5, 0.5, 1.6]}
     file = write_sample("nuscenes", tmp_path)
     file.write_text(json.dumps([*rows, other]))
-    assert "got 2 of front_left; --part SCENE" in refusal(file, "nuscenes")
+    assert "got 2 of front_left; `part` SCENE" in refusal(file, "nuscenes")
     (tmp_path / "scene.json").write_text(json.dumps([{"token": "t", "name": "scene-0061"}]))
     (tmp_path / "sample.json").write_text(json.dumps([{"token": "s", "scene_token": "t"}]))
     (camera,) = import_rig_with_notes(file, "nuscenes", ImportOptions(part="scene-0061"))[0].cameras
@@ -262,8 +262,8 @@ def test_a_mirrored_rig_is_refused_with_the_dialect_to_try(tmp_path):
     file = mirrored_file(tmp_path)
     text = refusal(file, "carla-ros-bridge")
     assert "camera 'front_left': expected it on the left (y > 0) and looking there, got y = -0.500 m" in text
-    assert "--format carla-python" in text
-    assert "--accept-mirrored" in text
+    assert "`format_name` carla-python" in text
+    assert "`accept_mirrored`" in text
     rig, notes = import_rig_with_notes(file, "carla-ros-bridge", ImportOptions(accept_mirrored=True))
     assert rig.cameras[0].position_m[1] == -0.5
     assert any("800 x 600 px, 90 deg" in note for note in notes)
@@ -423,7 +423,7 @@ def test_the_help_names_every_format(capsys):
     ("words", "message"),
     [
         (["import", "no.json", "--format", "nuscenes"], "no.json: expected a file or folder of the format nuscenes"),
-        (["import", "no.json", "--format", "carla"], "(--format carla): expected carla-ros-bridge"),
+        (["import", "no.json", "--format", "carla"], "(--format): expected carla-ros-bridge"),
         (["import", "no.json"], "--format"),
         (["export", "nuscene", "--format", "kitti", "--out", "o"], "did you mean nuscenes?"),
         (["export", "nuscenes", "--format", "kitty", "--out", "o"], "did you mean kitti?"),

@@ -170,7 +170,9 @@ def test_what_is_left_out_is_said(tmp_path):
         640, 480, lens="brown_conrady", focal_px=(500.0, 501.0), centre_px=(310.0, 240.0), distortion=(-0.2, 0, 0, 0)
     )
     rig = Rig.create([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
-    with pytest.raises(InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; --approxim"):
+    with pytest.raises(
+        InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; `approximate`"
+    ):
         export_rig_with_notes(rig, "carla-python", tmp_path / "a.json")
     _, notes = export_rig_with_notes(rig, "carla-python", tmp_path / "a.json", approximate=True)
     text = "\n".join(notes)
