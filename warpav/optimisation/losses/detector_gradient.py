@@ -10,7 +10,7 @@ import warp as wp
 
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.losses.loss import HostLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.raster.renderer import BOTTOM, LEFT, RIGHT, TOP
 
