@@ -16,7 +16,7 @@ from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.descent import Descent
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, CameraMount, FreeRanges
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
@@ -66,7 +66,7 @@ def test_nothing_is_free_unless_asked_for():
     ("name", "number", "low", "high"),
     [
         ("pitch_rad", PITCH_RAD, math.radians(-20.0), math.radians(20.0)),
-        ("height_m", RISE_M, -0.2, 0.35),
+        ("height_m", HEIGHT_DELTA_M, -0.2, 0.35),
         ("fov_rad", LOG_ZOOM, -math.log(math.tan(math.radians(55.0))), -math.log(math.tan(math.radians(30.0)))),
     ],
 )
@@ -101,7 +101,7 @@ def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
     np.testing.assert_allclose(kept[0], pose[0], atol=1e-6)
     assert_within(mount_of(), kept)
     fixed = mount_of(free=None).start_pose_of_rig(rig)
-    np.testing.assert_array_equal(fixed[:, [RISE_M, LOG_ZOOM]], 0.0)
+    np.testing.assert_array_equal(fixed[:, [HEIGHT_DELTA_M, LOG_ZOOM]], 0.0)
     np.testing.assert_allclose(fixed[:, :5], pose[:, :5], atol=1e-6)
 
 
@@ -165,7 +165,7 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
 
     objective.evaluate = steep
     start = START.copy()
-    start[:, [PITCH_RAD, RISE_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
+    start[:, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
     steps = OptimiserSettings(keep="best", check_every=2).model_copy(
         update={
             "learning_rate_position_m": 0.01,
@@ -197,7 +197,7 @@ def test_searches_try_all_that_is_free_and_nothing_else(seed):
         assert_within(mount, space.pose_of(unit))
     random = space.random(rng)
     assert_within(mount, random.astype(np.float32))
-    assert (np.ptp(random[:, [PITCH_RAD, RISE_M, LOG_ZOOM]], axis=0) > 0.0).all()
+    assert (np.ptp(random[:, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]], axis=0) > 0.0).all()
     np.testing.assert_allclose(space.pose_of(space.unit_of(random))[:, 3:], random[:, 3:], atol=1e-6)
 
 
@@ -254,7 +254,7 @@ def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
         found[name] = descent.finish()
     objective, scenes = fenced_objective(FREE)
     best, low, high = found["free"].mount_pose, objective.mount.low, objective.mount.high
-    assert best[0, RISE_M] > high[RISE_M] - 0.02
+    assert best[0, HEIGHT_DELTA_M] > high[HEIGHT_DELTA_M] - 0.02
     assert best[0, LOG_ZOOM] > high[LOG_ZOOM] - 0.02
     pitches = np.linspace(low[PITCH_RAD], high[PITCH_RAD], 41)
     values = []

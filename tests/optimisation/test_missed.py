@@ -17,7 +17,7 @@ from warpav.detection.probability import (
 )
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Occlusion, Renderer
@@ -180,10 +180,13 @@ def test_gradient_matches_differences_of_finer_renders(device, rng, schedule):
 
 # Cameras that look up, so that the lower border of the image cuts cars; near the roof, which hides some from low ones.
 @pytest.mark.slow
-@pytest.mark.parametrize(("schedule", "rise_m"), [(END, -0.1), (PANORAMA, -0.05)], ids=["end", "panorama"])
-def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, schedule, rise_m):
-    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, rise_m, 0.3], np.float32)
-    numbers, spread = ((PITCH_RAD, 0.01), (RISE_M, 0.02), (LOG_ZOOM, 0.03)), [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1]
+@pytest.mark.parametrize(("schedule", "height_delta_m"), [(END, -0.1), (PANORAMA, -0.05)], ids=["end", "panorama"])
+def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, schedule, height_delta_m):
+    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, height_delta_m, 0.3], np.float32)
+    numbers, spread = (
+        ((PITCH_RAD, 0.01), (HEIGHT_DELTA_M, 0.02), (LOG_ZOOM, 0.03)),
+        [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1],
+    )
     ours, truth = mean_gradients(rng, schedule, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
     error = np.linalg.norm(ours - truth, axis=0) / np.linalg.norm(truth, axis=0)
     # seen .04, .11, .03 at the end, .002, .04, .003 over the panorama
@@ -265,7 +268,7 @@ def test_a_model_is_needed():
 def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
     scenes = scenes_of("cpu", 10, 4)
     change = np.zeros((3, *POSE.shape), np.float32)
-    change[:, :, [PITCH_RAD, RISE_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
+    change[:, :, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
 
     def results():
         objective = objective_of(free=FREE)

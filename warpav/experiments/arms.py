@@ -304,7 +304,7 @@ def _random_rig(placement: Placement, render_budget: int | None) -> Found:
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
     pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(placement.objective.mount.rig(pose), placement.held_rig, 0, {}, mount_pose=pose)
+    return Found(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
 
 
 def _highest(placement: Placement, render_budget: int | None) -> Found:
@@ -368,7 +368,7 @@ def _searched(
         raise RuntimeError(f"the search ended early: {result.error}")
     return Found(
         placement.objective.mount.rig(result.mount_pose),
-        placement.held_rig,
+        placement.frozen_rig,
         result.renders,
         _columns(result.history),
         mount_pose=result.mount_pose,
@@ -386,7 +386,7 @@ def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found
     # its start is found already
     alone = placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
-    second = _descended(rest, descent_from(rest, first.mount_pose, rest.held_rig), rest.held_rig)
+    second = _descended(rest, descent_from(rest, first.mount_pose, rest.frozen_rig), rest.frozen_rig)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
         both[name] += [None if number is None else number + shift for number in second.history[name]]

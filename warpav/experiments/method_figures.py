@@ -16,7 +16,7 @@ from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
-from warpav.optimisation.mount import RISE_M, X_M, Y_M
+from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion
 from warpav.rig.find import HIGHEST
@@ -126,7 +126,7 @@ def _optimised(placement: Placement, descent: Descent, progress: Progress, how: 
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
     if placement.config.optimiser.multiplier_learning_rate != 0.0:
-        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
+        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
     return OptimisedRig(mount.rig(descent.start), np.array(positions, np.float64), mount.rig(pose))
 
 

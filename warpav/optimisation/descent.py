@@ -14,7 +14,7 @@ from warpav.optimisation.adamw import AdamW, MultiplierAscent
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.history import Candidate, History, IterationRecord, lowest
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation, RigObjective
 from warpav.optimisation.schedule import Schedule
 from warpav.optimisation.segregation import BatchChooser, ShuffledBatches
@@ -77,13 +77,13 @@ class Descent:
         rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
         # the others stay where they are: the thesis moves cameras in the plane and turns them about the vertical
         rate[:, PITCH_RAD] = self.settings.learning_rate_pitch_rad
-        rate[:, RISE_M] = self.settings.learning_rate_height_m
+        rate[:, HEIGHT_DELTA_M] = self.settings.learning_rate_height_m
         rate[:, LOG_ZOOM] = self.settings.learning_rate_zoom
         is_moved = self._mount.is_free.copy()
         is_moved[[X_M, Y_M, YAW_RAD]] = True
         rate *= is_moved
-        if self._mount.held is not None:
-            rate[self._mount.held.is_held] = 0.0
+        if self._mount.frozen is not None:
+            rate[self._mount.frozen.is_frozen] = 0.0
         return rate
 
     def _begin(self, start: np.ndarray) -> None:
@@ -224,7 +224,7 @@ class Descent:
     def _check(self, mount_pose: np.ndarray) -> Candidate:
         """Evaluate the feasible poses nearest to these on all validation scenes."""
         pose = mount_pose
-        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
+        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
         scenes, is_mixed = self.validation or self.scenes, bool(self.further_starts)
         found = self.objective.evaluate(pose, scenes, detection_probability=is_mixed)
         candidate = Candidate(pose, found.objective, self.iteration, self.descent, found.detection_probability)
@@ -239,8 +239,10 @@ class Descent:
             return
         count = len(self.start)
         first = best.index(lowest(best)) * count + np.arange(count)
-        held = self._mount.held
-        chosen = exchange_cameras(np.concatenate(probability), first, is_held=None if held is None else held.is_held)
+        frozen = self._mount.frozen
+        chosen = exchange_cameras(
+            np.concatenate(probability), first, is_frozen=None if frozen is None else frozen.is_frozen
+        )
         self._check(np.concatenate([each.mount_pose for each in best])[chosen])
 
     def _record(
@@ -258,13 +260,13 @@ class Descent:
         moving = np.where(self._rate > 0.0, gradient, 0.0)
         free: dict[str, np.ndarray] = {}
         norm = {
-            "position": gradient[:, [X_M, Y_M, *([RISE_M] if is_free[RISE_M] else [])]],
+            "position": gradient[:, [X_M, Y_M, *([HEIGHT_DELTA_M] if is_free[HEIGHT_DELTA_M] else [])]],
             "rotation": gradient[:, [YAW_RAD, *([PITCH_RAD] if is_free[PITCH_RAD] else [])]],
         }
         if is_free[PITCH_RAD]:
             free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD])
-        if is_free[RISE_M]:
-            free["height_m"] = pose[:, RISE_M].astype(np.float64) + self._mount.height_offset_m
+        if is_free[HEIGHT_DELTA_M]:
+            free["height_m"] = pose[:, HEIGHT_DELTA_M].astype(np.float64) + self._mount.height_offset_m
         if is_free[LOG_ZOOM]:
             free["fov_deg"] = np.degrees([camera.model.fov_rad for camera in rig.cameras])
             norm["zoom"] = gradient[:, LOG_ZOOM]

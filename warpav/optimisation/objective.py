@@ -262,8 +262,8 @@ class RigObjective:
         objective = float(np.dot(values, [weight for weight, _ in self.losses]))
         of_host = sum(weight * mean[loss.name] for weight, loss in self.losses if isinstance(loss, HostLoss))
         pose_gradient = fetched.pose_gradient
-        if self.mount.held is not None:
-            pose_gradient[self.mount.held.is_held] = 0.0
+        if self.mount.frozen is not None:
+            pose_gradient[self.mount.frozen.is_frozen] = 0.0
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
             total=fetched.total + of_host if with_constraints else objective,

@@ -95,6 +95,7 @@ class SceneStep:
 
     Attributes:
         scene: The scene.
+        observe: Renders the scene from the present views.
         image: What the cameras see ahead after `observe`, until the renderer's next, 0..1, vec3 [camera, row, column].
     """
 
@@ -134,14 +135,10 @@ class SceneStep:
             wp.zeros_like(self._detected) if has_probability else None,
         )
         self._host_value: tuple[float, ...] = ()
-        self._observe = Recording(self._render, renderer, enabled=recorded)
+        self.observe = Recording(self._render, renderer, enabled=recorded)
         recorded = False if objective.host else recorded
         self._with_gradient = Recording(self._differentiate, renderer, enabled=recorded)
         self._without_gradient = Recording(self._evaluate, renderer, enabled=recorded)
-
-    def observe(self) -> None:
-        """Render the scene from the present views."""
-        self._observe()
 
     def set_boxes(self, ahead_box_px: np.ndarray) -> None:
         """Boxes of the detections matched to every vehicle ahead (0 for none) [px], float [camera, vehicle, 4]."""

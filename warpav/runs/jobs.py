@@ -91,7 +91,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, progress
     rig = find_rig(source, config, placement.ego)
     began_as = rig
     if is_run_folder(source):
-        began_as = placement.held_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
+        began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
     name = arm_name(source)
     found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
     evaluation = {"schema": EVALUATION_SCHEMA, **found.to_json()}

@@ -24,7 +24,7 @@ from warpav.optimisation.losses.loss import Loss, LossSchedule
 from warpav.optimisation.losses.registry import LOSSES, LossOptions, losses_of
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import Segregation, choose_orientations
 from warpav.raster.device_scene import DeviceScene
@@ -33,7 +33,7 @@ from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
-from warpav.runs.mounts import checked_held, constraints_of
+from warpav.runs.mounts import checked_frozen, constraints_of
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, own_vehicle, pack_scenes
@@ -50,7 +50,7 @@ TOWN_SOURCE = "town seed "
 DEGREES_OF_FREEDOM = {
     "x_m": X_M,
     "y_m": Y_M,
-    "height_m": RISE_M,
+    "height_m": HEIGHT_DELTA_M,
     "yaw_rad": YAW_RAD,
     "pitch_rad": PITCH_RAD,
     "log_focal": LOG_ZOOM,
@@ -198,7 +198,7 @@ class Placement:
         if start_rig is not None and names:
             if len(names) >= len(start_rig.cameras):
                 raise ArgumentError("freeze", f"expected fewer than all {len(start_rig.cameras)} cameras")
-            checked_held(found, start_rig, names)
+            checked_frozen(found, start_rig, names)
         self._parts = Parts(
             found,
             start_rig,
@@ -331,7 +331,7 @@ class Placement:
         return self._ready.networks.detector
 
     @property
-    def held_rig(self) -> Rig | None:
+    def frozen_rig(self) -> Rig | None:
         """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
         return self._parts.start if self._parts.freeze else None
 
@@ -339,9 +339,9 @@ class Placement:
     def yaw_rad(self) -> np.ndarray:
         """The orientation that each camera takes, unless its rig began otherwise [rad], [camera]."""
         orientation_rad = self.segregation.yaw_rad
-        if self.held_rig is None:
+        if self.frozen_rig is None:
             return orientation_rad
-        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.held_rig))]
+        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.frozen_rig))]
 
     @property
     def has_ordered_start(self) -> bool:
@@ -520,8 +520,8 @@ def _assembled(
     assigned = assign_vehicles(scenes.scenes, [area[:, segregation.rotation] for area in areas])
     mount = scenes.mount
     if parts.start is not None and parts.freeze:
-        mount = mount.holding(checked_held(config, parts.start, parts.freeze), parts.freeze)
-    constraints = constraints_of(config, mount.surface, mount.held)
+        mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
+    constraints = constraints_of(config, mount.surface, mount.frozen)
     reference = Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE
     options = LossOptions(config.losses, reference, networks.differentiable)
     objective = RigObjective(

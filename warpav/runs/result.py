@@ -14,6 +14,7 @@ import numpy as np
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
+from warpav.core.executor import in_background
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.baselines import highest_mount_pose
@@ -249,7 +250,7 @@ def write_verdict(
     """
     from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.report import write_report
-    from warpav.runs.run_figures import draw_run
+    from warpav.runs.run_figures import RigDrawing, draw_rigs, draw_views
 
     placement, descent = result.placement, result._descent
     mount = placement.mount
@@ -257,40 +258,52 @@ def write_verdict(
     folder.write_rig("best", result.rig)
     folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
 
-    rigs, began_as = _compared(result, progress)
-    compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
-    timer.end("comparison on the test scenes")
-    progress.stage("ground that no camera sees")
-    ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
-    timer.end("ground that no camera sees")
-    evaluation = {
-        **compared.to_json(),
-        "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
-        "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
-        "descent": {
-            "iterations": descent.iteration,
-            "planned": placement.config.run.iterations,
-            "ended": result.ended,
-            "kept": result._kept.iteration,
-        },
-        "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
-        "outcomes": compared.outcomes(),
-        "ground": ground.table(),
-    }
-    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
-    progress.stage("figures and report")
-    folder.write_ground(ground.arrays(placement.ego.bounds_m()))
-    outcomes = [
-        [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
-    ]
-    draw_run(
-        folder,
-        {START: result.start, OPTIMISED: result.found},
-        objective=placement.objective,
-        scene=first,
-        assigned=_shown_scenes(test, outcomes),
-        say=progress.say,
+    constraints = placement.objective.constraints
+    drawing = RigDrawing(
+        folder.path,
+        result.start,
+        result.found,
+        first,
+        mount.surface,
+        constraints.min_spacing_m,
+        shows_zone=constraints.are_inequalities,
     )
+    with in_background(draw_rigs, drawing) as drawn:
+        rigs, began_as = _compared(result, progress)
+        compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
+        timer.end("comparison on the test scenes")
+        progress.stage("ground that no camera sees")
+        ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
+        timer.end("ground that no camera sees")
+        evaluation = {
+            **compared.to_json(),
+            "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
+            "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
+            "descent": {
+                "iterations": descent.iteration,
+                "planned": placement.config.run.iterations,
+                "ended": result.ended,
+                "kept": result._kept.iteration,
+            },
+            "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
+            "outcomes": compared.outcomes(),
+            "ground": ground.table(),
+        }
+        folder.write_evaluation({**evaluation, "seconds": timer.seconds})
+        progress.stage("figures and report")
+        folder.write_ground(ground.arrays(placement.ego.bounds_m()))
+        outcomes = [
+            [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
+        ]
+        draw_views(
+            folder,
+            {START: result.start, OPTIMISED: result.found},
+            objective=placement.objective,
+            assigned=_shown_scenes(test, outcomes),
+        )
+    problem = drawn.result()
+    if problem:
+        progress.say(f"no image of the rig: {problem}")
     timer.end("figures")
     evaluation = {**evaluation, "seconds": timer.seconds}
     folder.write_evaluation(evaluation)
@@ -319,7 +332,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     began_as = result.began_as
     return (
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.held_rig},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig},
     )
 
 

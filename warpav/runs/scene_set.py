@@ -36,16 +36,8 @@ if TYPE_CHECKING:
 VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-OBJECTIVE_KERNELS = tuple(
-    f"warpav_kernels.{name}"
-    for name in (
-        "raster.measure", "raster.window", "detection.detection_probability", "raster.image_flow", "raster.rasterise",
-        "raster.layers", "evaluation.ground", "raster.extent", "placement.constraint_losses", "raster.shade",
-        "raster.hide", "raster.linearise", "placement.mount_pose", "placement.expected_misses", "raster.view",
-        "placement.lagrangian", "detection.network_input",
-    )
-)  # fmt: skip
-"""Kernels that runs with the default losses launch, those that take longest to compile first."""
+RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.trace", "reconstruction")
+"""Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
@@ -165,7 +157,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    with compiling(OBJECTIVE_KERNELS, device=device):
+    with compiling(device, but=RARE_KERNELS):
         for k, scene in enumerate(scenes):
             ego = scene.ego if ego is None else ego
             if not is_same_vehicle(scene.ego, ego):
