@@ -6,7 +6,7 @@ import math
 import pytest
 
 from tests.experiments.small_experiment import config
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
@@ -102,7 +102,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
         InputError, match=r"arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
     ):
         find_arm("sgd_irf", own)
-    with pytest.raises(OptionError, match=r"got 'nuscene'; did you mean nuscenes\?"):
+    with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
     assert set(METHODS) < set(common_arms())
 

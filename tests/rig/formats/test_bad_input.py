@@ -33,7 +33,7 @@ def refusal(path, name, options=SIZED):
         import_rig_with_notes(path, name, options)
     text = str(caught.value)
     assert "\n" not in text
-    assert text.startswith((str(path), str(path.parent), "command line"))
+    assert text.startswith((str(path), str(path.parent), "command line", "fov_deg: ", "part: "))
     return text
 
 
