@@ -16,19 +16,20 @@ from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
-from warpav.optimisation.mount import RISE_M, X_M, Y_M
+from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion
 from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
 from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
+from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
 from warpav.runs.networks import load_detector, load_networks
 from warpav.runs.optimise import Optimisation, descent_from
 from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
@@ -37,7 +38,7 @@ from warpav.view.figures.rigs import OptimisedRig, SceneViews
 from warpav.view.figures.style import checked_png
 
 if TYPE_CHECKING:
-    from warpav.optimisation.gradient import Descent
+    from warpav.optimisation.descent import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 
@@ -121,11 +122,11 @@ def _optimised(placement: Placement, descent: Descent, progress: Progress, how: 
     mount, constraints = placement.objective.mount, placement.objective.constraints
     count = placement.config.run.iterations
     records = [descent.step() for _ in progress.steps(how, range(count), count=count)]
-    pose = descent.state()["pose_value"]
+    pose = descent.mount_pose
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
     if placement.config.optimiser.multiplier_learning_rate != 0.0:
-        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
+        pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
     return OptimisedRig(mount.rig(descent.start), np.array(positions, np.float64), mount.rig(pose))
 
 

@@ -9,7 +9,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import look_at_scenes, metrics_of
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress

@@ -15,10 +15,11 @@ from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
+from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount, constraints_of, mount_surface
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
-from warpav.runs.run_folder import RunFolder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
 from warpav.view import Canvas, drawing_of
 from warpav.view.output import ANIMATION_PX, Animation

@@ -7,7 +7,8 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +16,20 @@ import numpy as np
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import check_folder
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.events import trajectory
 from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder, check_folder, trajectory
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
-    from warpav.optimisation.objective import AssignedScene, RigObjective
+    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.objective import RigObjective
+    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.figures.detections import DetectionPanel
 
@@ -73,52 +78,74 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     return out
 
 
-def draw_run(
-    folder: RunFolder,
-    rigs: Mapping[str, Rig],
-    *,
-    objective: RigObjective,
-    scene: Scene,
-    assigned: Sequence[AssignedScene],
-    say: Callable[[str], None],
-) -> None:
-    """Draw the figures of a run into its folder, and keep what the cameras see for its report.
+@dataclass(frozen=True)
+class RigDrawing:
+    """What the figures of a run's rigs are drawn from; it travels to another process.
 
-    Args:
+    Attributes:
         folder: The run folder; its events are drawn too.
-        rigs: The start and the result, in this order, by their headings.
-        objective: Observes the scene through the rigs.
+        start: The rig that the run started from.
+        result: The rig that it found.
         scene: A test scene.
-        assigned: The same scene on the device, and others of which views are kept.
-        say: Called with a line when this machine cannot draw.
+        surface: Where cameras may stand.
+        min_spacing_m: Least distance of two cameras [m].
+        shows_zone: Whether the zone for cameras is drawn.
+    """
+
+    folder: Path
+    start: Rig
+    result: Rig
+    scene: Scene
+    surface: MountSurface
+    min_spacing_m: float
+    shows_zone: bool
+
+
+def draw_rigs(drawing: RigDrawing) -> str | None:
+    """Draw the figures of a run for which nothing has to be rendered as the cameras see it.
+
+    Returns:
+        Why this machine cannot draw the rig in three dimensions; None where it can.
     """
     from warpav.view import plot
     from warpav.view.figures.convergence import loss_curves
-    from warpav.view.figures.detections import detections_sheet
     from warpav.view.figures.top_view import rig_top_view
     from warpav.view.opengl import opengl_problem
 
-    start, result = rigs.values()
-    path_m, surface = trajectory(folder.events()), objective.mount.surface
-    spacing_m = objective.constraints.min_spacing_m
-    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
+    folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
+    path_m = trajectory(folder.events())
+    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
     rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,
         ego=scene.ego,
-        mount_surface=surface,
-        rig_initial=start,
+        mount_surface=drawing.surface,
+        rig_initial=drawing.start,
         trajectory_m=path_m,
-        shows_zone=objective.constraints.are_inequalities,
+        shows_zone=drawing.shows_zone,
     )
+    problem = opengl_problem()
+    if problem is None:
+        plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+    return problem
+
+
+def draw_views(
+    folder: RunFolder, rigs: Mapping[str, Rig], *, objective: RigObjective, assigned: Sequence[AssignedScene]
+) -> None:
+    """Draw what the cameras see into a run folder, and keep it for the report.
+
+    Args:
+        folder: The run folder.
+        rigs: The start and the result, in this order, by their headings.
+        objective: Observes the scenes through the rigs.
+        assigned: The scene that is drawn, and others of which views are kept.
+    """
+    from warpav.view.figures.detections import detections_sheet
+
     seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
     detections_sheet(seen[0], folder.figure_path("detections"))
     _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
-    problem = opengl_problem()
-    if problem:
-        say(f"no image of the rig: {problem}")
-        return
-    plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.executor import ExecutorName, Outcome
+from warpav.core.files import check_folder
 from warpav.runs.config import Config
 from warpav.runs.progress import RunDisplay
-from warpav.runs.run_folder import check_folder
 from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.store import (
     CaptureTask,

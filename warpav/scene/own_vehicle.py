@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 
@@ -307,7 +307,7 @@ def examine(
     if open_edges:
         hints.append(f"not watertight ({open_edges} open edges): it can be used, but cameras may see through gaps")
     if flat:
-        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; --out leaves them out")
+        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` leaves them out")
     if len(mesh.triangle) > MANY_TRIANGLES:
         hints.append(
             f"{len(mesh.triangle)} triangles take time in every view: some 10 000 show as much; decimate it, as in "
@@ -391,10 +391,10 @@ def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> lis
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
         return [
             VehicleProblem(
-                f"{text}, a length in no usual unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
+                f"{text}, a length in no usual unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
             )
         ]
-    with_scale = " with this --scale" if is_stated else ""
+    with_scale = " with this `scale`" if is_stated else ""
     scale = reading.scale * unit[1]
     return [VehicleProblem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
 
@@ -415,7 +415,7 @@ def _axis_findings(
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
                 "the cabin stands nearer to what is read as the front, as in pickups and lorries, or in vehicles that "
-                f"face backwards: if the picture shows one of these, add --forward {forward}"
+                f"face backwards: if the picture shows one of these, add `forward` {forward}"
             ]
         return [], []
     if not shape.is_up_sure and shape.up[-1] == "z":
@@ -446,14 +446,14 @@ def _place_findings(
     if rear_axle_m is not None:
         if not 0.0 <= rear_axle_m <= high[0] - low[0]:
             length = f"{high[0] - low[0]:.2f} m"
-            raise InputError(
-                f"--rear-axle: expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
+            raise ArgumentError(
+                "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
         middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
         target_m = np.array([low[0] + rear_axle_m, middle_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
-            problems.append(VehicleProblem("origin: it is not below the rear axle as --rear-axle states it", {}))
+            problems.append(VehicleProblem("origin: it is not below the rear axle as `rear_axle` states it", {}))
         return shift_m, problems, hints
     is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
     if is_declared and is_inside:
@@ -462,14 +462,14 @@ def _place_findings(
         if is_inside:
             hints.append(
                 "no wheels are to be seen, so whether the origin lies below the rear axle cannot be told; "
-                "--rear-axle 0.9 would put it 0.9 m before the rear end"
+                "`rear_axle` 0.9 would put it 0.9 m before the rear end"
             )
         else:
             problems.append(
                 VehicleProblem(
                     "origin: expected it below the vehicle, got "
                     f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
-                    "--rear-axle says how far before the rear end the rear axle is",
+                    "`rear_axle` says how far before the rear end the rear axle is",
                     {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
                 )
             )
@@ -485,7 +485,7 @@ def _place_findings(
             )
         )
     if len(wheels.axle_m) > 2:
-        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless --rear-axle says else")
+        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless `rear_axle` says else")
     return shift_m, problems, hints
 
 

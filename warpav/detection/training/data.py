@@ -346,7 +346,7 @@ def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
         RuntimeError: A scene could not be rendered.
         InputError: The folder holds other pictures.
     """
-    made_with = recipe(subset, CLASS_NAMES, Path(__file__).read_bytes())
+    made_with = recipe(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
     if note.is_file():
         if note.read_text() != made_with:

@@ -14,7 +14,8 @@ from warpav.core.yaml_file import read_yaml
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
-from warpav.runs.run_folder import ARM_ROWS, RunFolder
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS
 
 BoxPx = tuple[float, float, float, float]
 Content = TypeVar("Content")
@@ -189,7 +190,7 @@ class EvaluationRecord(_Part):
 
 
 class Event(_Part):
-    """An iteration of ``events.jsonl``, see `warpav.optimisation.gradient.IterationRecord`."""
+    """An iteration of ``events.jsonl``, see `warpav.optimisation.history.IterationRecord`."""
 
     iteration: int
     loss: float | None

@@ -19,7 +19,8 @@ from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import words
 from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
-from warpav.runs.run_folder import ARM_ROWS, RECALL_GROUPS, RunFolder, recall_rows
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS, RECALL_GROUPS, recall_rows
 from warpav.view.figures.convergence import convergence_panels
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
 from warpav.view.figures.style import svg_text

@@ -105,7 +105,18 @@ def headline(run: RunContent) -> Statement:
         alternatives = _listed(named["open"], "or")
         parts.append(f"cannot be distinguished from {alternatives} by what it detects")
     tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
-    return Statement("", f"The {evaluation.first} rig {_listed(parts)}.", tone)
+    text = f"The {evaluation.first} rig {_listed(parts)}."
+    if _is_worse_than_start(evaluation):
+        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
+    return Statement("", text, tone)
+
+
+def _is_worse_than_start(evaluation: EvaluationRecord) -> bool:
+    """Whether the objective of the rig that was found is higher than that of its start, or no number."""
+    training = evaluation.training_objective
+    if training is None or training.start is None:
+        return False
+    return training.optimised is None or training.optimised > training.start
 
 
 def summary(run: RunContent) -> list[Statement]:

@@ -161,19 +161,18 @@ def log_missed_kernel(
 
 
 @wp.kernel
-def missed_loss_kernel(
+def expected_misses_kernel(
     # in
     log_missed: wp.array[float],
-    place: int,
     # out
     loss: wp.array[float],
 ):
     """Expected number of missed objects.
 
     Launch: ``dim=1``; one thread sums in a fixed order.
-    Writes: ``loss[place]`` once.
+    Writes: ``loss[0]`` once.
     """
     total = float(0.0)
     for k in range(log_missed.shape[0]):
         total += wp.exp(log_missed[k])
-    loss[place] = total
+    loss[0] = total

@@ -1,47 +1,30 @@
-"""The configuration: one tree, read strictly from YAML and ``key=value`` overrides.
-
-A file and the overrides are joined first and validated once, so that both have the same rules and the same messages.
-Every mistake is reported at once, one line each: where it stands, the field, what was expected, what came, a hint.
-Units are part of the names; lengths and angles in files may also carry their own (``20 cm``, ``1.57 rad``).
-Relative paths are relative to the working directory.
-"""
+"""Sections of the configuration: every option, what it takes, and what it is by default."""
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import functools
-import inspect
 import math
-import operator
 import re
-import types
-import typing
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import annotated_types
-import yaml
 from pydantic import (
     BeforeValidator,
+    ConfigDict,
     Field,
     PlainSerializer,
-    ValidationError,
     WithJsonSchema,
     model_validator,
 )
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
-from warpav.core.yaml_file import Location, parse_yaml, read_yaml
+from warpav.core.yaml_file import parse_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
-    ONE_FIELD_LOSSES,
     LossSettings,
     OptimiserSettings,
     SegregationSettings,
@@ -49,14 +32,17 @@ from warpav.optimisation.settings import (
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.rig.presets import preset_names
+from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS
 
 if TYPE_CHECKING:
     from warpav.runs.placement import Placement
 
-COMMAND_LINE = "command line"
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""
+
+EXTENDS = "extends"
+"""Key of a file that names another file, on top of which it stands."""
 
 START_FILE = "rig_start.yaml"
 """A rig.start of this name is the file beside the configuration, as a run leaves it."""
@@ -470,11 +456,11 @@ class DetectorConfig(Section):
     model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
         default="builtin", description="builtin or the path of an ONNX file"
     )
-    confidence_min: float = Field(default=0.1, ge=0.0, lt=1.0, description="least confidence of a detection")
+    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="least confidence of a detection")
     iou_min: float = Field(
         default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
     )
-    nms_iou_max: float = Field(default=0.65, gt=0.0, le=1.0, description="boxes that overlap more are merged")
+    nms_iou_max: float = Field(default=0.5, gt=0.0, le=1.0, description="boxes that overlap more are merged")
     format: Literal[
         "auto",
         "ultralytics",
@@ -503,7 +489,7 @@ class DetectorConfig(Section):
 class BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
-    random_samples: int = Field(default=100, ge=1, le=1_000_000, description="random rigs of which the best is taken")
+    random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
 
 
@@ -523,8 +509,29 @@ class ExecutorConfig(Section):
     )
 
 
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Sections laid over others: what the upper ones leave out comes from below."""
+    result = dict(below)
+    for name, value in above.items():
+        under = result.get(name)
+        is_section = isinstance(under, Mapping) and isinstance(value, Mapping)
+        result[name] = merged(under, value) if is_section else value
+    return result
+
+
+def _add_extends(schema: dict[str, Any]) -> None:
+    """Let editors know the key that files have besides the options."""
+    text = "YAML file, beside this one or by its path, or shipped name, on top of which this file stands"
+    schema["properties"][EXTENDS] = {"type": "string", "description": text}
+
+
 class Config(Section):
-    """Everything that a run of warpav can be told."""
+    """Everything that a run of warpav can be told.
+
+    What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_add_extends)
 
     run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
     device: Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")] = Field(
@@ -564,6 +571,8 @@ class Config(Section):
         Raises:
             InputError: Anything is wrong; one line a mistake.
         """
+        from warpav.runs.config.load import load_config
+
         return load_config(path, overrides, origin="override")
 
     def placement(self) -> Placement:
@@ -578,14 +587,17 @@ class Config(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _add_losses_of_method(cls, data: object) -> object:
+    def _complete(cls, data: object) -> object:
         if not isinstance(data, dict):
             return data
         method = data.get("method", cls.model_fields["method"].default)
-        losses = data.get("losses", {})
-        if not isinstance(method, str) or method not in METHOD_LOSSES or not isinstance(losses, dict):
+        if not isinstance(method, str) or method not in METHOD_LOSSES:
             return data  # refused in a moment, with its place
-        return {**data, "losses": {**METHOD_LOSSES[method], **losses}}
+        if isinstance(data.get("losses"), dict):
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
+        if method == "thesis":
+            return merged(shipped_values("thesis"), data)
+        return merged({"losses": METHOD_LOSSES[method]}, data)
 
     @model_validator(mode="after")
     def _check(self) -> Config:
@@ -647,7 +659,7 @@ class Config(Section):
         if self.camera.lens != "pinhole":
             text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
             mistake(text, "rig.free.fov_deg", "camera.lens")
-        alike = [name for name in ONE_FIELD_LOSSES if getattr(self.losses, name)]
+        alike = self.losses.one_field
         if alike:
             mistake(
                 f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
@@ -655,186 +667,6 @@ class Config(Section):
                 "rig.free.fov_deg",
                 f"losses.{alike[0]}",
             )
-
-
-def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:
-    """The configuration of a YAML file and ``key=value`` overrides.
-
-    Args:
-        path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
-        overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
-        origin: What messages call the source of the overrides.
-
-    Returns:
-        The validated, immutable tree.
-
-    Raises:
-        InputError: Anything is wrong; one line per mistake, each with its place, its field, what was expected and
-            what came.
-    """
-    file = find_config(path) if path is not None else None
-    data, line_of = _read_file(file) if file else ({}, {})
-    rig = data.get("rig")
-    if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
-        rig["start"] = str((file.parent / START_FILE).absolute())
-    return _validated(data, overrides, file, line_of, origin)
-
-
-def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
-    """The configuration with other values for some options.
-
-    Args:
-        config: The configuration.
-        overrides: As of :func:`load_config`.
-        origin: What messages call the source of the overrides; None: they do not name it.
-
-    Raises:
-        InputError: An override is wrong, or does not fit the rest.
-    """
-    return _validated(config.model_dump(mode="json"), overrides, None, {}, origin)
-
-
-def with_absolute_paths(config: Config) -> Config:
-    """The same configuration, whose files are found from every working directory; ``run.out`` stays as it is."""
-    overrides = []
-    for option, value in (
-        ("scenes.folder", config.scenes.folder),
-        ("scenes.ego", config.scenes.ego),
-        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
-        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
-        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
-    ):
-        if value is not None:
-            overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
-    return changed_config(config, overrides) if overrides else config
-
-
-def _is_path(start: str) -> bool:
-    path = Path(start).expanduser()
-    return start not in NAMED_STARTS and (path.is_file() or (path / "config.yaml").is_file())
-
-
-def overridden_option(override: str) -> str:
-    """The option's name in an override such as ``rig.cameras=6``.
-
-    Raises:
-        InputError: It is none.
-    """
-    return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
-
-
-def _validated(
-    data: dict[str, Any],
-    overrides: Sequence[str],
-    file: Path | None,
-    line_of: Mapping[Location, int],
-    origin: str | None = COMMAND_LINE,
-) -> Config:
-    override_of: dict[Location, str] = {}
-    for override in overrides:
-        place = _override_place(override, origin)
-        location, value = _read_override(override, place)
-        override_of[location] = place
-        _put(data, location, value, place)
-    try:
-        return Config.model_validate(data)
-    except ValidationError as error:
-        lines = [_explain(found, file, line_of, override_of) for found in error.errors(include_url=False)]
-        raise InputError("\n".join(dict.fromkeys(lines))) from None
-
-
-@contextlib.contextmanager
-def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[Config]:
-    """The configuration as of :func:`load_config`, to be used inside a ``with`` block.
-
-    What turns out wrong with an option only when it is used is told as what is wrong with it at once: with the file
-    and the line, or the override, where it stands.
-
-    Raises:
-        InputError: As :func:`load_config`; and for every :class:`OptionError` of the block.
-    """
-    config = load_config(path, overrides)
-    try:
-        yield config
-    except OptionError as error:
-        file = find_config(path)
-        override_of = {_read_override(each)[0]: _override_place(each, COMMAND_LINE) for each in overrides}
-        place = _place(tuple(error.option.split(".")), file, _read_file(file)[1], override_of)
-        raise InputError(f"{place}: {error}") from None
-
-
-def dump_config(config: Config) -> str:
-    """The whole tree as YAML that :func:`load_config` reads back to an equal tree."""
-    return yaml.dump(config.model_dump(mode="json"), Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
-
-
-def option_values(config: Config) -> dict[str, object]:
-    """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
-    tree = config.model_dump(mode="json")
-    return {
-        ".".join(location): functools.reduce(operator.getitem, location, tree) for location in _option_locations(Config)
-    }
-
-
-@dataclass(frozen=True)
-class DescribedOption:
-    """One option of the configuration, for documentation.
-
-    Attributes:
-        name: Dotted, such as ``rig.cameras``.
-        section: Dotted name of its section; empty for what stands at the top.
-        section_description: What the section is about.
-        expected: What the option takes, in words: type, unit, range.
-        default: As written in files.
-        description: What it does.
-    """
-
-    name: str
-    section: str
-    section_description: str
-    expected: str
-    default: object
-    description: str
-
-
-def described_options() -> Iterator[DescribedOption]:
-    """Every option with what is known of it, in the order of the tree, what stands at the top first."""
-    default_of = option_values(Config())
-
-    def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
-        inner = {name: _section_of(field.annotation) for name, field in section.model_fields.items()}
-        for name, field in section.model_fields.items():
-            if inner[name] is None:
-                yield DescribedOption(
-                    name=prefix + name,
-                    section=prefix.rstrip("."),
-                    section_description=inspect.getdoc(section) or "",
-                    expected=_expected(field),
-                    default=default_of[prefix + name],
-                    description=field.description or "",
-                )
-        for name, below in inner.items():
-            if below is not None:
-                yield from walk(below, f"{prefix}{name}.")
-
-    return walk(Config, "")
-
-
-def overrides_from(base: Config, config: Config) -> list[str]:
-    """The overrides that make one configuration of another, as :func:`load_config` takes them.
-
-    Args:
-        base: The configuration that is overridden.
-        config: What it becomes.
-    """
-    before = option_values(base)
-    changed = {name: value for name, value in option_values(config).items() if value != before[name]}
-    return [f"{name}={flow_text(value)}" for name, value in changed.items()]
-
-
-def flow_text(value: object) -> str:
-    """A value as YAML on one line."""
-    return yaml.safe_dump(value, default_flow_style=True, width=math.inf, allow_unicode=True).partition("\n")[0]
 
 
 def read_seeds(text: str, place: str) -> tuple[int, ...]:
@@ -851,219 +683,3 @@ def read_seeds(text: str, place: str) -> tuple[int, ...]:
         return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
     except PydanticCustomError as error:
         raise InputError(f"{place}: {error.message()}") from None
-
-
-def config_dir() -> Path:
-    """The folder of the shipped configurations: the installed package's own, else the checkout's."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "configs", package.parent / "configs"):
-        if (folder / "quick.yaml").is_file():
-            return folder
-    raise InputError(f"shipped configurations: expected a folder configs in {package}, got none; reinstall warpav")
-
-
-def config_names() -> list[str]:
-    """Names of the shipped configurations, such as ``quick``."""
-    return sorted(file.stem for file in config_dir().glob("*.yaml"))
-
-
-def find_config(path: str | Path) -> Path:
-    """The file that ``path`` means: an existing file, or a shipped configuration by its name.
-
-    Raises:
-        InputError: Neither exists.
-    """
-    file = Path(path).expanduser()
-    if file.is_file():
-        return file
-    shipped = config_dir() / f"{file.stem}.yaml"
-    named = str(path) in (file.stem, shipped.name, f"configs/{shipped.name}")
-    if named and shipped.is_file():
-        return shipped
-    if (file / "config.yaml").is_file():
-        raise InputError(
-            f"{path}: config: expected a YAML file or a shipped name, got a run folder; {file / 'config.yaml'} repeats "
-            f"it, rig.start={file} begins with its rig"
-        )
-    near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
-    hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
-    raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
-
-
-def _read_file(file: Path) -> tuple[dict[str, Any], dict[Location, int]]:
-    data, line_of = read_yaml(file)
-    if data is not None and not isinstance(data, dict):
-        raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {shown(data)}")
-    if data is not None and {"frame", "cameras"} <= data.keys():
-        raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
-    return data or {}, line_of
-
-
-class _FlowListDumper(yaml.SafeDumper):
-    """Dumper that writes lists on one line."""
-
-
-_FlowListDumper.add_representer(
-    list, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=True)
-)
-
-
-def _override_place(override: str, origin: str | None) -> str:
-    """Where an override stands, for messages; empty where that needs no saying."""
-    return "" if origin is None else f"{origin} ({override})"
-
-
-def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, object]:
-    key, equals, text = override.partition("=")
-    location = tuple(part.strip() for part in key.split("."))
-    if not equals or not all(location):
-        near = difflib.get_close_matches(key, [".".join(name) for name in _option_locations(Config)], 1, 0.6)
-        hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
-        raise InputError(_placed(place, f"expected key=value, got {override!r}; {hint}"))
-    return location, parse_yaml(text, place or key, has_lines=False)[0]
-
-
-def _placed(place: str, text: str) -> str:
-    return f"{place}: {text}" if place else text
-
-
-def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:
-    for depth, part in enumerate(location[:-1], start=1):
-        if data.get(part) is None:
-            data[part] = {}
-        data = data[part]
-        if not isinstance(data, dict):
-            outer = ".".join(location[:depth])
-            raise InputError(_placed(place, f"{outer}: expected a section, got {shown(data)} in the file"))
-    data[location[-1]] = value
-
-
-def _section_of(annotation: object) -> type[Section] | None:
-    return annotation if isinstance(annotation, type) and issubclass(annotation, Section) else None
-
-
-def _option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
-    for name, field in section.model_fields.items():
-        inner = _section_of(field.annotation)
-        if inner:
-            yield from _option_locations(inner, (*prefix, name))
-        else:
-            yield (*prefix, name)
-
-
-def _explain(
-    found: Mapping[str, Any],
-    file: Path | None,
-    line_of: Mapping[Location, int],
-    override_of: Mapping[Location, str],
-) -> str:
-    """One line about one mistake that the validation found."""
-    section: type[Section] = Config
-    field: FieldInfo | None = None
-    location: Location = ()
-    for part in found["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
-        known = section.model_fields.get(str(part)) if field is None else None
-        if field is not None:
-            break
-        location = (*location, str(part))
-        inner = _section_of(known.annotation) if known else None
-        if inner:
-            section = inner
-        else:
-            field = known
-            if known is None:
-                break
-    fields = found.get("ctx", {}).get("fields", ()) if found["type"] == "mistake" else ()
-    locations = [(*location, *name.split(".")) for name in fields] or [location]
-    overridden = [name for name in locations if _override_at(name, override_of) is not None]
-    written = [name for name in locations if name in line_of]
-    place = _place((overridden or written or locations)[0], file, line_of, override_of)
-    location = locations[0]
-
-    if found["type"] == "extra_forbidden":
-        text = _unknown_option(section, location)
-    elif found["type"] == "mistake":
-        text = found["ctx"]["text"]
-    elif field is None:
-        text = f"expected a section with {', '.join(section.model_fields)}, got {shown(found['input'])}"
-    else:
-        default = "null" if field.get_default() is None else shown(field.get_default())
-        text = f"expected {_expected(field)}, got {shown(found['input'])}"
-        choices = [str(choice) for choice in _choices(field)]
-        near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
-        text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
-    return _placed(place, f"{'.'.join(location)}: {text}")
-
-
-def _override_at(location: Location, override_of: Mapping[Location, str]) -> str | None:
-    for key, override in reversed(list(override_of.items())):
-        if key[: len(location)] == location or location[: len(key)] == key:
-            return override
-    return None
-
-
-def _place(
-    location: Location,
-    file: Path | None,
-    line_of: Mapping[Location, int],
-    override_of: Mapping[Location, str],
-) -> str:
-    override = _override_at(location, override_of)
-    if override is not None:
-        return override
-    if file is None:
-        return "defaults"
-    for length in range(len(location), 0, -1):
-        if location[:length] in line_of:
-            return f"{file}:{line_of[location[:length]]}"
-    return str(file)
-
-
-def _unknown_option(section: type[Section], location: Location) -> str:
-    names = list(section.model_fields)
-    unknown = location[-1]
-    elsewhere = [".".join(name) for name in _option_locations(Config) if name[-1] == unknown]
-    near = difflib.get_close_matches(unknown, names, 1, 0.5)
-    hint = elsewhere[0] if elsewhere else ".".join((*location[:-1], near[0])) if near else ""
-    return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
-
-
-def _choices(field: FieldInfo) -> tuple[object, ...]:
-    return typing.get_args(field.annotation) if typing.get_origin(field.annotation) is Literal else ()
-
-
-def _expected(field: FieldInfo) -> str:
-    """What a field expects, in words, from its type and its limits."""
-    annotation, metadata, optional = field.annotation, list(field.metadata), ""
-    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
-        inner = next(member for member in typing.get_args(annotation) if member is not type(None))
-        annotation, optional = inner, ", or null"
-        if typing.get_origin(inner) is Annotated:
-            annotation = typing.get_args(inner)[0]
-            metadata += typing.get_args(inner)[1:]
-    words = next((item for item in metadata if isinstance(item, Expectation)), None)
-    if _choices(field):
-        return " or ".join([", ".join(map(str, _choices(field)[:-1])), str(_choices(field)[-1])]).removeprefix(" or ")
-    limits = _limits(metadata, words.unit if words else "")
-    if words:
-        return words.text.replace("{range}", limits) + optional
-    noun = {bool: "true or false", int: "a whole number", float: "a number"}.get(typing.cast(type, annotation), "text")
-    return noun + limits + optional
-
-
-def _limits(metadata: Sequence[object], unit: str) -> str:
-    low = high = ""
-    for item in metadata:
-        if isinstance(item, annotated_types.Ge):
-            low = f" from {_number(item.ge)}{unit}"
-        elif isinstance(item, annotated_types.Gt):
-            low = f" above {_number(item.gt)}{unit}"
-        elif isinstance(item, annotated_types.Le):
-            high = f" to {_number(item.le)}{unit}"
-        elif isinstance(item, annotated_types.Lt):
-            high = f" below {_number(item.lt)}{unit}"
-    return low + (f" and{high}" if low and high.startswith(" below") else high)
-
-
-def _number(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -9,17 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import roof
-from tests.optimisation.test_gradient import WholeImageDetector, changed, street_scenes
-from tests.optimisation.thesis_losses import thesis_losses
+from tests.optimisation.objectives import rig_objective, thesis_losses
+from tests.optimisation.test_descent import WholeImageDetector, changed, street_scenes
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.gradient import Descent
-from warpav.optimisation.missed import Stage
-from warpav.optimisation.mount import LOG_ZOOM, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings
-from warpav.optimisation.starts import exchange_cameras, first_rigs, look_at_starts
+from warpav.optimisation.starts import evaluate_starts, exchange_cameras, first_rigs
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
@@ -39,22 +38,22 @@ ROOF = camera("roof", [0.6, 0.4, 1.77], 91.0)
 MAST = camera("mast", [0.7, -0.3, 2.6], -170.0, 10.0, model=NARROW)
 
 
-def held_mount(*cameras, names=("bumper",), free=None, model=MODEL, surface=None):
+def frozen_mount(*cameras, names=("bumper",), free=None, model=MODEL, surface=None):
     mount = CameraMount(surface or roof(), camera=model, height_offset_m=0.25, free=free)
-    return mount.holding(Rig.create(cameras or (BUMPER, ROOF)), names)
+    return mount.freezing(Rig.create(cameras or (BUMPER, ROOF)), names)
 
 
 def constraints_of(mount, **options):
-    count = len(mount.held.is_held)
-    return ZoneAndSpacing(mount.surface, camera_count=count, margin_m=0.02, held=mount.held, **options)
+    count = len(mount.frozen.is_frozen)
+    return ZoneAndSpacing(mount.surface, camera_count=count, margin_m=0.02, frozen=mount.frozen, **options)
 
 
 def objective_of(mount):
-    return RigObjective(
+    return rig_objective(
         mount,
         WholeImageDetector(),
-        camera_count=len(mount.held.is_held),
-        settings=LossSettings(missed=1.0),
+        camera_count=len(mount.frozen.is_frozen),
+        settings=LossSettings(expected_miss_rate=1.0),
         multiplier_damping=10.0,
         constraints=constraints_of(mount),
         iou_min=0.01,
@@ -73,7 +72,7 @@ def size_alone():
 
 
 def test_what_is_held_is_the_same_to_the_last_bit_whatever_the_pose(rng, tmp_path):
-    mount = held_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
+    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
     for k in range(5):
         rig = mount.rig(rng.normal(0.0, 2.0, (3, 7)) * [1, 1, 1, 1, 1, 1, 0])
         assert [each.name for each in rig.cameras] == ["mast", "roof", "bumper"]
@@ -88,8 +87,8 @@ def test_what_is_held_is_the_same_to_the_last_bit_whatever_the_pose(rng, tmp_pat
 
 
 def test_its_mount_pose_is_where_it_stands():
-    mount = held_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
-    views = mount.place(wp.array(mount.held.mount_pose, dtype=float), 1)
+    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
+    views = mount.place(wp.array(mount.frozen.mount_pose, dtype=float), 1)
     for view, expected in enumerate((MAST, ROOF, BUMPER)):
         # single precision; worst seen 1.2e-7 m and 1.2e-7
         np.testing.assert_allclose(views.position_ego_m.numpy()[view], expected.position_m, atol=1e-6)
@@ -100,33 +99,33 @@ def test_its_mount_pose_is_where_it_stands():
 
 def test_the_narrowest_camera_says_how_often_a_camera_turns_to_look_all_round():
     assert CameraMount(roof(), camera=MODEL, height_offset_m=0.25).rotation_count == 4
-    assert held_mount(MAST, ROOF, names=("mast",)).rotation_count == 9
-    assert held_mount(BUMPER, ROOF).rotation_count == 4
+    assert frozen_mount(MAST, ROOF, names=("mast",)).rotation_count == 9
+    assert frozen_mount(BUMPER, ROOF).rotation_count == 4
 
 
 def test_another_lens_cannot_be_held():
     fisheye = CameraModel(64, 64, math.radians(190.0), lens=Lens.FISHEYE)
     for model in (CameraModel(64, 32, math.pi / 2), fisheye):
         with pytest.raises(ValueError, match="camera 'odd' must differ from the mount's in zoom alone"):
-            held_mount(camera("odd", [0.5, 0.0, 1.8], model=model), ROOF, names=("odd",))
-    held = held_mount(camera("odd", [0.5, 0, 1.8], model=fisheye), ROOF, names=("odd",), model=fisheye)
-    assert held.has_model(fisheye)
+            frozen_mount(camera("odd", [0.5, 0.0, 1.8], model=model), ROOF, names=("odd",))
+    frozen = frozen_mount(camera("odd", [0.5, 0, 1.8], model=fisheye), ROOF, names=("odd",), model=fisheye)
+    assert frozen.has_model(fisheye)
     other = CameraModel(64, 64, math.radians(150.0), lens=Lens.FISHEYE)
     with pytest.raises(ValueError, match="must differ from the mount's in zoom alone"):
-        held_mount(camera("odd", [0.5, 0, 1.8], model=other), ROOF, names=("odd",), model=fisheye)
+        frozen_mount(camera("odd", [0.5, 0, 1.8], model=other), ROOF, names=("odd",), model=fisheye)
 
 
 @pytest.mark.parametrize("names", [("none",), ("bumper", "none"), ("bumper", "roof")])
 def test_names_are_some_of_the_rigs_and_not_all(names):
     with pytest.raises(ValueError, match="names must be some of the rig's cameras and not all"):
-        held_mount(names=names)
+        frozen_mount(names=names)
 
 
 def test_losses_of_the_thesis_refuse_several_fields_of_view():
     with pytest.raises(ValueError, match="one field of view for all cameras, got several"):
-        RigObjective(held_mount(), WholeImageDetector(), camera_count=2, settings=thesis_losses())
-    same = held_mount(camera("bumper", BUMPER.position_m), ROOF)
-    RigObjective(same, WholeImageDetector(), camera_count=2, settings=thesis_losses())
+        rig_objective(frozen_mount(), WholeImageDetector(), camera_count=2, settings=thesis_losses())
+    same = frozen_mount(camera("bumper", BUMPER.position_m), ROOF)
+    rig_objective(same, WholeImageDetector(), camera_count=2, settings=thesis_losses())
 
 
 # --- constraints ----------------------------------------------------------------------------------------------------
@@ -134,7 +133,7 @@ def test_losses_of_the_thesis_refuse_several_fields_of_view():
 
 def test_the_place_of_what_is_held_breaks_nothing_but_others_keep_away_from_it():
     pair = (camera("left", [0.6, 0.05, 1.75]), camera("right", [0.6, -0.05, 1.75]))
-    mount = held_mount(*pair, BUMPER, ROOF, names=("left", "right", "bumper"))
+    mount = frozen_mount(*pair, BUMPER, ROOF, names=("left", "right", "bumper"))
     constraints = constraints_of(mount)
     assert constraints.names == ("zone_3", "spacing_0_3", "spacing_1_3", "spacing_2_3")
     assert constraints.violation_m(Rig.create((*pair, BUMPER, ROOF))) == 0.0
@@ -145,7 +144,7 @@ def test_the_place_of_what_is_held_breaks_nothing_but_others_keep_away_from_it()
 
 
 def test_the_same_inequalities_as_without_holding(rng):
-    mount = held_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
+    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
     constraints = constraints_of(mount)
     every = ZoneAndSpacing(mount.surface, camera_count=3, margin_m=0.02)
     pose = mount.within(rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32))
@@ -163,24 +162,24 @@ def test_projections_go_around_what_is_held(numbers, which):
     names = [each.name for k, each in enumerate(rig) if which >> k & 1]
     if not 0 < len(names) < 4:
         return
-    mount = held_mount(*rig, names=names)
+    mount = frozen_mount(*rig, names=names)
     constraints = constraints_of(mount)
     space = SearchSpace.over(mount, 4, constraints=constraints)
     pose = np.zeros((4, 7))
     pose[:, [X_M, Y_M]] = np.reshape(numbers, (4, 2))
     found = space.feasible(pose)
-    np.testing.assert_array_equal(found[mount.held.is_held], mount.held.mount_pose[mount.held.is_held])
+    np.testing.assert_array_equal(found[mount.frozen.is_frozen], mount.frozen.mount_pose[mount.frozen.is_frozen])
     assert constraints.violation_m(mount.rig(found)) == 0.0
     np.testing.assert_allclose(space.feasible(found), found, atol=1e-6)
 
 
 def test_random_places_keep_away_from_what_is_held(rng):
-    mount = held_mount(ROOF, camera("a", [1, 0, 1.7]), camera("b", [1, 0.3, 1.7]), names=("roof",))
+    mount = frozen_mount(ROOF, camera("a", [1, 0, 1.7]), camera("b", [1, 0.3, 1.7]), names=("roof",))
     constraints = constraints_of(mount, min_spacing_m=0.5)
     space = SearchSpace.over(mount, 3, constraints=constraints)
     for _ in range(20):
         pose = space.random(rng).astype(np.float32)
-        np.testing.assert_array_equal(pose[0], mount.held.mount_pose[0])
+        np.testing.assert_array_equal(pose[0], mount.frozen.mount_pose[0])
         assert constraints.violation_m(mount.rig(pose)) == 0.0
 
 
@@ -188,21 +187,21 @@ def test_random_places_keep_away_from_what_is_held(rng):
 
 
 def test_searches_move_the_others_alone(rng):
-    mount = held_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"), free=FreeRanges(pitch_rad=(-0.3, 0.3)))
+    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"), free=FreeRanges(pitch_rad=(-0.3, 0.3)))
     space = SearchSpace.over(mount, 3, constraints=constraints_of(mount))
     assert space.size == 4  # x, y, yaw and pitch of one camera
     for rig in (space.pose_of(rng.uniform(0.0, 1.0, 4)), space.pose_of(rng.normal(0.0, 9.0, 4))):
-        np.testing.assert_array_equal(rig[[0, 2]], mount.held.mount_pose[[0, 2]])
+        np.testing.assert_array_equal(rig[[0, 2]], mount.frozen.mount_pose[[0, 2]])
     rigs = first_rigs(space, rng)
     for _ in range(8):
-        np.testing.assert_array_equal(next(rigs)[[0, 2]], mount.held.mount_pose[[0, 2]])
+        np.testing.assert_array_equal(next(rigs)[[0, 2]], mount.frozen.mount_pose[[0, 2]])
 
 
 def test_cameras_are_put_in_order_around_what_is_held(rng):
-    mount = held_mount(ROOF, BUMPER, MAST, names=("bumper",))
+    mount = frozen_mount(ROOF, BUMPER, MAST, names=("bumper",))
     yaw_rad = np.array([math.pi / 2, 0.0, -math.pi / 2])
     space = SearchSpace.over(mount, 3, constraints=constraints_of(mount), yaw_rad=yaw_rad)
-    pose = mount.held.mount_pose.copy()
+    pose = mount.frozen.mount_pose.copy()
     pose[:, YAW_RAD] = [-1.5, 1.4, 1.6]
     np.testing.assert_array_equal(space.in_order(pose)[:, YAW_RAD], pose[[2, 1, 0], YAW_RAD])
 
@@ -212,18 +211,18 @@ def test_what_is_held_is_not_exchanged(rng):
     chance[7] = 1.0
     first = np.array([0, 1, 2])
     assert 7 in exchange_cameras(chance, first)
-    held = exchange_cameras(chance, first, is_held=np.array([True, False, True]))
-    np.testing.assert_array_equal(held, [0, 7, 2])
+    frozen = exchange_cameras(chance, first, is_frozen=np.array([True, False, True]))
+    np.testing.assert_array_equal(frozen, [0, 7, 2])
 
 
 def test_all_starts_hold_it():
-    mount = held_mount(ROOF, BUMPER)
+    mount = frozen_mount(ROOF, BUMPER)
     objective = objective_of(mount)
     space = SearchSpace.over(mount, 2, constraints=objective.constraints)
     known = mount.start_pose_of_rig(Rig.create((ROOF, BUMPER)))
-    starts = look_at_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
+    starts = evaluate_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
     for start in starts:
-        np.testing.assert_array_equal(start.mount_pose[1], mount.held.mount_pose[1])
+        np.testing.assert_array_equal(start.mount_pose[1], mount.frozen.mount_pose[1])
     assert len({start.mount_pose[0].tobytes() for start in starts}) > 3
 
 
@@ -233,21 +232,21 @@ def test_all_starts_hold_it():
 def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
     rig = Rig.create((ROOF, camera("bumper", BUMPER.position_m, 12.3, -4.5, 6.7)))
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
-    held = mount.holding(rig, ["bumper"])
-    pose, scenes, stage = held.held.mount_pose, street_scenes(), Stage(0.5, 0.0)
-    objective = objective_of(held)
-    found = objective.evaluate(pose, scenes, gradient=True, stage=stage)
-    free = RigObjective(
+    frozen = mount.freezing(rig, ["bumper"])
+    pose, scenes, stage = frozen.frozen.mount_pose, street_scenes(), LossSchedule(0.5, 0.0)
+    objective = objective_of(frozen)
+    found = objective.evaluate(pose, scenes, gradient=True, schedule=stage)
+    free = rig_objective(
         mount,
         WholeImageDetector(),
         camera_count=2,
-        settings=objective.settings,
+        settings=LossSettings(expected_miss_rate=1.0),
         constraints=ZoneAndSpacing(mount.surface, camera_count=2, margin_m=0.02),
         iou_min=0.01,
         probability=size_alone(),
     )
     # without multipliers the zone that the bumper is out of counts by its damping alone, and for itself
-    expected = free.evaluate(pose, scenes, gradient=True, stage=stage)
+    expected = free.evaluate(pose, scenes, gradient=True, schedule=stage)
     np.testing.assert_array_equal(found.gradient[1], 0.0)
     assert np.abs(expected.gradient[1]).max() > 0.0
     assert np.abs(found.gradient[0, [X_M, Y_M, YAW_RAD]]).max() > 0.0
@@ -260,7 +259,7 @@ def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
 @pytest.mark.parametrize("free", [None, FreeRanges((-0.3, 0.3), (0.05, 0.6), (math.radians(60), math.radians(110)))])
 def test_a_descent_leaves_it_alone_and_improves_the_others(free):
     rig = Rig.create((camera("roof", [1.2, 0.3, 1.75], 160.0), BUMPER))
-    mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free).holding(rig, ["bumper"])
+    mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free).freezing(rig, ["bumper"])
     start = mount.start_pose_of_rig(rig)
     further = start.copy()
     further[0, YAW_RAD] = -1.0
@@ -276,14 +275,14 @@ def test_a_descent_leaves_it_alone_and_improves_the_others(free):
     )
     for _ in range(16):
         descent.step()
-        np.testing.assert_array_equal(descent.state()["pose_value"][1], mount.held.mount_pose[1])
+        np.testing.assert_array_equal(descent.mount_pose[1], mount.frozen.mount_pose[1])
     best = descent.finish()
     for each in descent.candidates:
-        np.testing.assert_array_equal(each.mount_pose[1], mount.held.mount_pose[1])
+        np.testing.assert_array_equal(each.mount_pose[1], mount.frozen.mount_pose[1])
     assert best.training_objective < descent.candidates[0].training_objective
     found = mount.rig(best.mount_pose)
     np.testing.assert_array_equal(found.cameras[1].ego_from_camera, BUMPER.ego_from_camera)
     assert found.cameras[1].model == WIDE
     assert descent.objective.constraints.violation_m(found) == 0.0
-    assert mount.held.mount_pose[1, RISE_M] < -0.5
-    assert mount.held.mount_pose[1, LOG_ZOOM] < -0.5  # wider than any other may be
+    assert mount.frozen.mount_pose[1, HEIGHT_DELTA_M] < -0.5
+    assert mount.frozen.mount_pose[1, LOG_ZOOM] < -0.5  # wider than any other may be

@@ -10,15 +10,18 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
-from tests.optimisation.thesis_losses import thesis_losses
+from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
+from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.adamw import MultiplierAscent
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.gradient import Descent, MultiplierAscent
-from warpav.optimisation.losses import lagrangian_of
-from warpav.optimisation.missed import Stage
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import AssignedScene, Evaluation, RigObjective
+from warpav.optimisation.objective import Evaluation
 from warpav.optimisation.rivals import gradient_renders
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
@@ -33,6 +36,8 @@ SETTINGS = OptimiserSettings(
     check_every=5,
     panorama_until=0.0,
     detector_from=0.0,
+    weight_decay=1e-3,
+    starts=1,
 )
 LONG_STEPS = {"learning_rate_position_m": 0.25, "learning_rate_yaw_deg": math.degrees(0.25), "schedule": "constant"}
 
@@ -55,7 +60,7 @@ class WholeImageDetector:
 
 def street_objective(device="cpu", **settings):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-    return RigObjective(mount, WholeImageDetector(), camera_count=2, settings=thesis_losses(**settings), iou_min=0.01)
+    return rig_objective(mount, WholeImageDetector(), camera_count=2, settings=thesis_losses(**settings), iou_min=0.01)
 
 
 def street_scenes(device="cpu"):
@@ -135,7 +140,7 @@ def test_keep_last_takes_the_last_pose(finished):
     descent, records, result = run(changed(keep="last"), iterations=3)
     assert [r.training_objective is None for r in records] == [False, True, True]
     assert result.iteration == 3
-    np.testing.assert_allclose(result.mount_pose[:, YAW_RAD], descent.state()["pose_value"][:, YAW_RAD])
+    np.testing.assert_allclose(result.mount_pose[:, YAW_RAD], descent.mount_pose[:, YAW_RAD])
 
 
 def test_keep_best_never_ends_worse_than_the_start():
@@ -152,16 +157,18 @@ class Slope:
     """A stand-in for the objective: a linear loss, so that every step of the optimiser can be followed by hand."""
 
     device = "cpu"
-    last_stage = Stage()
+    final_schedule = LossSchedule()
 
     def __init__(self, total=1.0):
         self.mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
-        self.settings = thesis_losses()
+        self.needs_panorama = True
         self.constraints = BoundsAndSpacing(roof())
         self.total = total
         self.multipliers = []
 
-    def evaluate(self, mount_pose, scenes, *, multiplier=None, gradient=False, stage=None, chances=False):
+    def evaluate(
+        self, mount_pose, scenes, *, multiplier=None, gradient=False, schedule=None, detection_probability=False
+    ):
         if gradient:
             self.multipliers.append(multiplier)
         slope = np.arange(1, 15, dtype=np.float32).reshape(2, 7) * [[1], [-1]]
@@ -177,7 +184,7 @@ class Slope:
 
 @pytest.mark.parametrize("schedule", ["constant", "cosine"])
 def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
-    settings = OptimiserSettings(schedule=schedule, keep="last", multiplier_weight_decay=0.05)
+    settings = changed(**LONG_STEPS | {"schedule": schedule, "keep": "last", "multiplier_weight_decay": 0.05})
     slope = Slope()
     descent, records, _ = run(settings, objective=slope, scenes=street_scenes(), iterations=8, batch_size=4)
     pose = thesis.AdamW(START, weight_decay=settings.weight_decay)
@@ -192,7 +199,7 @@ def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
         pose.step(gradient * [1, 1, 1, 0, 0, 0, 0], np.array([0.25] * 3 + [0.0] * 4) * share)
         multiplier.step(np.array([0.5, 0.0]), np.full(2, -0.25))
     # the thesis turns cameras about the vertical only
-    np.testing.assert_array_equal(descent.state()["pose_value"][:, 3:], START[:, 3:])
+    np.testing.assert_array_equal(descent.mount_pose[:, 3:], START[:, 3:])
     assert records[-1].multipliers["out_of_bounds"] > 1.0
     assert records[-1].multipliers["camera_spacing"] == 0.0
 
@@ -218,13 +225,13 @@ class Scripted(Slope):
     def __init__(self, looks):
         super().__init__()
         self.looks = list(looks)
-        self.looked_at = []
+        self.checked = []
 
     def evaluate(self, mount_pose, scenes, **options):
         found = super().evaluate(mount_pose, scenes, **options)
         if options.get("gradient"):
             return found
-        self.looked_at.append(mount_pose)
+        self.checked.append(mount_pose)
         return dataclasses.replace(found, objective=self.looks.pop(0))
 
 
@@ -253,8 +260,8 @@ def test_a_run_without_a_better_rig_ends_and_says_so():
     descent = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3], patience=3)
     records = steps_until_verdict(descent, 6)
     assert len(records) == 5  # 0.4 again is no better
-    assert descent.verdict == "no better rig in 3 looks at the validation scenes since iteration 1"
-    assert descent.finish().training_objective == 0.3  # the last rig is looked at as well
+    assert descent.verdict == "no better rig in 3 evaluations on the validation scenes since iteration 1"
+    assert descent.finish().training_objective == 0.3  # the last rig is evaluated as well
     endless = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3])
     assert len(steps_until_verdict(endless, 6)) == 6
     assert endless.verdict is None
@@ -277,7 +284,7 @@ def test_every_descent_begins_anew_with_its_share_of_the_steps():
     np.testing.assert_allclose(along[1] - along[0], np.degrees(0.1), atol=1e-4)
     assert all(not multiplier.any() for multiplier in np.array(descent.objective.multipliers)[[0, 2, 4]])
     assert result.training_objective == 0.2
-    np.testing.assert_array_equal(result.mount_pose, descent.objective.looked_at[3])
+    np.testing.assert_array_equal(result.mount_pose, descent.objective.checked[3])
 
 
 def test_a_descent_that_loses_patience_makes_room_for_the_next():
@@ -287,7 +294,7 @@ def test_a_descent_that_loses_patience_makes_room_for_the_next():
     assert descent.verdict is None
     lost = scripted([0.5, 0.6, 0.7, 0.8, 0.3, 0.4, 0.5], [START + 0.1], iterations=8, patience=2)
     assert len(steps_until_verdict(lost, 8)) == 6
-    assert lost.verdict == "no better rig in 2 looks at the validation scenes since iteration 3"
+    assert lost.verdict == "no better rig in 2 evaluations on the validation scenes since iteration 3"
 
 
 def test_cameras_of_several_descents_are_mixed_in_the_end():
@@ -298,10 +305,10 @@ def test_cameras_of_several_descents_are_mixed_in_the_end():
             found = super().evaluate(mount_pose, scenes, **options)
             if options.get("gradient"):
                 return found
-            assert options["chances"]
+            assert options["detection_probability"]
             is_second = mount_pose[0, YAW_RAD] > START[0, YAW_RAD] + 0.5
             chance = np.array([[0.0, 0.9 * (not is_second)], [0.9 * is_second, 0.0]])
-            return dataclasses.replace(found, chance=chance)
+            return dataclasses.replace(found, detection_probability=chance)
 
     descent = scripted([0.5, 0.6, 0.4, 0.7, 0.1], [START + 1.0], iterations=2, check_every=9)
     descent.objective = Pairs(descent.objective.looks)
@@ -309,9 +316,9 @@ def test_cameras_of_several_descents_are_mixed_in_the_end():
         descent.step()
     result = descent.finish()
     assert result.training_objective == 0.1
-    first, second = (descent.objective.looked_at[k] for k in (0, 2))
+    first, second = (descent.objective.checked[k] for k in (0, 2))
     np.testing.assert_array_equal(result.mount_pose[:, YAW_RAD], [first[0, YAW_RAD], second[1, YAW_RAD]])
-    assert descent.finish() is result  # nothing is looked at twice
+    assert descent.finish() is result  # nothing is evaluated twice
 
 
 def test_as_many_starts_as_descents():
@@ -335,7 +342,7 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
     descent.finish()
     looks = len(descent.candidates) + (starts if starts > 1 else 0)
     assume(iterations >= descents)
-    # as many as there can be; here no mixture is looked at
+    # as many as there can be; here no mixture is evaluated
     spent = iterations + 3 * looks
     counted = gradient_renders(descent.settings, 3, iterations=iterations, batch_size=1)
     assert spent <= counted
@@ -343,7 +350,7 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
         assert spent == counted
 
 
-def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():
+def test_a_start_beyond_the_constraints_is_projected_for_the_first_check():
     outside = START.copy()
     outside[:, :2] = [[9.0, 0.0], [9.0, 0.05]]
     descent, records, _ = run(iterations=1, start=outside)
@@ -352,14 +359,60 @@ def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():
     assert records[0].terms["out_of_bounds"] > 1.0
 
 
-def test_state_holds_every_number_of_the_optimiser(finished):
-    descent, _, _ = finished
+@pytest.mark.parametrize("is_informed", [True, False])
+@pytest.mark.parametrize("stop", [1, 4, 6])
+def test_a_descent_that_is_restored_goes_on_as_if_it_had_never_stopped(tmp_path, is_informed, stop):
+    """Two descents of four steps, batches of two of three scenes, so that an order of scenes is half used up."""
+
+    def fresh():
+        objective = street_objective()
+        if not is_informed:
+            objective = rig_objective(
+                objective.mount,
+                WholeImageDetector(),
+                camera_count=2,
+                settings=LossSettings(expected_miss_rate=1.0),
+                constraints=ZoneAndSpacing(roof(), camera_count=2),
+                probability=DetectionProbability.blank(),
+            )
+        assert objective.needs_panorama == is_informed
+        return Descent(
+            objective,
+            street_scenes(),
+            changed(descents=2, starts=2, check_every=2),
+            START,
+            np.random.default_rng(3),
+            8,
+            2,
+            further_starts=[START + 0.2],
+        )
+
+    def told(records):
+        return [{**dataclasses.asdict(record), "seconds": None} for record in records]
+
+    whole = fresh()
+    expected = [whole.step() for _ in range(8)]
+    first = fresh()
+    for _ in range(stop):
+        first.step()
+    np.savez(tmp_path / "last.npz", **first.state())
+    second = fresh()
+    with np.load(tmp_path / "last.npz", allow_pickle=False) as state:
+        second.restore(state)
+    assert told(second.step() for _ in range(8 - stop)) == told(expected[stop:])
+    one, other = whole.finish(), second.finish()
+    np.testing.assert_array_equal(other.mount_pose, one.mount_pose)
+    assert other.training_objective == one.training_objective
+    assert len(second.candidates) == len(whole.candidates)
+
+
+def test_a_state_of_something_else_is_refused():
+    descent = Descent(Slope(), street_scenes(), SETTINGS, START, np.random.default_rng(0))
     state = descent.state()
-    assert int(state["iteration"]) == 25
-    assert int(state["pose_step_number"]) == int(state["multiplier_step_number"]) == 25
-    assert state["pose_first_moment"].shape == state["pose_second_moment"].shape == (14,)
-    assert state["pose_value"].shape == (2, 7)
-    assert state["multiplier_value"].shape == (2,)
+    with pytest.raises(InputError, match="checkpoint: expected the state of a run of 2 cameras, got 1 x 7 numbers"):
+        descent.restore({**state, "pose_value": state["pose_value"][:1]})
+    with pytest.raises(InputError, match="got no multiplier_value"):
+        descent.restore({name: value for name, value in state.items() if name != "multiplier_value"})
 
 
 # --- inequalities ----------------------------------------------------------------------------------------------------
@@ -367,7 +420,7 @@ def test_state_holds_every_number_of_the_optimiser(finished):
 
 def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0.05, ascent=1.0):
     """Descend and ascend on a problem in closed form; the last places and multipliers, one row a step."""
-    settings = LossSettings(in_frame_rotation=1.0)
+    lagrangian = Lagrangian([1.0, 0.0], len(excess(start)[0]), damping=damping, are_inequalities=True)
     ascender, x, track = MultiplierAscent(np.array(multiplier)), np.array(start, float), []
     for _ in range(steps):
         value, jacobian = excess(x)
@@ -378,7 +431,7 @@ def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0
         tape = wp.Tape()
         with tape:
             nothing = wp.zeros(2, dtype=float, device="cpu")
-            total = lagrangian_of(nothing, constraint, multipliers, settings, damping=damping, are_inequalities=True)
+            total = lagrangian.on_tape(nothing, constraint, multipliers)
         tape.backward(total)
         track.append(np.r_[x, ascender.value])
         x = x - rate * (slope(x) + np.asarray(jacobian).T @ constraint.grad.numpy())
@@ -422,7 +475,7 @@ def test_descent_under_inequalities_ends_in_the_zone():
     surface.is_mountable[50:60] = False
     mount = CameraMount(surface, camera=MODEL, height_offset_m=0.25)
     constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.03)
-    objective = RigObjective(
+    objective = rig_objective(
         mount,
         WholeImageDetector(),
         camera_count=2,
