@@ -183,7 +183,8 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)
     else:
-        start, result = run.rig("initial"), run.rig()
+        # the rig that was found, even where the run hands over its start because that is better
+        start, result = run.rig("initial"), run.rig("final" if config.optimiser.keep == "last" else "best")
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
     observer = _Observer(config, progress)
