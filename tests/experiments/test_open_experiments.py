@@ -270,7 +270,10 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
         assert rig["objectives"]["thesis"] > 0.0
     assert len({rig["objectives"]["configured"] for rig in written["rigs"]}) > 3
     assert (folder / "correlation.png").is_file()
-    assert "not measured: objective ranks 100 random rigs" in capsys.readouterr().out
+    assert (
+        "not measured: rank correlation of objective and held-out recall over 100 random rigs"
+        in capsys.readouterr().out
+    )
 
 
 def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):

@@ -262,8 +262,8 @@ class ArmsTable:
             "First line of an arm: mean over runs ± standard deviation over runs. Second line: 95 % interval. Third "
             f"line: {self.reference} - arm [95 % interval], p-value corrected by Holm's method, * if p < 0.05.",
             "Intervals: paired bootstrap (BCa) over test scenes and runs. Rates of objects weight each scene by its "
-            "number of objects; other metrics are means over scenes, printed before the interval if they differ from the "
-            "first line.",
+            "number of objects; other metrics are means over scenes, printed before the interval if they differ from "
+            "the first line.",
             "Violation: worst run. Renders (scenes, each in all cameras) and seconds: mean per search.",
             *self.remarks,
             *gone,
