@@ -17,7 +17,7 @@ from warpav_kernels.detection import network_input as network_input_kernels
 
 
 @dataclass(frozen=True)
-class Sight:
+class VisibleObjects:
     """What the cameras see of every vehicle of a scene, whatever a detector makes of it.
 
     Attributes:
@@ -146,7 +146,9 @@ def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> l
     return detector.detect_tensor(network_input)
 
 
-def see(renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16) -> Sight:
+def visible_objects(
+    renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16
+) -> VisibleObjects:
     """What the cameras see of the vehicles in the renderer's last render; arguments as in `observe`."""
     masks = renderer.visible_masks(scene, ahead_view)
     samples = renderer.supersampling
@@ -162,7 +164,7 @@ def see(renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], mi
                 box, boxes = largest_component_box(mask, min_area_px=1), too_small_box_px
                 assert box is not None
             boxes[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
-    return Sight(scene, samples, masks, truth_box_px, too_small_box_px)
+    return VisibleObjects(scene, samples, masks, truth_box_px, too_small_box_px)
 
 
 def observe(
@@ -196,6 +198,6 @@ def observe(
     if image is None:
         image = renderer.rgb(scene, ahead_view)
     detections = detections_in(network_input_of([image], detector), detector)
-    sight = see(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
-    match = sight.match(detections, confidence_min=confidence_min, iou_min=iou_min)
-    return Observation(image, detections, sight.truth_box_px, sight.too_small_box_px, match)
+    visible = visible_objects(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
+    match = visible.match(detections, confidence_min=confidence_min, iou_min=iou_min)
+    return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match)

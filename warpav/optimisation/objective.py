@@ -14,7 +14,7 @@ import warp as wp
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.in_loop import DetectorInLoop, Picture
-from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
+from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.detector_loss import detector_loss_of
@@ -67,7 +67,7 @@ class _Looked:
     """
 
     step: SceneStep
-    sight: Sight | None
+    sight: VisibleObjects | None
     camera: list[int]
 
 
@@ -365,7 +365,7 @@ class RigObjective:
             step.look()
             sight, cameras = None, []
             if asks or self.differentiable_detector is not None:
-                sight = see(views.renderers[slot], step.scene, ahead_view=views.ahead)
+                sight = visible_objects(views.renderers[slot], step.scene, ahead_view=views.ahead)
             if sight is not None and asks:
                 cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
@@ -378,7 +378,7 @@ class RigObjective:
         seconds["detect"] += time.perf_counter() - rendered
         return looked, answers
 
-    def _cameras_that_matter(self, sight: Sight, assigned: AssignedScene, stage: Stage) -> list[int]:
+    def _cameras_that_matter(self, sight: VisibleObjects, assigned: AssignedScene, stage: Stage) -> list[int]:
         """Cameras that see enough of an object that some loss asks them for."""
         is_seen = np.isfinite(sight.truth_box_px[..., 0])
         if not (self.settings.missed > 0.0 and stage.detector_share > 0.0):
