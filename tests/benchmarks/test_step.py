@@ -41,7 +41,7 @@ class Steps:
                 AssignedScene(scene, (np.arange(vehicles) % cameras).astype(np.int32)),
                 pose=self.pose,
                 seed=wp.array(LossSettings().placement_scale, dtype=float, device=device),
-                ahead_view=[camera * mount.rotation_count for camera in range(cameras)],
+                forward_view=[camera * mount.rotation_count for camera in range(cameras)],
                 settings=LossSettings(),
             )
             for _ in range(SCENES)

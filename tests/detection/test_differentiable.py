@@ -182,7 +182,7 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
             detector,
             truth_box_px=truth_px,
             assigned_camera=assigned,
-            ahead_view=range(len(poses)),
+            forward_view=range(len(poses)),
             tape=wp.Tape(),
             weight=1.0,
         )

@@ -120,7 +120,7 @@ def test_what_is_seen_and_found_is_counted(device, rng):
     assert ((blind.feature[:, VISIBLE_SHARE] > 0.0) & (blind.feature[:, VISIBLE_SHARE] <= 1.0 + 1e-6)).all()
     assert ((blind.feature[:, IN_FRAME_SHARE] > 0.0) & (blind.feature[:, IN_FRAME_SHARE] < 1.02)).all()
     # a detector that finds exactly the second camera's objects
-    truth = observe(renderer, scene, ConstantDetector.silent(6), ahead_view=range(6), confidence_min=0.1, iou_min=0.5)
+    truth = observe(renderer, scene, ConstantDetector.silent(6), forward_view=range(6), confidence_min=0.1, iou_min=0.5)
     boxes = truth.truth_box_px[1][np.isfinite(truth.truth_box_px[1, :, 0])]
     answer = [[], boxes, [], [], [], []]
     keen = ConstantDetector(answer, [np.full(len(box), 0.9) for box in answer])

@@ -64,7 +64,7 @@ def truth_boxes(rig, scene):
         renderer = Renderer([camera.model], occlusion=Occlusion.EXACT)
         views = views_of_rig(Rig.create([camera]), rotation_count=1, rotation_step_rad=0.0)
         renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-        seen = observe(renderer, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+        seen = observe(renderer, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
         boxes.append(seen.truth_box_px[0])
     return np.array(boxes)
 

@@ -44,7 +44,7 @@ def losses_in(scene, assigned, pose, device, name, *, box_px=None, supersampling
         AssignedScene(DeviceScene.pack(scene, device=device), np.array(assigned, np.int32)),
         pose=moved,
         seed=wp.array(np.array([name == each for each in OBJECTIVES], np.float32), dtype=float, device=device),
-        ahead_view=[camera * mount.rotation_count for camera in range(len(pose))],
+        forward_view=[camera * mount.rotation_count for camera in range(len(pose))],
         settings=LossSettings(**{name: 1.0}, **options),
     )
     step.look()

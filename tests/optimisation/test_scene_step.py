@@ -36,7 +36,7 @@ class Steps:
             AssignedScene(scene, (np.arange(car_count) % 2).astype(np.int32)),
             pose=self.pose,
             seed=wp.array(SEED, dtype=float, device=device),
-            ahead_view=[0, mount.rotation_count],
+            forward_view=[0, mount.rotation_count],
             settings=LossSettings(
                 epsilon=0.05,
                 reference=Reference.ALONE,

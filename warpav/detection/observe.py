@@ -147,10 +147,10 @@ def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> l
 
 
 def visible_objects(
-    renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16
+    renderer: Renderer, scene: DeviceScene, *, forward_view: Sequence[int], min_area_px: int = 16
 ) -> VisibleObjects:
     """What the cameras see of the vehicles in the renderer's last render; arguments as in `observe`."""
-    masks = renderer.visible_masks(scene, ahead_view)
+    masks = renderer.visible_masks(scene, forward_view)
     samples = renderer.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
     too_small_box_px = truth_box_px.copy()
@@ -173,7 +173,7 @@ def observe(
     detector: Detector,
     *,
     image: wp.array | None = None,
-    ahead_view: Sequence[int],
+    forward_view: Sequence[int],
     confidence_min: float,
     iou_min: float,
     min_area_px: int = 16,
@@ -187,7 +187,7 @@ def observe(
         scene: The scene.
         detector: Finds vehicles.
         image: What the renderer shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
-        ahead_view: The view of each camera in which it looks straight ahead.
+        forward_view: The view of each camera in which it looks straight ahead.
         confidence_min: Least confidence of a match.
         iou_min: Least intersection over union of a match.
         min_area_px: Visible parts smaller than this have no truth box [px^2].
@@ -196,8 +196,8 @@ def observe(
         The observation; nothing here carries a gradient.
     """
     if image is None:
-        image = renderer.rgb(scene, ahead_view)
+        image = renderer.rgb(scene, forward_view)
     detections = detections_in(network_input_of([image], detector), detector)
-    visible = visible_objects(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
+    visible = visible_objects(renderer, scene, forward_view=forward_view, min_area_px=min_area_px)
     match = visible.match(detections, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match)

@@ -150,7 +150,7 @@ def look(
         scene,
         detector,
         image=image,
-        ahead_view=range(renderer.view_count),
+        forward_view=range(renderer.view_count),
         confidence_min=confidence_min,
         iou_min=iou_min,
     )

@@ -273,7 +273,7 @@ class RigObserver:
                 renderer,
                 scene,
                 self._detector,
-                ahead_view=ahead,
+                forward_view=ahead,
                 confidence_min=self._confidence_min,
                 iou_min=self._iou_min,
             )
@@ -389,7 +389,7 @@ def look_at_scenes(
     for assigned in scenes:
         if observer is None:
             observation, measures, loss = objective.observe_rig(rig, assigned)
-            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.ahead_view))
+            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
             looks.append(RigLook([observation], is_in_frame, list(range(len(rig.cameras)))))
             losses.append(loss)
         else:

@@ -27,7 +27,7 @@ def detector_loss_of(
     *,
     truth_box_px: np.ndarray,
     assigned_camera: np.ndarray,
-    ahead_view: Sequence[int],
+    forward_view: Sequence[int],
     tape: wp.Tape | None = None,
     weight: float = 0.0,
 ) -> float:
@@ -46,7 +46,7 @@ def detector_loss_of(
         detector: The network.
         truth_box_px: True visible boxes, NaN where too little is seen [px], float [camera, vehicle, 4].
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
-        ahead_view: The view of each camera in which it looks straight ahead.
+        forward_view: The view of each camera in which it looks straight ahead.
         tape: Its backward pass is run here, because the renderer's buffers live until the next render; None: no
             gradient.
         weight: Weight of the loss in the gradient.
@@ -65,10 +65,10 @@ def detector_loss_of(
         return unseen_loss / len(assigned)
 
     shown, image_index = np.unique(camera, return_inverse=True)  # only images that show one of them
-    view = np.asarray(ahead_view)[camera]
+    view = np.asarray(forward_view)[camera]
     box_px = truth_box_px[camera, vehicle]
     objects = (image_index, box_px, scene.road_user_index[vehicle])
-    shown_view = [ahead_view[k] for k in shown]
+    shown_view = [forward_view[k] for k in shown]
     if tape is None:
         result = detector.loss(renderer.rgb(scene, shown_view), *objects)
         return (float(result.loss.sum()) + unseen_loss) / len(assigned)

@@ -161,7 +161,7 @@ class RigObjective:
         self._stage = StageOnDevice(mount.device)
 
     @property
-    def ahead_view(self) -> list[int]:
+    def forward_view(self) -> list[int]:
         """The view of each camera, among those of `observe_rig`, in which it really looks."""
         return self._views_for(self.last_stage).ahead
 
@@ -365,7 +365,7 @@ class RigObjective:
             step.look()
             sight, cameras = None, []
             if asks or self.differentiable_detector is not None:
-                sight = visible_objects(views.renderers[slot], step.scene, ahead_view=views.ahead)
+                sight = visible_objects(views.renderers[slot], step.scene, forward_view=views.ahead)
             if sight is not None and asks:
                 cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
@@ -396,7 +396,7 @@ class RigObjective:
                 assigned,
                 pose=self._pose,
                 seed=self._seed,
-                ahead_view=views.ahead,
+                forward_view=views.ahead,
                 settings=self.settings,
                 probability=self.probability,
                 stage=self._stage,
@@ -466,7 +466,7 @@ class RigObjective:
             renderer,
             scene,
             self.detector,
-            ahead_view=looks.ahead,
+            forward_view=looks.ahead,
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )
@@ -498,7 +498,7 @@ class RigObjective:
                     self.differentiable_detector,
                     truth_box_px=observation.truth_box_px,
                     assigned_camera=assigned.assigned_camera,
-                    ahead_view=looks.ahead,
+                    forward_view=looks.ahead,
                 )
             )
         scaled = np.array(losses, np.float64) * self._shares([assigned]) * self.settings.objective_scale

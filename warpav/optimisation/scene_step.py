@@ -146,7 +146,7 @@ class SceneStep:
         *,
         pose: wp.array,
         seed: wp.array,
-        ahead_view: Sequence[int],
+        forward_view: Sequence[int],
         settings: LossSettings,
         probability: DetectionProbability | None = None,
         stage: StageOnDevice | None = None,
@@ -161,7 +161,7 @@ class SceneStep:
             assigned: The scene.
             pose: Mount poses, float [camera, 7], with a gradient, to which `learn` adds.
             seed: Weight of each placement loss in that gradient, float [loss].
-            ahead_view: The view of each camera in which it looks straight ahead.
+            forward_view: The view of each camera in which it looks straight ahead.
             settings: Parameters of the losses.
             probability: Of detection; the loss ``missed`` needs it.
             stage: How far along the optimisation is; None: at its end, without the detector.
@@ -175,7 +175,7 @@ class SceneStep:
         self.scene = scene = assigned.scene
         device = renderer.device
         self._mount, self._renderer, self._settings = mount, renderer, settings
-        self._pose, self._seed, self._ahead_view = pose, seed, list(ahead_view)
+        self._pose, self._seed, self._ahead_view = pose, seed, list(forward_view)
         camera_count = pose.shape[0]
         self._rotation_count = renderer.view_count // camera_count
         if settings.needs_panorama and self._rotation_count != mount.rotation_count:
@@ -261,7 +261,7 @@ class SceneStep:
             detector,
             truth_box_px=truth_box_px,
             assigned_camera=self._camera_of_vehicle,
-            ahead_view=self._ahead_view,
+            forward_view=self._ahead_view,
             tape=tape,
             weight=0.0 if weight is None else weight,
         )
