@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
 from warpav.core.yaml_file import Location, dotted, parse_yaml, read_yaml
@@ -262,7 +262,7 @@ def replace_file(file: Path, content: bytes) -> None:
         InputError: The folder does not exist or cannot be written to.
     """
     try:
-        with replacing(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_bytes(content)
     except OSError as error:
         raise InputError(f"{file}: expected a place to write the rig to, got: {error.strerror}") from None

@@ -33,7 +33,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 
@@ -226,7 +226,7 @@ class RunFolder:
         with _writing(folder):
             folder.mkdir(exist_ok=True)
             for name, encoded in image_of.items():
-                with replacing(folder / name) as draft:
+                with atomic_write(folder / name) as draft:
                     draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
@@ -527,7 +527,7 @@ def _numbered_folder(name: str) -> Path:
 def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import numpy as np
 
-    with _writing(file), replacing(file) as draft, draft.open("wb") as stream:
+    with _writing(file), atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
@@ -548,7 +548,7 @@ def write_text(file: Path, text: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    with _writing(file), replacing(file) as draft:
+    with _writing(file), atomic_write(file) as draft:
         draft.write_text(text, encoding="utf-8")
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.executor import ExecutorName, Outcome, Task, run_tasks
 from warpav.core.fingerprint import recipe
@@ -246,7 +246,7 @@ def _note(task: SceneTask, made_with: str) -> None:
     entries = _index(task.file.parent)
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
-    with replacing(file) as draft:
+    with atomic_write(file) as draft:
         draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.view.frustum import sector_polygon_m
 from warpav.view.palette import (
@@ -604,7 +604,7 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     figure.savefig(encoded, format="png", metadata={"Software": None})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as draft:
+        with atomic_write(path) as draft:
             draft.write_bytes(encoded.getvalue())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.fingerprint import digest
 from warpav.raster.camera import CameraModel
@@ -463,7 +463,7 @@ def _is_whole(data: bytes) -> bool:
 def _write(file: Path, data: bytes) -> None:
     """Write a file that appears whole or not at all."""
     try:
-        with replacing(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_bytes(data)
     except OSError as error:
         raise InputError(f"{file}: expected to write here, got: {error.strerror}") from None
