@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from warpav.core import fingerprint as module
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 
@@ -25,13 +25,13 @@ def copied_code(tmp_path, monkeypatch):
     module._code_hash.cache_clear()
 
 
-def test_a_recipe_is_16_hexadecimal_digits_and_stays():
-    assert len(recipe("town", 3)) == 16
-    assert int(recipe("town", 3), 16) >= 0
-    assert recipe("town", 3, PLAN) == recipe("town", 3, replace(PLAN))
-    code = "from warpav.core.fingerprint import recipe; print(recipe('town', 3))"
+def test_a_fingerprint_is_16_hexadecimal_digits_and_stays():
+    assert len(fingerprint("town", 3)) == 16
+    assert int(fingerprint("town", 3), 16) >= 0
+    assert fingerprint("town", 3, PLAN) == fingerprint("town", 3, replace(PLAN))
+    code = "from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == recipe("town", 3)  # in another process, where strings hash otherwise
+    assert other.stdout.strip() == fingerprint("town", 3)  # in another process, where strings hash otherwise
 
 
 @pytest.mark.parametrize(
@@ -50,12 +50,12 @@ def test_a_recipe_is_16_hexadecimal_digits_and_stays():
         (b"town", 3, PLAN, MESHES),
     ],
 )
-def test_another_setting_gives_another_recipe(parts):
-    assert recipe(*parts) != recipe("town", 3, PLAN, MESHES)
+def test_another_setting_gives_another_fingerprint(parts):
+    assert fingerprint(*parts) != fingerprint("town", 3, PLAN, MESHES)
 
 
 def test_parts_do_not_run_into_one_another():
-    assert recipe(b"ab", b"c") != recipe(b"a", b"bc")
+    assert fingerprint(b"ab", b"c") != fingerprint(b"a", b"bc")
 
 
 @pytest.mark.parametrize(
@@ -67,19 +67,19 @@ def test_parts_do_not_run_into_one_another():
         "warpav_kernels/reconstruction/poisson.py",
     ],
 )
-def test_changed_code_gives_another_recipe(copied_code, file):
-    before = recipe("town", 3)
+def test_changed_code_gives_another_fingerprint(copied_code, file):
+    before = fingerprint("town", 3)
     module._code_hash.cache_clear()
-    assert recipe("town", 3) == before
+    assert fingerprint("town", 3) == before
     with open(copied_code / file, "a") as code:
         code.write("# changed\n")
     module._code_hash.cache_clear()
-    assert recipe("town", 3) != before
+    assert fingerprint("town", 3) != before
 
 
 def test_files_that_are_no_code_do_not_matter(copied_code):
-    before = recipe("town", 3)
+    before = fingerprint("town", 3)
     (copied_code / "scene" / "design.md").write_text("a new thought\n")
     (copied_code / "scene" / "capture" / "notes.pyc").write_bytes(b"\0")
     module._code_hash.cache_clear()
-    assert recipe("town", 3) == before
+    assert fingerprint("town", 3) == before

@@ -1,4 +1,4 @@
-"""Hashes of what something is made with, so that it is made once: inputs, settings, and the code itself."""
+"""Fingerprints of cached files: hashes of inputs, settings and the code that makes scenes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PACKAGES = ("core", "raster", "scene", "rig")
 _DIGITS = 16
 
 
-def recipe(*parts: object) -> str:
+def fingerprint(*parts: object) -> str:
     """Hash of the parts and of the code that makes scenes, as `digest`."""
     return digest(_code_hash(), *parts)
 

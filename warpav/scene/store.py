@@ -17,7 +17,7 @@ from typing import Any
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.executor import ExecutorName, Outcome, Task, run_tasks
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
@@ -45,15 +45,15 @@ class SceneTask:
     settings: ReconstructionSettings | None = None
 
     @property
-    def recipe(self) -> str:
+    def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
         if self.capture is None:
-            return recipe("town", self.seed)
+            return fingerprint("town", self.seed)
         content = hashlib.sha256()
         for file in sorted(path for path in self.capture.rglob("*") if path.is_file()):
             content.update(file.relative_to(self.capture).as_posix().encode() + b"\0")
             content.update(file.read_bytes())
-        return recipe("captured", content.hexdigest(), self.settings)
+        return fingerprint("captured", content.hexdigest(), self.settings)
 
 
 @dataclass(frozen=True)
@@ -121,16 +121,16 @@ def make_scenes(
     """
     for folder in {task.file.parent for task in tasks}:
         _make_folder(folder)
-    recipes: dict[SceneTask, str] = {}  # of those that are not there; what a file was made with is as it was before
+    fingerprints: dict[SceneTask, str] = {}  # of the missing ones, as they are before the work starts
     for task in tasks:
-        made_with = task.recipe
+        made_with = task.fingerprint
         if _is_ready(task, made_with):
             yield Outcome(task, False)
         else:
-            recipes[task] = made_with
-    for outcome in run_tasks(_make_scene, list(recipes), executor=executor, worker_count=worker_count):
+            fingerprints[task] = made_with
+    for outcome in run_tasks(_make_scene, list(fingerprints), executor=executor, worker_count=worker_count):
         if outcome.error is None:
-            _note(outcome.task, recipes[outcome.task])
+            _note(outcome.task, fingerprints[outcome.task])
         yield _named(outcome, outcome.task.capture or outcome.task.file)
 
 

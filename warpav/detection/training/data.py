@@ -17,7 +17,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.executor import run_tasks
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
@@ -346,7 +346,7 @@ def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
         RuntimeError: A scene could not be rendered.
         InputError: The folder holds other pictures.
     """
-    made_with = recipe(subset, CLASS_NAMES, Path(__file__).read_bytes())
+    made_with = fingerprint(subset, CLASS_NAMES, Path(__file__).read_bytes())
     note = folder / "made_with.txt"
     if note.is_file():
         if note.read_text() != made_with:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.raster.mesh import merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
 from warpav.scene.capture.simulator import SpawnPoint
@@ -36,7 +36,7 @@ class TownSimulator:
 
     def __init__(self) -> None:
         """No situation yet."""
-        self.name, self.source, self.world = "", "", recipe("town")
+        self.name, self.source, self.world = "", "", fingerprint("town")
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None
