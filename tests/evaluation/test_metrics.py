@@ -206,7 +206,7 @@ def test_what_becomes_of_every_object():
     scene = scene_of(AHEAD, FAR_LEFT_AHEAD, BEHIND, LEFT_SIDE, wall=wall)
     box_px = truth_boxes(rig, scene)[0, 0]
     calls = [ConstantDetector([[box_px]], [[0.8]]), ConstantDetector.silent(1)]
-    look = observer_of(rig, calls).look(scene)
+    look = observer_of(rig, calls).observe(scene)
     assert look.outcomes == [
         ObjectOutcome.DETECTED,
         ObjectOutcome.MISSED,
@@ -214,7 +214,7 @@ def test_what_becomes_of_every_object():
         ObjectOutcome.OUT_OF_FRAME,
     ]
     np.testing.assert_allclose(look.confidence, [0.8, np.nan, np.nan, np.nan], rtol=1e-6)
-    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).look(scene_of()).outcomes == []
+    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).observe(scene_of()).outcomes == []
 
 
 def observer_of(rig, calls):

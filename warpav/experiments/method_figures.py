@@ -227,7 +227,7 @@ class _Looker:
         )
         looks = []
         for scene in self._display.steps(how, scenes, count=len(scenes)):
-            look = observer.look(DeviceScene.pack(scene, device=self._device))
+            look = observer.observe(DeviceScene.pack(scene, device=self._device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
                 for camera, seen in zip(rig.cameras, look.cameras, strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.evaluation.blind_ground import BlindGround
-from warpav.evaluation.metrics import ArmMetrics, ObjectOutcome, evaluate_rig, look_at_scenes, metrics_of
+from warpav.evaluation.metrics import ArmMetrics, ObjectOutcome, evaluate_rig, metrics_of, observe_scenes
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.gradient import Descent
@@ -199,8 +199,10 @@ def compare(
     beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": problem.held_rig}
     arms = {}
     for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
-        seen = look_at_scenes(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
-        arms[arm] = Compared(seen.rig, metrics_of(seen, problem.objective), [look.outcomes for look in seen.looks])
+        seen = observe_scenes(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
+        arms[arm] = Compared(
+            seen.rig, metrics_of(seen, problem.objective), [each.outcomes for each in seen.observations]
+        )
     return arms
 
 
