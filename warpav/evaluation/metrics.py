@@ -41,8 +41,8 @@ PAIRED_METRICS = (
 )
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
-"""Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin includes
-its lower edge."""
+"""Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin
+includes its lower edge."""
 
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
 """Sectors of 45 degrees around the centre of the ego vehicle, the first one centred straight ahead; the centre of an
@@ -79,8 +79,8 @@ class ArmMetrics:
 
     The objects are the targeted road users of the scenes (``scenes.targets``), each counted once. With several kinds of
     road users, average precisions are means over the kinds, like COCO's over classes; a detection only matches objects
-    of its own kind. Objects that an image shows too little of for a ground-truth box are ignored there, as in COCO: they
-    need not be detected, and a box that matches one is no false alarm.
+    of its own kind. Objects that an image shows too little of for a ground-truth box are ignored there, as in COCO:
+    they need not be detected, and a box that matches one is no false alarm.
 
     Attributes:
         map50_average: Mean over cameras of the thesis's mAP@50 (over images with ground truth and detections).
@@ -294,9 +294,9 @@ def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
 def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
     """Assign each vehicle to the camera whose direction is closest to the vehicle's orientation.
 
-    Segregation assigns every vehicle to an orientation; an imported rig lists its cameras in its own order. Orientations
-    and cameras are paired so that the sum of the squared angles between them is minimal. (Without the squares many
-    pairings are equally good, and rounding would decide.)
+    Segregation assigns every vehicle to an orientation; an imported rig lists its cameras in its own order.
+    Orientations and cameras are paired so that the sum of the squared angles between them is minimal. (Without the
+    squares many pairings are equally good, and rounding would decide.)
 
     Args:
         scenes: Scenes with vehicles assigned to orientations.
@@ -365,9 +365,9 @@ def observe_scenes(
     Args:
         rig: The rig, anywhere in the ego frame.
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
-        objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs whose
-            cameras all have the mount's model (of any zoom, where that is free); everything else is measured with the
-            rig's own cameras.
+        objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs
+            whose cameras all have the mount's model (of any zoom, where that is free); everything else is measured with
+            the rig's own cameras.
         with_objective: Whether to evaluate the objective.
     """
     mount: CameraMount = objective.mount
