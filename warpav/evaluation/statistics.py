@@ -84,8 +84,8 @@ def paired_difference(
     Args:
         one: The metric of an arm.
         other: Of another arm; it may have another number of runs.
-        weight: Of every scene, at least 0; None: equal weights. With the number of objects in a scene, the mean of its recall
-            is the recall of all objects together.
+        weight: Of every scene, at least 0; None: equal weights. With the number of objects in a scene, the mean of its
+            recall is the recall of all objects together.
         seed: Of the resampling.
         resamples: Number of resamples.
 

@@ -163,17 +163,17 @@ def test_what_is_left_out_is_said(tmp_path):
         640, 480, lens="brown_conrady", focal_px=(500.0, 501.0), centre_px=(310.0, 240.0), distortion=(-0.2, 0, 0, 0)
     )
     rig = Rig.create([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
-    with pytest.raises(InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; --approxim"):
+    with pytest.raises(InputError, match=r"camera 'front': carla-python cannot represent the lens's distortion; --app"):
         export_rig(rig, "carla-python", tmp_path / "a.json")
     _, notes = export_rig(rig, "carla-python", tmp_path / "a.json", approximate=True)
     text = "\n".join(notes)
-    for thing in ("the lens's distortion is left out", "focal lengths that differ", "a principal point (310, 240 px)"):
+    for thing in ("the lens's distortion is dropped", "focal lengths that differ", "a principal point (310, 240 px)"):
         assert thing in text
     back = import_rig(tmp_path / "a.json", "carla-python")[0].cameras[0]
     assert back.model.intrinsics[0, 0] == pytest.approx(500.0)
     fisheye = Rig.create([RigCamera("f", np.zeros(3), 0.0, 0.0, 0.0, CameraModel(640, 480, 3.3, lens="fisheye"))])
     for name in ("carla-python", "nuscenes", "kitti"):
-        with pytest.raises(InputError, match=rf"camera 'f': {name} cannot hold a fisheye lens; choose another format"):
+        with pytest.raises(InputError, match=rf"camera 'f': {name} cannot represent a fisheye lens; choose another"):
             export_rig(fisheye, name, tmp_path / "b", approximate=True)
 
 

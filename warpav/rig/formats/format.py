@@ -22,7 +22,7 @@ class FoundCamera:
         name: As the file calls it.
         file_from_camera: From camera coordinates (x right, y down, z forward) to the file's frame, made right-handed
             with x forward, y left, z up [m], shape [4, 4].
-        optics: What the file says of image and lens; None: nothing.
+        optics: Image size and lens stated in the file; None: not stated.
     """
 
     name: str
@@ -60,12 +60,12 @@ class PlacedCamera:
 
 @dataclass
 class Losses:
-    """What a format cannot hold of a rig: refused, unless the user has said that it may go.
+    """Properties of a rig that a format cannot represent: an error, unless the user allows dropping them.
 
     Attributes:
         format_name: The format.
-        are_allowed: Whether it may be left out.
-        notes: What was left out, one sentence a camera and thing.
+        are_allowed: Whether properties may be dropped.
+        notes: What was dropped, one sentence per camera and property.
     """
 
     format_name: str
@@ -73,27 +73,27 @@ class Losses:
     notes: list[str] = field(default_factory=list)
 
     def leave_out(self, camera_name: str, thing: str) -> None:
-        """Leave something out.
+        """Drop a property.
 
         Raises:
-            InputError: It may not be.
+            InputError: Dropping is not allowed.
         """
         if not self.are_allowed:
             raise InputError(
-                f"camera {camera_name!r}: {self.format_name} cannot hold {thing}; --approximate leaves it out"
+                f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; --approximate drops it"
             )
-        self.notes.append(f"camera {camera_name!r}: {thing} is left out")
+        self.notes.append(f"camera {camera_name!r}: {thing} is dropped")
 
-    def refuse(self, camera_name: str, thing: str) -> InputError:
-        """The error for what cannot even be left out."""
-        return InputError(f"camera {camera_name!r}: {self.format_name} cannot hold {thing}; choose another format")
+    def unsupported(self, camera_name: str, thing: str) -> InputError:
+        """The error for a property that cannot even be dropped."""
+        return InputError(f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; choose another format")
 
 
 Reader = Callable[[Path, str | None], Found]
 """Reads a file or folder; the text picks a part of it (`RigFormat.parts`)."""
 
 Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
-"""The files, with their content, that hold the cameras at the target; writes nothing itself."""
+"""Returns the files and their content for the target; writes nothing itself."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ class RigFormat:
     Attributes:
         name: As the user names it.
         frame: Axes, handedness and units, in words.
-        origin: Where the frame's origin lies, in words.
-        is_ego_origin: Whether that is warpav's: on the ground below the middle of the rear axle.
+        origin: Origin of the frame, in words.
+        is_ego_origin: Whether it is warpav's: on the ground below the centre of the rear axle.
         read: None where the format cannot be imported.
         write: None where it cannot be exported.
         parts: What `--part` picks of a file that holds several rigs; None: nothing.

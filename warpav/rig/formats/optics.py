@@ -1,6 +1,6 @@
 """Lenses as other tools write them down.
 
-Their principal points count from the middle of the upper left pixel, as OpenCV does; warpav counts from the image's
+Their principal points count from the centre of the upper left pixel, as OpenCV does; warpav counts from the image's
 corner. `PIXEL_CENTRE_PX` is the difference, and is added and taken away here only.
 """
 
@@ -27,12 +27,12 @@ _SAME_EXACTLY = 1e-9
 
 @dataclass(frozen=True)
 class Optics:
-    """What a file says of a camera's image and lens; None where it says nothing.
+    """Image size and lens of a camera as stated in a file; None where not stated.
 
     Attributes:
         width_px: Image width [px].
         height_px: Image height [px].
-        fov_rad: Horizontal field of view [rad] of a lens with square pixels around the middle of the image.
+        fov_rad: Horizontal field of view [rad] of a lens with square pixels around the centre of the image.
         focal_px: Or else focal lengths (fx, fy) [px].
         centre_px: With them, the principal point from the image's upper left corner [px].
         lens: The lens.
@@ -47,19 +47,19 @@ class Optics:
     lens: Lens = Lens.PINHOLE
     distortion: tuple[float, ...] = ()
 
-    def model(self, place: str) -> CameraModel:
+    def model(self, location: str) -> CameraModel:
         """The camera model; the size and the lens must be there.
 
         A lens with square pixels around the middle is given by its field of view, which is how people write it.
 
         Raises:
-            InputError: The numbers make no camera; the text begins with ``place``.
+            InputError: The parameters are invalid; the text begins with ``location``.
         """
         assert self.width_px is not None
         assert self.height_px is not None
         for name, size in (("width_px", self.width_px), ("height_px", self.height_px)):
             if not 8 <= size <= MAX_IMAGE_PX:
-                raise InputError(f"{place}: {name}: expected from 8 to {MAX_IMAGE_PX} pixels, got {size}")
+                raise InputError(f"{location}: {name}: expected from 8 to {MAX_IMAGE_PX} pixels, got {size}")
         distortion = self.distortion if any(self.distortion) else ()
         lens = Lens.PINHOLE if self.lens is Lens.BROWN_CONRADY and not distortion else self.lens
         try:
@@ -77,7 +77,7 @@ class Optics:
             if is_plain(model, within=_SAME_EXACTLY):
                 return CameraModel(self.width_px, self.height_px, model.fov_rad, lens=lens, distortion=distortion)
         except ValueError as error:
-            raise InputError(f"{place}: expected numbers that make a camera, got: {error}") from None
+            raise InputError(f"{location}: expected valid camera parameters, got: {error}") from None
         return model
 
 
@@ -109,9 +109,9 @@ def optics_of_matrix(
     """
     (fx, skew, cx), (zero, fy, cy), last = matrix.matrix(3, 3)
     if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
-        raise matrix.refused("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
+        raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
     if min(fx, fy) <= 0.0:
-        raise matrix.refused("positive focal lengths fx and fy")
+        raise matrix.error("positive focal lengths fx and fy")
     return Optics(
         width_px,
         height_px,
@@ -128,14 +128,14 @@ def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False
     Args:
         camera: A camera of the rig.
         losses: What may be left out.
-        is_centred: Whether the format knows only a field of view: square pixels around the middle of the image.
+        is_centred: Whether the format knows only a field of view: square pixels around the centre of the image.
 
     Raises:
         InputError: The camera is something else, and that may not be left out.
     """
     model = camera.model
     if model.lens in (Lens.FISHEYE, Lens.PANORAMA):
-        raise losses.refuse(camera.name, f"a {model.lens} lens")
+        raise losses.unsupported(camera.name, f"a {model.lens} lens")
     if any(model.distortion):
         losses.leave_out(camera.name, "the lens's distortion")
     (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
