@@ -131,15 +131,15 @@ def test_missing_and_truncated_images_are_taken_again(captures, recorded, is_fin
 
 
 def test_an_interruption_between_two_images_costs_nothing(tmp_path, recorded, monkeypatch):
-    look = TownSimulator.look
+    capture = TownSimulator.capture
 
     def interrupted(self, view):
         if view.name == "rotation_1":
             raise KeyboardInterrupt
-        return look(self, view)
+        return capture(self, view)
 
     with monkeypatch.context() as patch:
-        patch.setattr(TownSimulator, "look", interrupted)
+        patch.setattr(TownSimulator, "capture", interrupted)
         with pytest.raises(KeyboardInterrupt):
             list(capture_scenes([capture_task(tmp_path)]))
     before = content(tmp_path)

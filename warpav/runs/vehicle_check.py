@@ -97,12 +97,12 @@ def check_vehicle(
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
     try:
-        surface = mount_surface(config, shown.mended)
+        surface = mount_surface(config, shown.corrected)
     except InputError as error:
         problems.append(Problem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.mended)
+        lines += _mount_lines(surface, shown.corrected)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
@@ -110,7 +110,7 @@ def check_vehicle(
     if picture is not None:
         lines.append(f"wrote {_draw(shown, surface, picture, path.name)}")
     if out is not None and is_mendable:
-        write_vehicle(found.mended, out, source=path.name)
+        write_vehicle(found.corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
         return VehicleReport(tuple(lines), ())
     told = [f"{path}: {problem.text}" for problem in problems]
@@ -211,7 +211,7 @@ def _draw(found: Examination, surface: MountSurface | None, picture: Path, title
 
     axles: Sequence[float] = found.wheels.axle_m if found.wheels else ()
     return save_vehicle_picture(
-        found.mended, picture, surface=surface, axle_m=[x + found.shift_m[0] for x in axles], title=title
+        found.corrected, picture, surface=surface, axle_m=[x + found.shift_m[0] for x in axles], title=title
     )
 
 

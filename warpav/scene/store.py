@@ -1,7 +1,7 @@
 """Collections of scenes in a folder: built, captured, reconstructed; what is there already is not made again.
 
-A folder of scenes holds ``scene_<seed>.glb`` files and ``collection.json``, which tells for each what it was made with
-(``recipe``) and its content (``sha256``). A folder of captures holds one folder ``scene_<seed>`` each.
+A folder of scenes holds ``scene_<seed>.glb`` files and ``collection.json``, which lists for each the fingerprint of its
+inputs (``recipe``) and its content (``sha256``). A folder of captures holds one folder ``scene_<seed>`` each.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def make_scenes(
     """Make scene files that are not there yet, and note them in their folder's index.
 
     Yields:
-        An outcome for each; the result tells whether the file had to be made.
+        An outcome for each; its result is whether the file was generated.
 
     Raises:
         InputError: A folder cannot be written to.
@@ -140,7 +140,7 @@ def capture_scenes(
     """Record situations of the embedded town that are not recorded yet; interrupted ones go on.
 
     Yields:
-        An outcome for each; the result tells whether images had to be taken.
+        An outcome for each; its result is whether images were recorded.
 
     Raises:
         InputError: A folder cannot be written to.
@@ -155,7 +155,7 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
     """Record situations with a CARLA server, one after the other.
 
     Yields:
-        An outcome for each; the result tells whether images had to be taken.
+        An outcome for each; its result is whether images were recorded.
 
     Raises:
         InputError: The folder cannot be written to, the package is missing, or the server does not answer.
@@ -188,7 +188,7 @@ def split_seeds(seeds: Sequence[int]) -> dict[str, list[int]]:
 
 
 def _named(outcome: Outcome[Task, bool], place: Path) -> Outcome[Task, bool]:
-    """The outcome with an error that tells where."""
+    """The outcome with the location added to its error."""
     if outcome.error is None or outcome.error.startswith(str(place)):
         return outcome
     return replace(outcome, error=f"{place}: {outcome.error}")
@@ -251,7 +251,7 @@ def _note(task: SceneTask, made_with: str) -> None:
 
 
 def _index(folder: Path) -> dict[str, Any]:
-    """What a folder's index says; nothing where it is missing or no index: the files are then made again."""
+    """The entries of a folder's index; empty if it is missing or invalid, so that the files are made again."""
     try:
         content = json.loads((folder / INDEX).read_text(encoding="utf-8"))
         entries = content["scenes"]
