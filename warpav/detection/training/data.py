@@ -114,7 +114,7 @@ class Labels:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class LabelledImages:
     """Images of one size and their objects.
 
     Attributes:
@@ -125,10 +125,10 @@ class Pictures:
     images_rgb: np.ndarray
     labels: Labels
 
-    def first(self, count: int | None) -> Pictures:
+    def first(self, count: int | None) -> LabelledImages:
         """The first so many images; None means all."""
         labels = Labels(*(getattr(self.labels, field.name)[:count] for field in fields(Labels)))
-        return Pictures(self.images_rgb[:count], labels)
+        return LabelledImages(self.images_rgb[:count], labels)
 
 
 def sample_cameras(
@@ -185,7 +185,7 @@ def render_scene(
     views_per_scene: dict[int, int],
     ignored_ids: Sequence[int] = (),
     thread_count: int | None = None,
-) -> dict[int, Pictures]:
+) -> dict[int, LabelledImages]:
     """Pictures of one scene by random cameras, by the side of the image [px].
 
     Args:
@@ -227,7 +227,7 @@ def render_scene(
             amodal_area_px = np.maximum(picture.amodal_area_px[seen], 1e-6)
             labels.visible_fraction[image, room] = np.clip(picture.visible_area_px[seen] / amodal_area_px, 0.0, 1.0)
             labels.distance_m[image, room] = np.linalg.norm(center_m[seen] - camera.position_m, axis=1)
-        pictures[side_px] = Pictures(np.stack([picture.rgb for picture in rendered]), labels)
+        pictures[side_px] = LabelledImages(np.stack([picture.rgb for picture in rendered]), labels)
     return pictures
 
 
@@ -269,11 +269,11 @@ def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
     return Mesh(mesh.vertex_m[used], triangle.reshape(-1, 3).astype(np.int32), mesh.vertex_rgb[used])
 
 
-def load_pictures(folder: Path) -> dict[int, Pictures]:
-    """What `write_pictures` wrote, by the side of the image [px]; images stay on the disk until they are read.
+def load_images(folder: Path) -> dict[int, LabelledImages]:
+    """What `write_images` wrote, by the side of the image [px]; images stay on the disk until they are read.
 
     Raises:
-        InputError: A file is missing or is none that `write_pictures` wrote.
+        InputError: A file is missing or is none that `write_images` wrote.
     """
     pictures = {}
     for file in sorted(folder.glob("labels_*.npz")):
@@ -289,7 +289,7 @@ def load_pictures(folder: Path) -> dict[int, Pictures]:
                 f"{file}: expected labels and images that warpav wrote, got others ({' '.join(str(error).split())}); "
                 "remove the folder, and they are made again"
             ) from error
-        pictures[int(side_text)] = Pictures(images_rgb, labels)
+        pictures[int(side_text)] = LabelledImages(images_rgb, labels)
     return dict(sorted(pictures.items()))
 
 
@@ -332,7 +332,7 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     return {side_px: each.labels for side_px, each in pictures.items()}
 
 
-def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
+def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
     """Render town scenes and save their pictures: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
     Nothing is done where they are there already, made of the same scenes by the same code.

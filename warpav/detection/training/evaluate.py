@@ -12,7 +12,7 @@ from warpav.detection.average_precision import ImageBoxes, score_images
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.matching import covered_fraction, match_detections
 from warpav.detection.training import CLASS_NAMES
-from warpav.detection.training.data import Pictures
+from warpav.detection.training.data import LabelledImages
 
 # Least height of a visible box [px] from which on an object counts in the headline figure.
 HEADLINE_HEIGHT_PX = 12.0
@@ -31,7 +31,7 @@ _IMAGES_PER_CALL = 32
 class _Judged:
     """Objects and detections of one road user in a set of images."""
 
-    pictures: Pictures
+    pictures: LabelledImages
     detections: list[Detections]
     chosen: np.ndarray  # the objects, bool [image, object]
 
@@ -121,7 +121,7 @@ class _Judged:
         }
 
 
-def evaluate(detector: Detector, pictures: Pictures) -> dict[str, object]:
+def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
     """Judge a detector on pictures of one size.
 
     Objects that show too little for a ground-truth box are ignored throughout. Labels are pooled: any motor vehicle's

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from warpav.core.errors import InputError
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
-from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, write_pictures
+from warpav.detection.training.data import SUBSETS, LabelledImages, load_images, write_images
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, detection_loss
 from warpav.detection.training.network import TownNetwork
@@ -45,7 +45,7 @@ class DeviceData:
     truth: Truth
 
     @classmethod
-    def load(cls, pictures: Iterable[Pictures], device: torch.device) -> DeviceData:
+    def load(cls, pictures: Iterable[LabelledImages], device: torch.device) -> DeviceData:
         """Copy pictures of one size to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
         pictures = list(pictures)
         count = sum(len(each.images_rgb) for each in pictures)
@@ -277,10 +277,10 @@ def train_detector(
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
     for name in names:
-        write_pictures(SUBSETS[name], pictures / name, processes=processes)
+        write_images(SUBSETS[name], pictures / name, processes=processes)
     if training.step < training.step_count:
         start_s = time.perf_counter()
-        loaded = [load_pictures(pictures / name) for name in names]
+        loaded = [load_images(pictures / name) for name in names]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in SIZE_PROBABILITY
