@@ -13,7 +13,7 @@ import warp as wp
 
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.differentiable import DifferentiableDetector
-from warpav.detection.in_loop import DetectorInLoop, Picture
+from warpav.detection.in_loop import DetectorInLoop, RenderedImage
 from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
@@ -370,7 +370,8 @@ class RigObjective:
                 cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
             pictures += [
-                Picture(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1]) for camera in cameras
+                RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
+                for camera in cameras
             ]
         rendered = time.perf_counter()
         answers = self._loop.ask(pictures)
