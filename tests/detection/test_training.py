@@ -293,7 +293,7 @@ def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
     file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     assert OnnxDetector(file).names == CLASS_NAMES
     monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_001, 2, False, few))
-    with pytest.raises(InputError, match="expected pictures of 2 scenes from seed 1000001 on"):
+    with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):
         train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     read = data.load_images(tmp_path / "pictures" / "train")
     assert list(read) == [256, 384, 640]

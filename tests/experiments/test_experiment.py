@@ -69,7 +69,7 @@ def test_every_task_leaves_its_result(finished, scenes):
 
 def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     with RunDisplay() as display:
-        problem = load_problem(ARMS[0].judged_config(config(scenes, "run.seed=1")), display)
+        problem = load_problem(ARMS[0].evaluation_config(config(scenes, "run.seed=1")), display)
     descent = begin_descent(problem).descent
     losses = [descent.step().loss for _ in range(2)]
     found = descent.finish()

@@ -186,8 +186,11 @@ def test_cameras_of_several_models_keep_their_places(folder):
         [plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]]
     )
     with RunDisplay() as display:
-        looker = method_figures._Looker(config, display)
-        (mixed,), (alone,) = looker.look(both, [scene], "mixed"), looker.look(Rig.create(plain), [scene], "alone")
+        observer = method_figures._Observer(config, display)
+        (mixed,), (alone,) = (
+            observer.observe(both, [scene], "mixed"),
+            observer.observe(Rig.create(plain), [scene], "alone"),
+        )
     assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
     for here, there in ((0, 0), (3, 1)):
         assert np.array_equal(mixed.panels[here].image_rgb, alone.panels[there].image_rgb)

@@ -104,18 +104,18 @@ class _Way:
 
 
 def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display: RunDisplay) -> Path:
-    """Figure 10: the ways of the cameras over the vehicle from one start, with all multipliers held at 0 and without.
+    """Figure 10: camera trajectories over the vehicle from one start, with and without all multipliers fixed at 0.
 
     Args:
         config: What to optimise.
         path: PNG file to write.
-        run: Gives the way with constraints and its start; None: both are walked now.
+        run: Supplies the trajectory with constraints and its start; None: both are computed.
         display: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
     """
-    # which iterate is kept and how often rigs are compared changes no way
+    # which iterate is kept and how often rigs are compared does not change the trajectory
     config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     free = changed_config(config, _UNCONSTRAINED)
     traffic, networks = load_traffic(config, display), load_networks(config)
@@ -136,20 +136,20 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
     lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")
 
     constraints, surface = problem.objective.constraints, problem.objective.mount.surface
-    point_m = np.concatenate([traffic.ego.bounds_m(), *(way.trajectory_m.reshape(-1, 3) for way in (lost, kept))])
+    point_m = np.concatenate([traffic.ego.bounds_m(), *(track.trajectory_m.reshape(-1, 3) for track in (lost, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 1.9 + 2.0 * min(0.8 * WIDTH_INCH * width_m / length_m, 5.0))
         axes, image = figure.subplots(2, 1, sharex=True, sharey=True), None
-        for axis, heading, way in zip(axes, ("Without constraints", "With constraints"), (lost, kept), strict=True):
+        for axis, heading, track in zip(axes, ("Without constraints", "With constraints"), (lost, kept), strict=True):
             draw_vehicle(axis, traffic.ego)
             image = draw_height_map(axis, surface, colours=pale_map())
             if constraints.are_inequalities:
                 draw_zone_border(axis, surface)
             else:
                 _draw_bounds(axis, surface.bounds_m)
-            draw_cameras(axis, way.end, rig_initial=way.start, trajectory_m=way.trajectory_m)
-            excess_m = [constraints.violation_m(Rig.create([camera])) for camera in way.end.cameras]
+            draw_cameras(axis, track.end, rig_initial=track.start, trajectory_m=track.trajectory_m)
+            excess_m = [constraints.violation_m(Rig.create([camera])) for camera in track.end.cameras]
             outside = int(np.count_nonzero(excess_m))
             remark = f"{outside} of {len(excess_m)} cameras end outside"
             title(axis, heading, f"{remark}, by up to {max(excess_m):.2f} m" if outside else remark)
@@ -170,7 +170,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
 
 
 def _walk(problem: Problem, descent: Descent, display: RunDisplay, how: str) -> _Way:
-    """Take all steps; the end is where the last of them led, moved to a feasible place where constraints count."""
+    """Run all iterations; the end is the last iterate, projected to a feasible rig if there are constraints."""
     mount, constraints = problem.objective.mount, problem.objective.constraints
     count = problem.config.run.iterations
     records = [descent.step() for _ in display.steps(how, range(count), count=count)]
@@ -189,12 +189,12 @@ def _draw_bounds(axis: Any, bounds_m: np.ndarray) -> None:  # noqa: ANN401 (matp
     axis.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=hex_colour(INK_RGB), linewidth=1.0, zorder=3))
 
 
-# ---------------------------------------------------------------------------------------------- what a rig makes of it
+# ---------------------------------------------------------------------------------------------- observations
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What a rig's cameras and detector make of a scene.
+class _SceneObservation:
+    """Observation of a scene by a rig's cameras and detector.
 
     Attributes:
         scene: The scene.
@@ -207,14 +207,14 @@ class _Look:
     panels: list[DetectionPanel]
 
 
-class _Looker:
+class _Observer:
     """Looks at scenes through rigs, with the configuration's detector."""
 
     def __init__(self, config: Config, display: RunDisplay) -> None:
         self._config, self._display = config, display
         self._device, self._detector = checked_device(config.device), load_detector(config)
 
-    def look(self, rig: Rig, scenes: Sequence[Scene], how: str) -> list[_Look]:
+    def observe(self, rig: Rig, scenes: Sequence[Scene], how: str) -> list[_SceneObservation]:
         config = self._config
         observer = RigObserver(
             rig,
@@ -225,22 +225,22 @@ class _Looker:
             supersampling=config.camera.supersampling,
             device=self._device,
         )
-        looks = []
+        observations = []
         for scene in self._display.steps(how, scenes, count=len(scenes)):
-            look = observer.observe(DeviceScene.pack(scene, device=self._device))
+            observation = observer.observe(DeviceScene.pack(scene, device=self._device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
-                for camera, seen in zip(rig.cameras, look.cameras, strict=True)
+                for camera, seen in zip(rig.cameras, observation.cameras, strict=True)
             ]
-            looks.append(_Look(scene, look.detected, panels))
-        return looks
+            observations.append(_SceneObservation(scene, observation.detected, panels))
+        return observations
 
 
 def before_and_after(config: Config, path: Path, *, run: RunFolder | None, display: RunDisplay) -> Path:
     """Figure 11: what a rig sees at the start and once optimised, on a batch of training scenes and on all test scenes.
 
     Args:
-        config: What to optimise, and with which scenes and detector to look.
+        config: The optimisation, and the scenes and detector of the observations.
         path: PNG file to write.
         run: Gives both rigs; None: the optimisation is done now.
         display: Where to show it.
@@ -260,21 +260,21 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, displ
         start, result = run.rig("initial"), run.rig()
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
-    looker = _Looker(config, display)
+    observer = _Observer(config, display)
     rows = {
-        "Start": (start, looker.look(start, train, "start")),
-        "Optimised": (result, looker.look(result, train, "optimised")),
-        "On test scenes": (result, looker.look(result, test, "test scenes")),
+        "Start": (start, observer.observe(start, train, "start")),
+        "Optimised": (result, observer.observe(result, train, "optimised")),
+        "On test scenes": (result, observer.observe(result, test, "test scenes")),
     }
     columns = 1 + len(start.cameras)
     with figure_style():
         figure = new_figure(2.45 * columns, 9.2)
         figure.get_layout_engine().set(h_pad=0.08)
         grid = figure.subplots(len(rows), columns, squeeze=False)
-        for (heading, (rig, looks)), axes in zip(rows.items(), grid, strict=True):
-            _draw_plan(axes[0], rig, looks)
+        for (heading, (rig, observations)), axes in zip(rows.items(), grid, strict=True):
+            _draw_plan(axes[0], rig, observations)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-            _draw_images(axes[1:], _fullest(looks))
+            _draw_images(axes[1:], _fullest(observations))
         _tell(
             figure,
             detection_handles(),
@@ -301,7 +301,7 @@ def highest(config: Config, path: Path, *, display: RunDisplay) -> Path:
     ego = scenes[0].ego
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
-    looks = _Looker(config, display).look(rig, scenes, "test scenes")
+    observations = _Observer(config, display).observe(rig, scenes, "test scenes")
     image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.0 + 2.35 * image_rows)
@@ -316,11 +316,11 @@ def highest(config: Config, path: Path, *, display: RunDisplay) -> Path:
         near.set_xlabel("x, forward [m]")
         near.set_ylabel("y, left [m]")
         title(near, "Cameras around the highest point")
-        _draw_plan(around, rig, looks)
+        _draw_plan(around, rig, observations)
         axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
         for axis in axes[len(rig.cameras) :]:
             axis.set_axis_off()
-        _draw_images(axes[: len(rig.cameras)], _fullest(looks))
+        _draw_images(axes[: len(rig.cameras)], _fullest(observations))
         covered_deg = math.degrees(covered_rad(rig))
         _tell(
             figure,
@@ -345,12 +345,12 @@ def covered_rad(rig: Rig) -> float:
     return covered
 
 
-def _fullest(looks: Sequence[_Look]) -> _Look:
-    return max(looks, key=lambda look: len(look.scene.vehicles))
+def _fullest(observations: Sequence[_SceneObservation]) -> _SceneObservation:
+    return max(observations, key=lambda observation: len(observation.scene.vehicles))
 
 
-def _draw_images(axes: Sequence[Any], look: _Look) -> None:
-    for k, (axis, panel) in enumerate(zip(axes, look.panels, strict=True)):
+def _draw_images(axes: Sequence[Any], observation: _SceneObservation) -> None:
+    for k, (axis, panel) in enumerate(zip(axes, observation.panels, strict=True)):
         draw_detections(axis, panel)
         axis.set(xticks=[], yticks=[])
         axis.grid(visible=False)
@@ -358,13 +358,13 @@ def _draw_images(axes: Sequence[Any], look: _Look) -> None:
             spine.set(visible=True, color=hex_colour(camera_rgb(k)), linewidth=2.0)
 
 
-def _draw_plan(axis: Any, rig: Rig, looks: Sequence[_Look]) -> None:  # noqa: ANN401 (matplotlib)
+def _draw_plan(axis: Any, rig: Rig, observations: Sequence[_SceneObservation]) -> None:  # noqa: ANN401 (matplotlib)
     """Draw from above who is found and who is not in some scenes, x pointing right, and the rig's sectors."""
-    boxes = [vehicle.box for look in looks for vehicle in look.scene.vehicles]
-    is_found = np.concatenate([look.is_found for look in looks])
+    boxes = [vehicle.box for observation in observations for vehicle in observation.scene.vehicles]
+    is_found = np.concatenate([observation.is_found for observation in observations])
     reach_m = max((np.abs(box.corners_m()[:, :2]).max() for box in boxes), default=20.0)
     reach_m = 5.0 * math.ceil(reach_m / 5.0)
-    draw_vehicle(axis, looks[0].scene.ego)
+    draw_vehicle(axis, observations[0].scene.ego)
     for index, camera in enumerate(rig.cameras):
         outline = sector_polygon_m(camera, radius_m=1.5 * reach_m)  # to the corners of the panel
         axis.fill(*outline.T, color=hex_colour(camera_rgb(index)), alpha=0.13, linewidth=0, zorder=0)
@@ -380,7 +380,7 @@ def _draw_plan(axis: Any, rig: Rig, looks: Sequence[_Look]) -> None:  # noqa: AN
     axis.tick_params(labelsize=8)
     axis.set_xlabel("x, forward [m]", fontsize=8)
     axis.set_title(
-        f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(looks), 'scenes')}",
+        f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(observations), 'scenes')}",
         fontsize=9.5,
         fontweight="normal",
         pad=4,

@@ -356,7 +356,7 @@ class RigObjective:
         self, views: _Views, scenes: Sequence[tuple[AssignedScene, int]], stage: Stage, seconds: dict[str, float]
     ) -> tuple[list[_Looked], Callable[[], list[Detections]]]:
         """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
-        looked, pictures = [], []
+        looked, images = [], []
         started = time.perf_counter()
         pose = self._pose.numpy()
         asks = self.settings.detected_area > 0.0 or (self.settings.missed > 0.0 and stage.detector_share > 0.0)
@@ -369,12 +369,12 @@ class RigObjective:
             if sight is not None and asks:
                 cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
-            pictures += [
+            images += [
                 RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
                 for camera in cameras
             ]
         rendered = time.perf_counter()
-        answers = self._loop.ask(pictures)
+        answers = self._loop.ask(images)
         seconds["render"] += rendered - started
         seconds["detect"] += time.perf_counter() - rendered
         return looked, answers

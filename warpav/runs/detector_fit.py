@@ -14,7 +14,14 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
-from warpav.detection.probability_fit import BIN_COUNT, Sightings, fit_probability, look, random_cameras, score
+from warpav.detection.probability_fit import (
+    BIN_COUNT,
+    DetectionSamples,
+    fit_probability,
+    random_cameras,
+    sample_detections,
+    score,
+)
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion, Renderer
@@ -131,9 +138,9 @@ def fit_detector(
             display.say(f"{stored} fits this detector, camera and source of scenes already; --again fits it again")
             _show(model.record, display)
             return stored
-    sightings = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), display)
+    samples = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), display)
     display.stage("fitting")
-    known, unseen = sightings.of_seeds(seeds.fit), sightings.of_seeds(seeds.held_out)
+    known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
         model, penalty = fit_probability(known, rng=np.random.default_rng([config.run.seed, _FOLDS]))
     except ValueError as error:
@@ -171,7 +178,7 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -> Sightings:
+def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -> DetectionSamples:
     """What the detector finds of the scenes through random cameras on the mount surface."""
     device = checked_device(config.device)
     detector = load_detector(config)
@@ -184,13 +191,13 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
         device=device,
     )
 
-    def parts() -> Iterator[Sightings]:
+    def parts() -> Iterator[DetectionSamples]:
         surface = None
         for seed, scene in zip(seeds, load_scenes(config, seeds), strict=True):
             surface = surface or mount_surface(config, scene.ego)
             packed = DeviceScene.pack(scene, device=device)
             if packed.vehicle_count == 0:
-                yield Sightings.join([])
+                yield DetectionSamples.join([])
                 continue
             cameras = random_cameras(
                 np.random.default_rng([config.run.seed, _CAMERAS, seed]),
@@ -200,9 +207,9 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 count=-(-VIEWS_PER_SCENE // at_once) * at_once,
                 **vars(free_ranges(config)),
             )
-            yield Sightings.join(
+            yield DetectionSamples.join(
                 [
-                    look(
+                    sample_detections(
                         renderer,
                         packed,
                         cameras[first : first + at_once],
@@ -215,11 +222,11 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 ]
             )
 
-    return Sightings.join(list(display.steps("looking at scenes", parts(), count=len(seeds))))
+    return DetectionSamples.join(list(display.steps("looking at scenes", parts(), count=len(seeds))))
 
 
-def _counts(sightings: Sightings) -> dict[str, int]:
-    return {"objects": len(sightings), "detected": int(sightings.is_detected.sum())}
+def _counts(samples: DetectionSamples) -> dict[str, int]:
+    return {"objects": len(samples), "detected": int(samples.is_detected.sum())}
 
 
 def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> Path:

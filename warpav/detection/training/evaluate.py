@@ -1,4 +1,4 @@
-"""How well a detector finds road users in pictures of town scenes: the figures of the model card."""
+"""Evaluation of a detector on images of town scenes: the metrics of the model card."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HEADLINE_HEIGHT_PX = 12.0
 HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
 VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
 DISTANCE_BINS_M = (0.0, 5.0, 10.0, 20.0, 30.0, np.inf)
-# Recall, precision and the labels are judged at this confidence.
+# Confidence threshold of recall, precision and labels.
 OPERATING_CONFIDENCE = 0.25
 
 # Labels that are no road user's name are kinds of vehicles.
@@ -122,17 +122,17 @@ class _Judged:
 
 
 def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
-    """Judge a detector on pictures of one size.
+    """Evaluate a detector on images of one size.
 
     Objects that show too little for a ground-truth box are ignored throughout. Labels are pooled: any motor vehicle's
     label is right for a vehicle, except in ``right_label``.
 
     Args:
         detector: Asked for detections of low confidence too, or the average precision comes out too low.
-        pictures: Images and objects.
+        pictures: Labelled images.
 
     Returns:
-        ``images``, and for every road user that the pictures hold and the detector knows: ``objects``; ``ap50`` of all
+        ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
         objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_by_height_px``; of the headline's
         ``ap50_by_visible_fraction`` and ``ap50_by_distance_m``, where every false alarm counts in every bin, since it
         has neither; at confidence 0.25 and for the headline's objects ``recall``, ``precision``,
