@@ -32,7 +32,7 @@ from IPython.display import Image
 from scipy.spatial.transform import Rotation
 
 from warpav.rig.rig import read_rig
-from warpav.runs.sources import load_scene
+from warpav.runs.scene_set import load_scene
 
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
 os.chdir(folder.name)

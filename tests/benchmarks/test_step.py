@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from tests.optimisation.thesis_losses import thesis_losses
 from warpav.experiments.bench.workload import embedded_workload, pack_workload
 from warpav.optimisation.gradient import AdamW
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.scene_step import AssignedScene, SceneStep
 from warpav.raster.renderer import Occlusion, Renderer
@@ -40,9 +40,9 @@ class Steps:
                 self.renderer,
                 AssignedScene(scene, (np.arange(vehicles) % cameras).astype(np.int32)),
                 pose=self.pose,
-                seed=wp.array(LossSettings().placement_scale, dtype=float, device=device),
+                seed=wp.array(thesis_losses().placement_scale, dtype=float, device=device),
                 forward_view=[camera * mount.rotation_count for camera in range(cameras)],
-                settings=LossSettings(),
+                settings=thesis_losses(),
             )
             for _ in range(SCENES)
         ]

@@ -24,9 +24,9 @@ from warpav.optimisation.gradient import Descent
 from warpav.rig.rig import rig_text
 from warpav.runs.config import Config
 from warpav.runs.inspect import inspector, run_plotter
+from warpav.runs.rig_source import config_for
 from warpav.runs.run_figures import OBJECT_EGO
 from warpav.runs.run_folder import ARM_ROWS, RunFolder
-from warpav.runs.sources import config_for
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 

@@ -9,6 +9,7 @@ import torch
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.oracle import clipped_edges
 from tests.raster.test_gradients import YAW, X, Y, moved
 from warpav.core.errors import InputError
@@ -18,7 +19,6 @@ from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
 from warpav.optimisation.detector_loss import detector_loss_of
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.raster.camera import CameraModel
@@ -249,7 +249,7 @@ def objective_with(detector, **scales):
         mount,
         ConstantDetector.silent(2),
         camera_count=2,
-        settings=LossSettings(**scales),
+        settings=thesis_losses(**scales),
         occlusion=Occlusion.EXACT,
         differentiable_detector=detector,
     )

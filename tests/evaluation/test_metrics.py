@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, block, car, roof, vehicle
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
@@ -18,9 +19,9 @@ from warpav.evaluation.metrics import (
     assign_to_nearest_cameras,
     evaluate_rig,
 )
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion, Renderer
@@ -29,7 +30,7 @@ from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 96, math.pi / 2)
 WIDE = CameraModel(96, 96, 2.0)
-MISSED_ALONE = LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0)
+MISSED_ALONE = LossSettings(missed=1.0)
 
 
 def scene_of(*places, wall=None, name="case"):
@@ -87,7 +88,7 @@ def objective_of(detector, camera_count=2, free=None):
         mount,
         detector,
         camera_count=camera_count,
-        settings=LossSettings() if free is None else MISSED_ALONE,
+        settings=thesis_losses() if free is None else MISSED_ALONE,
         occlusion=Occlusion.EXACT,
         probability=DetectionProbability.blank(),
     )

@@ -11,7 +11,7 @@ from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rivals import gradient_renders
-from warpav.runs.problem import load_problem, optimiser_settings
+from warpav.runs.build import build
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
@@ -21,7 +21,7 @@ BUDGET = 60
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
     with RunDisplay() as display:
-        return load_problem(config(tmp_path_factory.mktemp("scenes") / "street"), display)
+        return build(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma", 
 
 @pytest.mark.parametrize(("name", "budget"), [*WITHOUT_BUDGET, *WITH_BUDGET])
 def test_budgets_are_kept_and_told(problem, rendered, name, budget):
-    equal = gradient_renders(optimiser_settings(problem.config), len(problem.train))
+    equal = gradient_renders(problem.config.optimiser, len(problem.train), iterations=2, batch_size=2)
     assert equal == 2 * 2 + 2 * 2  # two steps, and two looks at all scenes
     found = find_rig_of(Arm(name, name), problem, budget)
     assert found.renders == len(rendered)

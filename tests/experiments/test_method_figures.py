@@ -16,10 +16,11 @@ from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments import method_figures
 from warpav.experiments.method_figures import covered_rad, draw_method_figure
 from warpav.rig.rig import Rig
-from warpav.runs.problem import load_problem
+from warpav.runs.build import build
 from warpav.runs.progress import RunDisplay
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.sources import find_rig, load_scenes
+from warpav.runs.scene_set import load_scenes
 from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 
 WIDE_STEPS = "optimiser.learning_rate_position_m=4"  # the surface is 2 m wide
@@ -137,7 +138,7 @@ def test_a_run_of_one_step_shows_no_way(run, tmp_path):
 def found_of(config, rig_shown, scenes):
     """How many road users the evaluation says that a rig finds."""
     with RunDisplay() as display:
-        problem = load_problem(config, display)
+        problem = build(config).prepare(display)
     chosen = problem.train if scenes == "train" else problem.test
     metrics = evaluate_rig(rig_shown, chosen, problem.objective)
     return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"

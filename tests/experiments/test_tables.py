@@ -11,7 +11,7 @@ from warpav.experiments import arms, thesis_experiments
 from warpav.experiments.tables import Cell, compare_results, result_table
 from warpav.experiments.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_overrides
 from warpav.experiments.thesis_tables import WARNING, thesis_table
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 
 METRICS = (
     "map50_average",

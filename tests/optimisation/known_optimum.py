@@ -22,10 +22,11 @@ from warpav.detection.detector import Detections
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses import LossSettings, Reference
+from warpav.optimisation.losses import Reference
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import BudgetedValue, SearchSpace
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh, merge
@@ -93,14 +94,13 @@ class World:
     def objective(self):
         """Each vehicle's share that is not found, mean over vehicles."""
         mount = CameraMount(self.surface, camera=MODEL, height_offset_m=HEIGHT_OFFSET_M)
-        settings = LossSettings(
-            in_frame_rotation=0.0, detected_area=1.0, min_detected_area=1.0, reference=Reference.ALONE
-        )
+        settings = LossSettings(detected_area=1.0, min_detected_area=1.0)
         return RigObjective(
             mount,
             PaintDetector(),
             camera_count=self.camera_count,
             settings=settings,
+            reference=Reference.ALONE,
             iou_min=0.2,
             occlusion=Occlusion.EXACT,
             supersampling=self.supersampling,
@@ -113,7 +113,8 @@ class World:
             self.objective.mount,
             PaintDetector(),
             camera_count=self.camera_count,
-            settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0, multiplier_damping=10.0),
+            settings=LossSettings(missed=1.0),
+            multiplier_damping=10.0,
             constraints=ZoneAndSpacing(self.surface, camera_count=self.camera_count),
             occlusion=Occlusion.EXACT,
             supersampling=self.supersampling,

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from tests.driving_scene import flat_surface
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.test_losses import constraint_losses, differences, placement_losses
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.oracle import closed_forms, thesis
 from tests.raster.bodies import FAR_AWAY, ball, cuboid, edges_of, scene_of
-from warpav.optimisation.losses import OBJECTIVES, LossSettings
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.scene_step import AssignedScene, SceneStep
+from warpav.optimisation.settings import OBJECTIVES, LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import AMODAL_AREA, MEASURE_COUNT, Occlusion, Renderer
@@ -45,7 +46,7 @@ def losses_in(scene, assigned, pose, device, name, *, box_px=None, supersampling
         pose=moved,
         seed=wp.array(np.array([name == each for each in OBJECTIVES], np.float32), dtype=float, device=device),
         forward_view=[camera * mount.rotation_count for camera in range(len(pose))],
-        settings=LossSettings(**{name: 1.0}, **options),
+        settings=thesis_losses(**{name: 1.0}, **options),
     )
     step.look()
     step.set_boxes(np.zeros((len(pose), len(assigned), 4)) if box_px is None else box_px)
@@ -340,7 +341,7 @@ def test_constraints_are_scaled_like_the_largest_objective():
     assert settings.constraint_scale == 7.0
     assert settings.objective_count == 5
     assert "angular_coverage" not in settings.measured_objectives
-    assert LossSettings().measured_objectives == ("in_frame_rotation", "detected_area")
+    assert thesis_losses().measured_objectives == ("in_frame_rotation", "detected_area")
 
 
 def test_the_unblocked_areas_have_to_be_there(device):

@@ -13,11 +13,11 @@ from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
 from tests.optimisation.test_gradient import START, Slope, street_scenes
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.gradient import Descent, OptimiserSettings
-from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.gradient import Descent
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.lens import Lens
@@ -165,17 +165,15 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
     objective.evaluate = steep
     start = START.copy()
     start[:, [PITCH_RAD, RISE_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
-    steps = OptimiserSettings(
-        iterations=4,
-        batch_size=1,
-        learning_rate_position_m=0.01,
-        learning_rate_pitch_rad=rate,
-        learning_rate_height_m=rate,
-        learning_rate_zoom=rate,
-        keep="best",
-        check_every=2,
+    steps = OptimiserSettings(keep="best", check_every=2).model_copy(
+        update={
+            "learning_rate_position_m": 0.01,
+            "learning_rate_pitch_deg": math.degrees(rate),
+            "learning_rate_height_m": rate,
+            "learning_rate_zoom": rate,
+        }
     )
-    descent = Descent(objective, street_scenes(), steps, start, np.random.default_rng(0))
+    descent = Descent(objective, street_scenes(), steps, start, np.random.default_rng(0), 4, 1)
     records = [descent.step() for _ in range(4)]
     assert_within(objective.mount, descent.finish().mount_pose)
     assert set(records[0].free) == {"pitch_deg", "height_m", "fov_deg"}
@@ -205,8 +203,7 @@ def test_searches_try_all_that_is_free_and_nothing_else(seed):
 def test_records_hold_only_what_is_free():
     objective = Slope()
     objective.mount = mount_of(FreeRanges(pitch_rad=FREE.pitch_rad))
-    steps = OptimiserSettings(iterations=1, batch_size=1)
-    record = Descent(objective, street_scenes(), steps, START, np.random.default_rng(0)).step()
+    record = Descent(objective, street_scenes(), OptimiserSettings(), START, np.random.default_rng(0), 1, 1).step()
     assert record.free == {"pitch_deg": [0.0, 0.0]}
     assert set(record.gradient_norm) == {"position", "rotation"}
 
@@ -223,7 +220,7 @@ def fenced_objective(free):
         mount_of(free, surface),
         ConstantDetector.silent(1),
         camera_count=1,
-        settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0),
+        settings=LossSettings(missed=1.0),
         occlusion=Occlusion.EXACT,
         supersampling=2,
         # more of it, less of it hidden, less of it cut off, farther from the border
@@ -239,10 +236,8 @@ def fenced_objective(free):
 
 def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
     steps = OptimiserSettings(
-        iterations=60,
-        batch_size=1,
         learning_rate_position_m=0.01,
-        learning_rate_yaw_rad=0.01,
+        learning_rate_yaw_deg=math.degrees(0.01),
         schedule="cosine",
         keep="best",
         check_every=5,
@@ -252,8 +247,8 @@ def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
     found = {}
     for name, free in (("free", FREE), ("fixed", None)):
         objective, scenes = fenced_objective(free)
-        descent = Descent(objective, scenes, steps, start, np.random.default_rng(0))
-        for _ in range(steps.iterations):
+        descent = Descent(objective, scenes, steps, start, np.random.default_rng(0), 60, 1)
+        for _ in range(60):
             descent.step()
         found[name] = descent.finish()
     objective, scenes = fenced_objective(FREE)

@@ -10,28 +10,36 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.gradient import Descent, MultiplierAscent, OptimiserSettings
-from warpav.optimisation.losses import LossSettings, lagrangian_of
+from warpav.optimisation.gradient import Descent, MultiplierAscent
+from warpav.optimisation.losses import lagrangian_of
 from warpav.optimisation.missed import Stage
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimisation.rivals import gradient_renders
+from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0, 0.0, 0.0]])
 SETTINGS = OptimiserSettings(
-    iterations=25,
-    batch_size=2,
     learning_rate_position_m=0.04,
-    learning_rate_yaw_rad=0.08,
+    learning_rate_yaw_deg=math.degrees(0.08),
     schedule="cosine",
     keep="best",
     check_every=5,
+    panorama_until=0.0,
+    detector_from=0.0,
 )
+LONG_STEPS = {"learning_rate_position_m": 0.25, "learning_rate_yaw_deg": math.degrees(0.25), "schedule": "constant"}
+
+
+def changed(**settings):
+    """The settings with other numbers, also such as no configuration may have."""
+    return SETTINGS.model_copy(update=settings)
 
 
 class WholeImageDetector:
@@ -47,7 +55,7 @@ class WholeImageDetector:
 
 def street_objective(device="cpu", **settings):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-    return RigObjective(mount, WholeImageDetector(), camera_count=2, settings=LossSettings(**settings), iou_min=0.01)
+    return RigObjective(mount, WholeImageDetector(), camera_count=2, settings=thesis_losses(**settings), iou_min=0.01)
 
 
 def street_scenes(device="cpu"):
@@ -56,15 +64,17 @@ def street_scenes(device="cpu"):
     return [AssignedScene(packed_street(device, 10, seed), camera_of_car) for seed in (0, 1, 2)]
 
 
-def run(settings=SETTINGS, seed=0, start=START, objective=None, scenes=None, device="cpu"):
+def run(settings=SETTINGS, seed=0, start=START, objective=None, scenes=None, device="cpu", iterations=25, batch_size=2):
     descent = Descent(
         objective or street_objective(device),
         scenes or street_scenes(device),
         settings,
         start,
         np.random.default_rng(seed),
+        iterations=iterations,
+        batch_size=batch_size,
     )
-    records = [descent.step() for _ in range(settings.iterations)]
+    records = [descent.step() for _ in range(iterations)]
     return descent, records, descent.finish()
 
 
@@ -114,8 +124,7 @@ def test_records_hold_what_happened(finished):
 
 
 def test_same_seed_same_result_other_seed_other_batches(finished):
-    short = dataclasses.replace(SETTINGS, iterations=6, batch_size=1)
-    runs = [run(short, seed) for seed in (0, 0, 1)]
+    runs = [run(seed=seed, iterations=6, batch_size=1) for seed in (0, 0, 1)]
     positions = [[r.positions_m for r in records] for _, records, _ in runs]
     assert positions[0] == positions[1]
     assert positions[0] != positions[2]
@@ -123,8 +132,7 @@ def test_same_seed_same_result_other_seed_other_batches(finished):
 
 
 def test_keep_last_takes_the_last_pose(finished):
-    settings = dataclasses.replace(SETTINGS, iterations=3, keep="last")
-    descent, records, result = run(settings)
+    descent, records, result = run(changed(keep="last"), iterations=3)
     assert [r.training_objective is None for r in records] == [False, True, True]
     assert result.iteration == 3
     np.testing.assert_allclose(result.mount_pose[:, YAW_RAD], descent.state()["pose_value"][:, YAW_RAD])
@@ -132,10 +140,10 @@ def test_keep_last_takes_the_last_pose(finished):
 
 def test_keep_best_never_ends_worse_than_the_start():
     # steps so large that every one of them spoils the start
-    wild = dataclasses.replace(SETTINGS, iterations=4, learning_rate_position_m=2.0, learning_rate_yaw_rad=2.0)
+    wild = changed(learning_rate_position_m=2.0, learning_rate_yaw_deg=math.degrees(2.0))
     good = START.copy()
     good[:, YAW_RAD] = [0.0, math.pi]
-    _, records, result = run(wild, start=good)
+    _, records, result = run(wild, start=good, iterations=4)
     assert result.training_objective <= records[0].training_objective
     assert BoundsAndSpacing(roof()).violation_m(street_objective().mount.rig(result.mount_pose)) == 0.0
 
@@ -148,7 +156,7 @@ class Slope:
 
     def __init__(self, total=1.0):
         self.mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
-        self.settings = LossSettings()
+        self.settings = thesis_losses()
         self.constraints = BoundsAndSpacing(roof())
         self.total = total
         self.multipliers = []
@@ -169,9 +177,9 @@ class Slope:
 
 @pytest.mark.parametrize("schedule", ["constant", "cosine"])
 def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
-    settings = OptimiserSettings(iterations=8, schedule=schedule, keep="last", multiplier_weight_decay=0.05)
+    settings = OptimiserSettings(schedule=schedule, keep="last", multiplier_weight_decay=0.05)
     slope = Slope()
-    descent, records, _ = run(settings, objective=slope, scenes=street_scenes())
+    descent, records, _ = run(settings, objective=slope, scenes=street_scenes(), iterations=8, batch_size=4)
     pose = thesis.AdamW(START, weight_decay=settings.weight_decay)
     multiplier = thesis.AdamW(np.zeros(2), weight_decay=0.05)
     gradient = slope.evaluate(None, None, gradient=True).gradient
@@ -197,8 +205,8 @@ def test_a_loss_that_is_not_finite_stops_the_run(total):
 
 
 def test_cameras_that_run_away_stop_the_run_with_a_message():
-    far = dataclasses.replace(SETTINGS, iterations=3, learning_rate_position_m=500.0, keep="last")
-    descent = Descent(street_objective(), street_scenes(), far, START, np.random.default_rng(0))
+    far = changed(learning_rate_position_m=500.0, keep="last")
+    descent = Descent(street_objective(), street_scenes(), far, START, np.random.default_rng(0), iterations=3)
     descent.step()
     with pytest.raises(InputError, match="iteration 1: expected a finite loss"):
         descent.step()
@@ -220,19 +228,17 @@ class Scripted(Slope):
         return dataclasses.replace(found, objective=self.looks.pop(0))
 
 
-def scripted(looks, further_starts=(), **settings):
-    settings = OptimiserSettings(
-        **{
-            "iterations": 6,
-            "batch_size": 1,
-            "keep": "best",
-            "check_every": 1,
-            "descents": 1 + len(further_starts),
-            **settings,
-        }
-    )
+def scripted(looks, further_starts=(), *, iterations=6, **settings):
+    settings = changed(**{"check_every": 1, "descents": 1 + len(further_starts), **LONG_STEPS, **settings})
     return Descent(
-        Scripted(looks), street_scenes(), settings, START, np.random.default_rng(0), further_starts=further_starts
+        Scripted(looks),
+        street_scenes(),
+        settings,
+        START,
+        np.random.default_rng(0),
+        iterations,
+        1,
+        further_starts=further_starts,
     )
 
 
@@ -331,7 +337,7 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
     assume(iterations >= descents)
     # as many as there can be; here no mixture is looked at
     spent = iterations + 3 * looks
-    counted = gradient_renders(descent.settings, 3)
+    counted = gradient_renders(descent.settings, 3, iterations=iterations, batch_size=1)
     assert spent <= counted
     if descents == 1:
         assert spent == counted
@@ -340,7 +346,7 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
 def test_a_start_beyond_the_constraints_is_projected_for_the_first_look():
     outside = START.copy()
     outside[:, :2] = [[9.0, 0.0], [9.0, 0.05]]
-    descent, records, _ = run(dataclasses.replace(SETTINGS, iterations=1), start=outside)
+    descent, records, _ = run(iterations=1, start=outside)
     first = descent.candidates[0].mount_pose
     assert BoundsAndSpacing(roof()).violation_m(descent.objective.mount.rig(first)) == 0.0
     assert records[0].terms["out_of_bounds"] > 1.0
@@ -361,7 +367,7 @@ def test_state_holds_every_number_of_the_optimiser(finished):
 
 def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0.05, ascent=1.0):
     """Descend and ascend on a problem in closed form; the last places and multipliers, one row a step."""
-    settings = LossSettings(in_frame_rotation=1.0, detected_area=0.0, multiplier_damping=damping)
+    settings = LossSettings(in_frame_rotation=1.0)
     ascender, x, track = MultiplierAscent(np.array(multiplier)), np.array(start, float), []
     for _ in range(steps):
         value, jacobian = excess(x)
@@ -372,7 +378,7 @@ def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0
         tape = wp.Tape()
         with tape:
             nothing = wp.zeros(2, dtype=float, device="cpu")
-            total = lagrangian_of(nothing, constraint, multipliers, settings, are_inequalities=True)
+            total = lagrangian_of(nothing, constraint, multipliers, settings, damping=damping, are_inequalities=True)
         tape.backward(total)
         track.append(np.r_[x, ascender.value])
         x = x - rate * (slope(x) + np.asarray(jacobian).T @ constraint.grad.numpy())
@@ -420,15 +426,16 @@ def test_descent_under_inequalities_ends_in_the_zone():
         mount,
         WholeImageDetector(),
         camera_count=2,
-        settings=LossSettings(multiplier_damping=20.0),
+        settings=thesis_losses(),
+        multiplier_damping=20.0,
         constraints=constraints,
         iou_min=0.01,
     )
     start = START.copy()
     start[:, :2] = [[1.06, 0.1], [1.1, 0.0]]
     assert constraints.violation_m(mount.rig(start)) > 0.2
-    settings = dataclasses.replace(SETTINGS, iterations=10, multiplier_learning_rate=2.0)
-    _, records, result = run(settings, objective=objective, start=start)
+    settings = changed(multiplier_learning_rate=2.0)
+    _, records, result = run(settings, iterations=10, objective=objective, start=start)
     assert constraints.violation_m(mount.rig(result.mount_pose)) == 0.0
     assert tuple(records[0].multipliers) == constraints.names == tuple(records[0].terms)[-3:]
     assert records[0].terms["zone_0"] > 0.05

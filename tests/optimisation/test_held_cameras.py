@@ -9,15 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import roof
-from tests.optimisation.test_gradient import SETTINGS, WholeImageDetector, street_scenes
+from tests.optimisation.test_gradient import WholeImageDetector, changed, street_scenes
+from tests.optimisation.thesis_losses import thesis_losses
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.gradient import Descent
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.missed import Stage
 from warpav.optimisation.mount import LOG_ZOOM, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.settings import LossSettings
 from warpav.optimisation.starts import exchange_cameras, first_rigs, look_at_starts
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
@@ -53,7 +54,8 @@ def objective_of(mount):
         mount,
         WholeImageDetector(),
         camera_count=len(mount.held.is_held),
-        settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0, multiplier_damping=10.0),
+        settings=LossSettings(missed=1.0),
+        multiplier_damping=10.0,
         constraints=constraints_of(mount),
         iou_min=0.01,
         probability=size_alone(),
@@ -122,9 +124,9 @@ def test_names_are_some_of_the_rigs_and_not_all(names):
 
 def test_losses_of_the_thesis_refuse_several_fields_of_view():
     with pytest.raises(ValueError, match="one field of view for all cameras, got several"):
-        RigObjective(held_mount(), WholeImageDetector(), camera_count=2, settings=LossSettings())
+        RigObjective(held_mount(), WholeImageDetector(), camera_count=2, settings=thesis_losses())
     same = held_mount(camera("bumper", BUMPER.position_m), ROOF)
-    RigObjective(same, WholeImageDetector(), camera_count=2, settings=LossSettings())
+    RigObjective(same, WholeImageDetector(), camera_count=2, settings=thesis_losses())
 
 
 # --- constraints ----------------------------------------------------------------------------------------------------
@@ -262,14 +264,14 @@ def test_a_descent_leaves_it_alone_and_improves_the_others(free):
     start = mount.start_pose_of_rig(rig)
     further = start.copy()
     further[0, YAW_RAD] = -1.0
-    steps = {**vars(SETTINGS), "iterations": 16, "check_every": 4, "descents": 2, "starts": 2}
-    steps["panorama_until"] = 0.5
     descent = Descent(
         objective_of(mount),
         street_scenes(),
-        type(SETTINGS)(**steps),
+        changed(check_every=4, descents=2, starts=2, panorama_until=0.5),
         start,
         np.random.default_rng(0),
+        16,
+        2,
         further_starts=[further],
     )
     for _ in range(16):

@@ -1,6 +1,5 @@
 """Every loss against the printed formula, and its gradient against finite differences of that formula."""
 
-import dataclasses
 import functools
 import math
 
@@ -10,10 +9,12 @@ import warp as wp
 
 from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.oracle import thesis
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.losses import OBJECTIVES, LossSettings, Reference, lagrangian_of, placement_losses_of
+from warpav.optimisation.losses import Reference, lagrangian_of, placement_losses_of
 from warpav.optimisation.mount import CameraMount
+from warpav.optimisation.settings import OBJECTIVES, LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 
@@ -123,6 +124,7 @@ def placement_losses(
     per_spin=None,
     unblocked=None,
     weight=(1.0, 0.0),
+    reference=Reference.NON_OCCLUDED,
     **settings,
 ):
     """Losses for measures [view, vehicle, measure], and the gradient of their weighted sum to the pose.
@@ -156,7 +158,8 @@ def placement_losses(
             measures,
             wp.array(assigned, dtype=wp.int32, device=device),
             assigned_count=int((assigned >= 0).sum()),
-            settings=LossSettings(**settings),
+            settings=thesis_losses(**settings),
+            reference=reference,
             unblocked=None if unblocked is None else measured(*(numbers[:, :, None] for numbers in unblocked)),
         )
     weight = np.pad(np.array(weight, np.float32), (0, len(OBJECTIVES) - len(weight)))
@@ -425,14 +428,14 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
 # --- the Lagrangian --------------------------------------------------------------------------------------------------
 
 
-def lagrangian(objective, constraint, multiplier, settings, device, *, are_inequalities=False):
+def lagrangian(objective, constraint, multiplier, settings, device, *, damping=0.0, are_inequalities=False):
     arrays = [
         wp.array(np.array(numbers, np.float32), dtype=float, device=device, requires_grad=True)
         for numbers in (objective, constraint, multiplier)
     ]
     tape = wp.Tape()
     with tape:
-        total = lagrangian_of(*arrays, settings, are_inequalities=are_inequalities)
+        total = lagrangian_of(*arrays, settings, damping=damping, are_inequalities=are_inequalities)
     tape.backward(total)
     return float(total.numpy()[0]), [array.grad.numpy() for array in arrays]
 
@@ -457,18 +460,18 @@ def test_lagrangian_matches_oracle(device, rng, scales):
 
 
 def test_damping_adds_half_the_squared_constraint(device):
-    plain = LossSettings(in_frame_rotation=1.0, detected_area=0.0)
-    damped = dataclasses.replace(plain, multiplier_damping=4.0)
-    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], plain, device)
-    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], damped, device)
+    settings = LossSettings(in_frame_rotation=1.0)
+    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], settings, device)
+    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], settings, device, damping=4.0)
     assert with_damping - without == pytest.approx(0.5 * 4.0 * (0.3**2 + 0.2**2), rel=1e-5)
 
 
-INEQUALITIES = LossSettings(in_frame_rotation=1.0, detected_area=3.0, multiplier_damping=4.0)
+INEQUALITIES = LossSettings(in_frame_rotation=1.0, detected_area=3.0)
+DAMPING = 4.0
 
 
 def test_damped_lagrangian_matches_its_formula(device, rng):
-    scale, damping = np.array([1.0, 3.0]), INEQUALITIES.multiplier_damping
+    scale, damping = np.array([1.0, 3.0]), DAMPING
     for _ in range(20):
         objective, excess, multiplier = rng.uniform(0.0, 2.0, 2), rng.uniform(-1.0, 1.0, 5), rng.uniform(0.0, 3.0, 5)
         multiplier[0] = 0.0
@@ -478,16 +481,17 @@ def test_damped_lagrangian_matches_its_formula(device, rng):
             # the same with one square for each inequality, as Rockafellar writes it
             return scale @ o + ((np.maximum(m + damping * g, 0.0) ** 2 - m**2) / (2.0 * damping)).sum()
 
-        value, gradients = lagrangian(objective, excess, multiplier, INEQUALITIES, device, are_inequalities=True)
+        value, gradients = lagrangian(
+            objective, excess, multiplier, INEQUALITIES, device, damping=DAMPING, are_inequalities=True
+        )
         numbers = np.r_[objective, excess, multiplier]
         assert value == pytest.approx(total(numbers), abs=1e-5)
         np.testing.assert_allclose(np.concatenate(gradients), differences(total, numbers, 1e-6), atol=1e-5)
 
 
 def test_inequalities_without_damping_count_as_they_are(device):
-    plain = dataclasses.replace(INEQUALITIES, multiplier_damping=0.0)
     value, (_, to_excess, to_multiplier) = lagrangian(
-        [0.5, 0.0], [0.3, -0.2], [2.0, 1.0], plain, device, are_inequalities=True
+        [0.5, 0.0], [0.3, -0.2], [2.0, 1.0], INEQUALITIES, device, are_inequalities=True
     )
     assert value == pytest.approx(0.5 + 2.0 * 0.3 - 1.0 * 0.2)
     np.testing.assert_allclose(to_excess, [2.0, 1.0])
@@ -496,7 +500,7 @@ def test_inequalities_without_damping_count_as_they_are(device):
 
 def test_room_to_spare_without_multiplier_costs_nothing(device):
     value, (_, to_excess, to_multiplier) = lagrangian(
-        [0.5, 0.0], [-0.3, -1e-6], [0.0, 0.0], INEQUALITIES, device, are_inequalities=True
+        [0.5, 0.0], [-0.3, -1e-6], [0.0, 0.0], INEQUALITIES, device, damping=DAMPING, are_inequalities=True
     )
     assert value == 0.5
     assert not to_excess.any()

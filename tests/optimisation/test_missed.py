@@ -14,10 +14,10 @@ from warpav.detection.probability import (
     Appearance,
     DetectionProbability,
 )
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.missed import Stage
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Occlusion, Renderer
 
@@ -46,7 +46,7 @@ def probability_model(rng):
 
 
 def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
-    scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
+    scales = {"missed": 1.0, **settings}
     return RigObjective(
         CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
         detector or ConstantDetector.silent(cameras),

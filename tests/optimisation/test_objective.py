@@ -8,10 +8,10 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, SilentDetector, packed_street, roof
+from tests.optimisation.thesis_losses import thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.detection.observe import Observation
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.raster.camera import CameraModel
@@ -45,7 +45,7 @@ def objective_of(detector, device, *, supersampling=1, occlusion=Occlusion.PAIRW
         mount,
         detector,
         camera_count=3,
-        settings=LossSettings(**settings),
+        settings=thesis_losses(**settings),
         iou_min=0.3,  # a step must not undo a match
         occlusion=occlusion,
         supersampling=supersampling,

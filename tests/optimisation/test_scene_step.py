@@ -5,7 +5,8 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import packed_street, roof
-from warpav.optimisation.losses import LossSettings, Reference
+from tests.optimisation.thesis_losses import thesis_losses
+from warpav.optimisation.losses import Reference
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.scene_step import AssignedScene, SceneStep
 from warpav.raster.camera import CameraModel
@@ -37,14 +38,14 @@ class Steps:
             pose=self.pose,
             seed=wp.array(SEED, dtype=float, device=device),
             forward_view=[0, mount.rotation_count],
-            settings=LossSettings(
+            settings=thesis_losses(
                 epsilon=0.05,
-                reference=Reference.ALONE,
                 surface_blockage=1.0,
                 object_visibility=1.0,
                 angular_coverage=1.0,
                 min_unblocked_area=1.0,
             ),
+            reference=Reference.ALONE,
             recorded=recorded,
         )
         self.box_px = np.tile(np.float32([20.0, 30.0, 100.0, 90.0]), (2, car_count, 1))

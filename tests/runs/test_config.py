@@ -15,7 +15,7 @@ from warpav.runs.config import (
     option_values,
     placed_config,
 )
-from warpav.runs.sources import camera_model, free_ranges
+from warpav.runs.mounts import camera_model, free_ranges
 
 
 @pytest.fixture

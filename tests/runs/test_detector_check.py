@@ -7,7 +7,7 @@ import pytest
 from warpav.cli.app import main
 from warpav.runs import detector_check
 from warpav.runs.config import load_config
-from warpav.runs.sources import detector_use, load_detector
+from warpav.runs.networks import detector_use, load_detector
 
 pytest.importorskip("onnx")
 

@@ -12,11 +12,13 @@ from tests.scene.test_own_vehicle import of_kind, save
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.experiments import experiment as experiments
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config, with_absolute_paths
-from warpav.runs.problem import load_traffic
-from warpav.runs.sources import detector_use, load_scenes, mount_surface, own_vehicle
+from warpav.runs.mounts import mount_surface
+from warpav.runs.networks import detector_use
+from warpav.runs.scene_set import load_scene_set, load_scenes, own_vehicle
 from warpav.runs.vehicle_check import zone_parts
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
@@ -274,13 +276,13 @@ def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, 
         ["scenes.ego=car.glb", "scenes.train_seeds=[1]", "scenes.test_seeds=[2]", "run.batch_size=1"],
     )
     kept = experiments._TrafficOfProcess()
-    first = kept(config, experiments.QUIET)
-    assert kept(config, experiments.QUIET) is first
+    first = kept(config, NullProgress())
+    assert kept(config, NullProgress()) is first
     write_vehicle(moved_van(), tmp_path / "car.glb")
-    again = kept(config, experiments.QUIET)
+    again = kept(config, NullProgress())
     np.testing.assert_array_equal(again.ego.vertex_m, moved_van().vertex_m)
     assert again.mount.surface.height_m.max() > first.mount.surface.height_m.max() + 0.3
-    np.testing.assert_array_equal(load_traffic(config, experiments.QUIET).ego.vertex_m, again.ego.vertex_m)
+    np.testing.assert_array_equal(load_scene_set(config, NullProgress()).ego.vertex_m, again.ego.vertex_m)
 
 
 def town_like(seed):

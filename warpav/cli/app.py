@@ -6,6 +6,7 @@ needs it, so that ``--help`` and ``config`` answer at once.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from warpav import __version__
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 
 DEFAULT_CONFIG = "quick"
 
@@ -87,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, CycloptsError) as error:
         if debug:
             raise
-        _complain(_usage_text(error) if isinstance(error, CycloptsError) else str(error))
+        _complain(_text_of(error))
         return 2
     except Exception as error:
         if debug:
@@ -102,13 +103,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
-    from warpav.runs.optimise import optimise_rig
-    from warpav.runs.progress import RunDisplay
+    from warpav.runs.jobs import optimise_rig
+    from warpav.runs.progress import RunDisplay, show_verdict
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings, RunDisplay() as display:
-        optimise_rig(settings, name=find_config(config).stem, display=display)
+        _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
+        show_verdict(display.console, evaluation)
 
 
 @app.command
@@ -120,12 +122,12 @@ def evaluate(
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Measure a rig on the test scenes."""
-    from warpav.runs.optimise import measure_rig
-    from warpav.runs.progress import RunDisplay
-    from warpav.runs.sources import config_for
+    from warpav.runs.jobs import measure_rig
+    from warpav.runs.progress import RunDisplay, show_verdict
+    from warpav.runs.rig_source import config_for
 
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
-        measure_rig(rig, settings, json_file=json, display=display)
+        show_verdict(display.console, measure_rig(rig, settings, json_file=json, progress=display))
 
 
 @experiment_app.default
@@ -176,7 +178,7 @@ def experiment(
             render_budget=budget,
             out=out,
             quick=quick,
-            display=display,
+            progress=display,
         )
     return 1 if done.failed else 0
 
@@ -204,7 +206,7 @@ def experiment_rescore(
     name = folder_name(name, overrides)
     given = _executor_overrides(executor, workers, address)
     with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:
-        done = run_rescore(folder, settings, name=name, display=display)
+        done = run_rescore(folder, settings, name=name, progress=display)
     return 1 if done.failed else 0
 
 
@@ -228,8 +230,8 @@ def render(
     out: Annotated[Path, Parameter(help="Folder for the images.")],
 ) -> None:
     """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
+    from warpav.runs.rig_source import config_for
     from warpav.runs.run_figures import render_rig
-    from warpav.runs.sources import config_for
 
     with config_for(rig, None, overrides, default=DEFAULT_CONFIG) as settings:
         folder = render_rig(scene, rig, settings, out, overrides)
@@ -259,7 +261,7 @@ def inspect(
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.runs.inspect import inspect_rig
     from warpav.runs.progress import RunDisplay
-    from warpav.runs.sources import config_for
+    from warpav.runs.rig_source import config_for
 
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings:
         file = inspect_rig(run_or_rig, settings, out, shown=show, display=RunDisplay())
@@ -318,7 +320,7 @@ def bench(
             json_file=json,
             with_embree=embree,
             with_sweep=sweep,
-            display=display,
+            progress=display,
         )
 
 
@@ -442,13 +444,14 @@ def scenes_figure(
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
     from warpav.experiments.method_figures import draw_method_figure
+    from warpav.rig.find import HIGHEST
     from warpav.runs.progress import RunDisplay
+    from warpav.runs.rig_source import config_for
     from warpav.runs.run_folder import RunFolder
-    from warpav.runs.sources import HIGHEST, config_for
 
     folder = None if run is None else RunFolder.open(run)
     with config_for(run or HIGHEST, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
-        file = draw_method_figure(number, out, settings, run=folder, display=display)
+        file = draw_method_figure(number, out, settings, run=folder, progress=display)
     _say(f"wrote {file}")
 
 
@@ -593,7 +596,7 @@ def rig_export(
 ) -> None:
     """Write a rig for another tool."""
     from warpav.rig.formats.convert import export_rig
-    from warpav.runs.sources import rig_to_export
+    from warpav.runs.rig_source import rig_to_export
 
     files, notes = export_rig(
         rig_to_export(rig),
@@ -620,7 +623,7 @@ def rig_check(
     """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
     from warpav.rig.check import description, mirrored_cameras, oddities
     from warpav.rig.formats.convert import formats_for
-    from warpav.runs.sources import is_run_folder, rig_to_export
+    from warpav.runs.rig_source import is_run_folder, rig_to_export
 
     found = rig_to_export(rig)
     for camera in found.cameras:
@@ -729,7 +732,7 @@ def detector_fit(
             held_out_seeds=chosen[1],
             out=out,
             again=again,
-            display=display,
+            progress=display,
         )
     _say(f"p(detected): {file}")
 
@@ -800,6 +803,23 @@ def _load(config: str, overrides: Sequence[str]):  # noqa: ANN202 (importing the
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     return load_config(config, overrides)
+
+
+def _text_of(error: InputError | CycloptsError) -> str:
+    """What is wrong with the user's input, in the words of the command line: arguments of functions are flags here."""
+    if isinstance(error, CycloptsError):
+        return _usage_text(error)
+    if not isinstance(error, ArgumentError):
+        return str(error)
+    text = re.sub(r"`(\w+)`", lambda found: _flag(found[1]), error.text)
+    if "." in error.option:  # an option of the configuration
+        return f"{error.option}: {text}"
+    flag = _flag(error.option)
+    return f"command line ({flag}): {text}" if error.place is None else f"{error.place}: {flag}: {text}"
+
+
+def _flag(argument: str) -> str:
+    return f"--{argument.replace('_', '-')}"
 
 
 def _usage_text(error: CycloptsError) -> str:

@@ -39,7 +39,9 @@ from warpav.optimisation.segregation import BatchChooser
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.problem import Problem, Stream, begin_descent, descent_from, optimiser_settings, read_start, start_pose
+from warpav.runs.optimise import Optimisation, descent_from, start_pose
+from warpav.runs.placement import Placement, Stream
+from warpav.runs.rig_source import read_start
 
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
@@ -54,7 +56,7 @@ class Found:
 
     Attributes:
         rig: The rig.
-        began_as: The rig that it began as, see `Problem.assigned`; None when camera k took orientation k.
+        began_as: The rig that it began as, see `Placement.assigned`; None when camera k took orientation k.
         renders: Scene renders that finding it took.
         history: Columns of numbers, one per step or evaluation: ``renders``, ``seconds`` and ``best_value`` so far, on
             the scenes that the method compares rigs on, and with the gradient method ``loss``.
@@ -72,8 +74,8 @@ class Found:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-Finder = Callable[[Problem, int | None], Found]
-"""Finds a rig on a problem; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
+Finder = Callable[[Placement, int | None], Found]
+"""Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class Arm:
         train_count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
         ranked_count = min(config.baselines.random_scenes, train_count)
         looked_at_count = len(config.scenes.validation_seeds or ()) or train_count
-        one_step = gradient_renders(replace(optimiser_settings(config), iterations=1), looked_at_count)
+        one_step = gradient_renders(config.optimiser, looked_at_count, iterations=1, batch_size=config.run.batch_size)
         if self.method == "gradient":
             return one_step
         if self.method == "cma_then_gradient":
@@ -163,19 +165,19 @@ class Arm:
         return ranked_count if self.method in METHODS and self.is_seeded else 1
 
 
-def find_rig_of(arm: Arm, problem: Problem, render_budget: int | None) -> Found:
+def find_rig_of(arm: Arm, placement: Placement, render_budget: int | None) -> Found:
     """The rig that an arm finds.
 
     Args:
         arm: The arm.
-        problem: What to search on, with the arm's search options.
+        placement: What to search on, with the arm's search options.
         render_budget: Scene renders that it may spend; None: as many as the gradient method of the configuration.
 
     Raises:
         InputError: The budget is too small, or something that the arm needs is missing.
     """
     finder = METHODS.get(arm.method) or partial(_preset, name=arm.method)
-    return finder(problem, render_budget)
+    return finder(placement, render_budget)
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
@@ -235,41 +237,47 @@ def thesis_method() -> tuple[str, ...]:
     return tuple(f"{name}={json.dumps(value)}" for name, value in values.items() if name.partition(".")[0] in sections)
 
 
-def constraint_loss(problem: Problem, mount_pose: np.ndarray) -> float:
+def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     """The broken constraints of a rig together, scaled as in the Lagrangian (the thesis's table III)."""
-    objective = problem.objective
-    terms = objective.evaluate(mount_pose, problem.train[:1]).terms
+    objective = placement.objective
+    terms = objective.evaluate(mount_pose, placement.train[:1]).terms
     broken = sum(max(terms[name], 0.0) for name in objective.constraints.names)
     return objective.settings.constraint_scale * broken
 
 
-def _gradient(problem: Problem, render_budget: int | None) -> Found:
+def _gradient(placement: Placement, render_budget: int | None) -> Found:
     """The gradient method of the configuration, from the start of the configuration."""
-    problem = _within(problem, render_budget)
-    beginning = begin_descent(problem, read_start(problem.config))
-    starts = problem.config.optimiser.starts
-    return _descended(problem, beginning.descent, beginning.rig, first_evaluations=starts if starts > 1 else 0)
+    placement = _within(placement, render_budget)
+    optimisation = Optimisation.begin(placement)
+    starts = placement.config.optimiser.starts
+    return _descended(
+        placement, optimisation.descent, optimisation.began_as, first_evaluations=starts if starts > 1 else 0
+    )
 
 
-def _within(problem: Problem, render_budget: int | None) -> Problem:
-    """The same problem with the iterations that a budget allows, or the configured number."""
+def _within(placement: Placement, render_budget: int | None) -> Placement:
+    """The same placement with as many iterations as a budget pays for, or as the configuration says."""
     if render_budget is None:
-        return problem
-    settings = optimiser_settings(problem.config)
-    iterations = affordable_iterations(settings, len(problem.validation), render_budget)
-    return replace(problem, config=changed_config(problem.config, [f"run.iterations={iterations}"]))
+        return placement
+    config = placement.config
+    iterations = affordable_iterations(
+        config.optimiser, len(placement.validation), render_budget, batch_size=config.run.batch_size
+    )
+    return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _descended(problem: Problem, descent: Descent, began_as: Rig | None, *, first_evaluations: int = 0) -> Found:
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, first_evaluations: int = 0) -> Found:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
-    batch_size = problem.config.run.batch_size
+    batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
     def renders() -> int:
-        return descent.iteration * batch_size + (first_evaluations + len(descent.candidates)) * len(problem.validation)
+        return descent.iteration * batch_size + (first_evaluations + len(descent.candidates)) * len(
+            placement.validation
+        )
 
-    while descent.iteration < problem.config.run.iterations and descent.verdict is None:
+    while descent.iteration < placement.config.run.iterations and descent.verdict is None:
         record = descent.step()
         row = (renders(), time.perf_counter() - began, record.best_training_objective, record.loss)
         for column, number in zip(history.values(), row, strict=True):
@@ -277,70 +285,70 @@ def _descended(problem: Problem, descent: Descent, began_as: Rig | None, *, firs
     unprojected = descent.state()["pose_value"]
     result = descent.finish()
     return Found(
-        problem.objective.mount.rig(result.mount_pose),
+        placement.objective.mount.rig(result.mount_pose),
         began_as,
         renders(),
         history,
         training_objective=result.training_objective,
         mount_pose=result.mount_pose,
-        notes={"unprojected_constraint_loss": constraint_loss(problem, unprojected), "stopped": descent.verdict},
+        notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.verdict},
     )
 
 
-def _start(problem: Problem, render_budget: int | None) -> Found:
+def _start(placement: Placement, render_budget: int | None) -> Found:
     """The rig that the gradient method starts from."""
     del render_budget
-    pose = start_pose(problem, read_start(problem.config))
-    rig = problem.objective.mount.rig(pose)
-    return Found(rig, None if problem.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
+    pose = start_pose(placement)
+    rig = placement.objective.mount.rig(pose)
+    return Found(rig, None if placement.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
 
 
-def _random_rig(problem: Problem, render_budget: int | None) -> Found:
+def _random_rig(placement: Placement, render_budget: int | None) -> Found:
     """A random feasible rig with random directions, without evaluation."""
     del render_budget
     space = SearchSpace.over(
-        problem.objective.mount, problem.config.rig.cameras, constraints=problem.objective.constraints
+        placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
-    pose = space.random(problem.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(problem.objective.mount.rig(pose), problem.held_rig, 0, {}, mount_pose=pose)
+    pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
+    return Found(placement.objective.mount.rig(pose), placement.held_rig, 0, {}, mount_pose=pose)
 
 
-def _highest(problem: Problem, render_budget: int | None) -> Found:
+def _highest(placement: Placement, render_budget: int | None) -> Found:
     """Cameras around the highest point."""
     del render_budget
-    mount = problem.objective.mount
-    pose = highest_mount_pose(problem.objective.constraints, problem.config.rig.cameras).astype(np.float32)
+    mount = placement.objective.mount
+    pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(pose)
     found = mount.rig(pose)
     return Found(found, found, 0, {}, mount_pose=pose)
 
 
-def _preset(problem: Problem, render_budget: int | None, *, name: str) -> Found:
+def _preset(placement: Placement, render_budget: int | None, *, name: str) -> Found:
     """A known rig, moved to the vehicle."""
     del render_budget
-    mount = problem.objective.mount
+    mount = placement.objective.mount
     moved = move_to_vehicle(
-        preset_rig(name), mount, problem.ego, constraints=problem.objective.constraints, image=mount.camera
+        preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
     )
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
     return Found(moved.rig, moved.rig, 0, {}, notes=notes)
 
 
-def _random_batches(problem: Problem, render_budget: int | None) -> Found:
+def _random_batches(placement: Placement, render_budget: int | None) -> Found:
     """The thesis's random arm: as many random rigs as a descent has iterations, each on a batch of its own.
 
     The lowest value wins, so the luck of the batch helps to choose; `random_search` on fixed scenes does not have that.
     """
-    config, objective = problem.config, problem.objective
-    rng = problem.random_numbers(Stream.SEARCH)
-    batches = BatchChooser(problem.train, config.rig.cameras, problem.random_numbers(Stream.BATCHES))
+    config, objective = placement.config, placement.objective
+    rng = placement.random_numbers(Stream.SEARCH)
+    batches = BatchChooser(placement.train, config.rig.cameras, placement.random_numbers(Stream.BATCHES))
     count = config.run.iterations if render_budget is None else render_budget // config.run.batch_size
     best_value, best_pose = math.inf, None
     history: list[Progress] = []
     began = time.perf_counter()
     for number in range(1, count + 1):
-        pose = random_mount_pose(objective.constraints, problem.segregation.yaw_rad, rng=rng).astype(np.float32)
-        value = objective.evaluate(pose, [problem.train[k] for k in batches.choose(config.run.batch_size)]).objective
+        pose = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng).astype(np.float32)
+        value = objective.evaluate(pose, [placement.train[k] for k in batches.choose(config.run.batch_size)]).objective
         if value < best_value:
             best_value, best_pose = value, pose
         history.append(Progress(number * config.run.batch_size, best_value, time.perf_counter() - began))
@@ -352,33 +360,37 @@ def _random_batches(problem: Problem, render_budget: int | None) -> Found:
 
 
 def _searched(
-    problem: Problem, render_budget: int | None, *, search: Callable[[Problem, Sequence[Any]], Search], free_yaw: bool
+    placement: Placement,
+    render_budget: int | None,
+    *,
+    search: Callable[[Placement, Sequence[Any]], Search],
+    free_yaw: bool,
 ) -> Found:
     """A baseline search on fixed training scenes."""
-    rng = problem.random_numbers(Stream.SEARCH)
-    value, scenes = _ranking(problem, rng, _budget(problem, render_budget), free_yaw=free_yaw)
-    result = run_search(search(problem, scenes), value, rng)
+    rng = placement.random_numbers(Stream.SEARCH)
+    value, scenes = _ranking(placement, rng, _budget(placement, render_budget), free_yaw=free_yaw)
+    result = run_search(search(placement, scenes), value, rng)
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return Found(
-        problem.objective.mount.rig(result.mount_pose),
-        problem.held_rig,
+        placement.objective.mount.rig(result.mount_pose),
+        placement.held_rig,
         result.renders,
         _columns(result.history),
         mount_pose=result.mount_pose,
     )
 
 
-def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
+def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found:
     """CMA-ES on fixed training scenes, then the gradient method on all of them from the best rig."""
-    rng = problem.random_numbers(Stream.SEARCH)
-    whole = _budget(problem, render_budget)
-    value, _ = _ranking(problem, rng, int(CMA_SHARE * whole), free_yaw=True)
+    rng = placement.random_numbers(Stream.SEARCH)
+    whole = _budget(placement, render_budget)
+    value, _ = _ranking(placement, rng, int(CMA_SHARE * whole), free_yaw=True)
     first = run_search(cma_es, value, rng)
     if first.error is not None:
         raise RuntimeError(f"the search ended early: {first.error}")
     # its start is found already
-    alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1", "optimiser.descents=1"]))
+    alone = placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
     second = _descended(rest, descent_from(rest, first.mount_pose, rest.held_rig), rest.held_rig)
     both = _columns(first.history)
@@ -392,27 +404,30 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
     )
 
 
-def _budget(problem: Problem, render_budget: int | None) -> int:
+def _budget(placement: Placement, render_budget: int | None) -> int:
     if render_budget is not None:
         return render_budget
-    return gradient_renders(optimiser_settings(problem.config), len(problem.validation))
+    run = placement.config.run
+    return gradient_renders(
+        placement.config.optimiser, len(placement.validation), iterations=run.iterations, batch_size=run.batch_size
+    )
 
 
 def _ranking(
-    problem: Problem, rng: np.random.Generator, render_budget: int, *, free_yaw: bool
+    placement: Placement, rng: np.random.Generator, render_budget: int, *, free_yaw: bool
 ) -> tuple[BudgetedValue, list[Any]]:
     """The objective on ``baselines.random_scenes`` training scenes, at a price; and these scenes."""
-    config = problem.config
-    chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
-    scenes = [problem.train[k] for k in chosen]
+    config = placement.config
+    chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
+    scenes = [placement.train[k] for k in chosen]
     space = SearchSpace.over(
-        problem.objective.mount,
+        placement.objective.mount,
         config.rig.cameras,
-        constraints=problem.objective.constraints,
-        yaw_rad=problem.yaw_rad,
+        constraints=placement.objective.constraints,
+        yaw_rad=placement.yaw_rad,
         yaw_reach_rad=math.pi if free_yaw else 0.0,
     )
-    return BudgetedValue.of(problem.objective, scenes, space, render_budget=render_budget), scenes
+    return BudgetedValue.of(placement.objective, scenes, space, render_budget=render_budget), scenes
 
 
 def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
@@ -423,8 +438,8 @@ def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
     }
 
 
-def _greedy(problem: Problem, scenes: Sequence[Any]) -> Search:
-    return partial(greedy_cover, sights=detections_of(problem.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
+def _greedy(placement: Placement, scenes: Sequence[Any]) -> Search:
+    return partial(greedy_cover, sights=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
 
 
 METHODS: dict[str, Finder] = {

@@ -12,13 +12,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import yaml
 
+from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Outcome, run_tasks
 from warpav.core.fingerprint import digest
+from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
@@ -34,22 +36,18 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
-from warpav.runs.problem import (
-    Problem,
-    Traffic,
-    load_networks,
-    load_probability,
-    load_traffic,
-    optimiser_settings,
-    problem_on,
-    same_scenes,
-    traffic_part,
-)
+from warpav.runs.mounts import camera_mount, constraints_of
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
-from warpav.runs.sources import camera_mount, constraints_of, device_name, load_scenes, own_vehicle_digest
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
+from warpav.runs.scene_set import (
+    SceneSet,
+    load_scene_set,
+    load_scenes,
+    own_vehicle_digest,
+    same_scenes,
+    scene_part,
+)
 
 Task = TypeVar("Task")
 
@@ -192,41 +190,20 @@ class Finished:
     done: int
 
 
-class Quiet:
-    """A display that shows nothing: tasks run in other processes, or beside others."""
-
-    def say(self, text: str) -> None:
-        """Nothing."""
-        del text
-
-    def stage(self, description: str) -> None:
-        """Nothing."""
-        del description
-
-    def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
-        """Pass the items on."""
-        del description, count
-        yield from items
-
-
-QUIET: Any = Quiet()
-"""Shows nothing."""
-
-
 class _TrafficOfProcess:
     """The traffic that was loaded last in this process; tasks that need the same do not load it again."""
 
     def __init__(self) -> None:
         self._key: Config | None = None
         self._vehicle: str | None = None
-        self._traffic: Traffic | None = None
+        self._traffic: SceneSet | None = None
 
-    def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
-        key, vehicle = traffic_part(config), own_vehicle_digest(config)
+    def __call__(self, config: Config, progress: Progress) -> SceneSet:
+        key, vehicle = scene_part(config), own_vehicle_digest(config)
         is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
-            self._traffic, self._key, self._vehicle = load_traffic(config, display), key, vehicle
+            self._traffic, self._key, self._vehicle = load_scene_set(config, progress), key, vehicle
         elif key != self._key:
             self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
@@ -243,7 +220,7 @@ def run_experiment(
     runs: int | None = None,
     render_budget: int | None = None,
     out: Path | None = None,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Do what is missing of an experiment.
 
@@ -254,7 +231,7 @@ def run_experiment(
         runs: Run seeds, at least 1; None: the experiment's default.
         render_budget: Scene renders for every search; None: as many as the gradient method spends.
         out: Folder; None: ``run.out``, or ``runs/<name>``.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong, or the folder holds something else.
@@ -269,25 +246,25 @@ def run_experiment(
     for arm in arms:
         if arm.method != GRADIENTS:
             arm.check(config, render_budget)
-    _try_networks(arms, config, display)
+    _try_networks(arms, config, progress)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
     runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
     tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
     _open_folder(folder, experiment, config, render_budget)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
-        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
+        progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
     failed = []
     try:
         if waiting:
-            _check_places(arms, config, make_scenes_ready(config, display))
+            _check_places(arms, config, make_scenes_ready(config, progress))
         done = outcomes(run_arm, waiting, config, folder)
-        for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
-            display.say(_line(outcome))
+        for outcome in progress.steps("runs", done, count=len(waiting)) if waiting else ():
+            progress.say(_line(outcome))
             if outcome.error is not None:
                 failed.append(f"{outcome.task.name}: {outcome.error}")
     except KeyboardInterrupt:
-        display.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
+        progress.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
         raise
     return Finished(folder, read_results(tasks), failed, len(waiting) - len(failed))
 
@@ -349,17 +326,17 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
     return {name: value for name, value in result.items() if name not in ("history", "rig")}
 
 
-def _problem(config: Config) -> Problem:
-    networks, probability = load_networks(config), load_probability(config, QUIET)
-    return problem_on(traffic_of_process(config, QUIET), config, networks, probability)
+def _placement(config: Config) -> Placement:
+    networks, probability = load_networks(config), needed_fit(config, NullProgress())
+    return placement_on(traffic_of_process(config, NullProgress()), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
     began = time.perf_counter()
-    evaluation = _problem(task.arm.evaluation_config(task.config))
-    problem = _problem(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
+    evaluation = _placement(task.arm.evaluation_config(task.config))
+    placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
     loaded = time.perf_counter()
-    found = find_rig_of(task.arm, problem, task.render_budget)
+    found = find_rig_of(task.arm, placement, task.render_budget)
     searched = time.perf_counter()
     metrics = evaluate_rig(found.rig, evaluation.assigned(evaluation.test, found.began_as), evaluation.objective)
     rig_file = task.file.with_suffix(".yaml")
@@ -389,7 +366,7 @@ def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | Non
     for name, overrides in task.objectives.items():
         values[name] = None
         if found.mount_pose is not None:
-            evaluation = _problem(changed_config(task.arm.evaluation_config(task.config), overrides))
+            evaluation = _placement(changed_config(task.arm.evaluation_config(task.config), overrides))
             scenes = evaluation.assigned(evaluation.validation, found.began_as)
             values[name] = evaluation.objective.evaluate(found.mount_pose, scenes).objective
     return values
@@ -398,14 +375,16 @@ def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | Non
 def _gradients(task: ArmTask) -> dict[str, Any]:
     config = task.arm.evaluation_config(task.config)
     began = time.perf_counter()
-    problem = _problem(config)
+    placement = _placement(config)
     loaded = time.perf_counter()
     magnitudes = measure_gradient_magnitudes(
-        problem.objective,
-        problem.train,
-        problem.segregation.yaw_rad,
+        placement.objective,
+        placement.train,
+        placement.segregation.yaw_rad,
         runs=1,
-        settings=optimiser_settings(config),
+        settings=config.optimiser,
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
         seed=config.run.seed,
     )
     return {
@@ -551,7 +530,7 @@ def _is_there(task: ArmTask) -> bool:
     return True
 
 
-def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> None:
+def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> None:
     """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
 
     Raises:
@@ -564,11 +543,11 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
             needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
             if needs not in tried:
                 load_networks(each)
-                load_probability(each, display)
+                needed_fit(each, progress)
                 tried.append(needs)
 
 
-def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
+def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
     """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
 
     Returns:
@@ -579,10 +558,10 @@ def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
     """
     seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
     if config.executor.name == "serial":
-        return traffic_of_process(config, display).ego
+        return traffic_of_process(config, progress).ego
     if config.scenes.source == "captured":
         # one scene at a time is held; all carry the same vehicle
-        return [scene.ego for scene in display.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
+        return [scene.ego for scene in progress.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
     return next(load_scenes(config, seeds)).ego
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.optimisation.baselines import random_mount_pose
-from warpav.optimisation.gradient import AdamW, OptimiserSettings
-from warpav.optimisation.losses import OBJECTIVES
+from warpav.optimisation.gradient import AdamW
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.segregation import BatchChooser
+from warpav.optimisation.settings import OBJECTIVES, OptimiserSettings
 
 LOSS_OF = {
     "OOB": "out_of_bounds",
@@ -26,7 +27,9 @@ LOSS_OF = {
 """The thesis's names of its losses, and ours."""
 
 THESIS_RUNS = 10
-THESIS_SETTINGS = OptimiserSettings(iterations=100, batch_size=1)
+THESIS_ITERATIONS = 100
+THESIS_SETTINGS = OptimiserSettings(learning_rate_yaw_deg=math.degrees(0.25))
+THESIS_BATCH_SIZE = 1
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ def measure_gradient_magnitudes(
     *,
     runs: int = THESIS_RUNS,
     settings: OptimiserSettings = THESIS_SETTINGS,
+    iterations: int = THESIS_ITERATIONS,
+    batch_size: int = THESIS_BATCH_SIZE,
     seed: int = 0,
     finished: Callable[[int], object] | None = None,
 ) -> dict[str, GradientMagnitude]:
@@ -87,7 +92,9 @@ def measure_gradient_magnitudes(
         scenes: The training scenes, vehicles assigned to cameras.
         yaw_rad: Yaw of every camera at the start [rad], [camera].
         runs: Number of descents, at least 1.
-        settings: Iterations, scenes a batch and step sizes; the thesis takes 100 and 1.
+        settings: Step sizes.
+        iterations: Steps of a descent, at least 1.
+        batch_size: Scenes a batch, at least 1.
         seed: Of starts and batches; run k draws from (seed, k).
         finished: Called with the number of each run that is done, from 0.
 
@@ -111,8 +118,8 @@ def measure_gradient_magnitudes(
         rate[:, [X_M, Y_M]] = settings.learning_rate_position_m
         rate[:, YAW_RAD] = settings.learning_rate_yaw_rad
         batches = BatchChooser(scenes, len(start), rng)
-        for _ in range(settings.iterations):
-            batch = [scenes[k] for k in batches.choose(settings.batch_size)]
+        for _ in range(iterations):
+            batch = [scenes[k] for k in batches.choose(batch_size)]
             gradients = objective.gradients(pose.value, batch)
             for name in names:
                 positional[name].add(gradients[name][:, [X_M, Y_M]])

@@ -13,27 +13,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
+from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.mount import RISE_M, X_M, Y_M
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion
+from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
+from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
-from warpav.runs.problem import (
-    Problem,
-    begin_descent,
-    descent_from,
-    has_ordered_start,
-    load_networks,
-    load_probability,
-    load_problem,
-    load_traffic,
-    problem_on,
-    read_start,
-)
+from warpav.runs.mounts import camera_mount
+from warpav.runs.networks import load_detector, load_networks
+from warpav.runs.optimise import Optimisation, descent_from
+from warpav.runs.placement import Placement, needed_fit, placement_on
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder, trajectory
-from warpav.runs.sources import HIGHEST, camera_mount, checked_device, find_rig, load_detector, load_scenes
+from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.scene import Scene
 from warpav.view.figures import (
     WIDTH_INCH,
@@ -57,14 +54,13 @@ from warpav.view.scene_figures.panels import checked_png, count_text, title
 
 if TYPE_CHECKING:
     from warpav.optimisation.gradient import Descent
-    from warpav.runs.progress import RunDisplay
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 _IMAGES_A_ROW = 4
 
 
 def draw_method_figure(
-    number: int, path: Path | str, config: Config, *, run: RunFolder | None, display: RunDisplay
+    number: int, path: Path | str, config: Config, *, run: RunFolder | None, progress: Progress
 ) -> Path:
     """Draw a figure by its number in the thesis.
 
@@ -73,7 +69,7 @@ def draw_method_figure(
         path: PNG file to write.
         config: Scenes, cameras, detector, method; with a run its own.
         run: For figures 10 and 11: a run that has been optimised; None: it is done now, without a run folder.
-        display: Where to show what is going on.
+        progress: Where to show what is going on.
 
     Raises:
         InputError: Inputs that do not go with it, or that cannot be used.
@@ -81,13 +77,13 @@ def draw_method_figure(
     path = checked_png(path)
     match number:
         case 10:
-            return unconstrained(config, path, run=run, display=display)
+            return unconstrained(config, path, run=run, progress=progress)
         case 11:
-            return before_and_after(config, path, run=run, display=display)
+            return before_and_after(config, path, run=run, progress=progress)
         case 12:
             if run is not None:
                 raise InputError("figure 12: expected a configuration, got --run; the highest rig needs no run")
-            return highest(config, path, display=display)
+            return highest(config, path, progress=progress)
     raise InputError(f"figure: expected one of {', '.join(map(str, RIG_NUMBERS))}, got {number}")
 
 
@@ -103,14 +99,14 @@ class _Way:
     end: Rig
 
 
-def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display: RunDisplay) -> Path:
+def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
     """Figure 10: camera trajectories over the vehicle from one start, with and without all multipliers fixed at 0.
 
     Args:
         config: What to optimise.
         path: PNG file to write.
         run: Supplies the trajectory with constraints and its start; None: both are computed.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
@@ -118,25 +114,25 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
     # which iterate is kept and how often rigs are compared does not change the trajectory
     config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     free = changed_config(config, _UNCONSTRAINED)
-    traffic, networks = load_traffic(config, display), load_networks(config)
-    probability = load_probability(config, display)
-    problem = problem_on(traffic, config, networks, probability)
+    traffic, networks = load_scene_set(config, progress), load_networks(config)
+    probability = needed_fit(config, progress)
+    placement = placement_on(traffic, config, networks, probability)
     if run is None:
-        beginning = begin_descent(problem, read_start(config))
-        start, began_as = beginning.descent.start, beginning.rig
-        kept = _walk(problem, beginning.descent, display, "with constraints")
+        optimisation = Optimisation.begin(placement)
+        start, began_as = optimisation.descent.start, optimisation.began_as
+        kept = _walk(placement, optimisation.descent, progress, "with constraints")
     else:
         path_m, began = trajectory(run.events()), run.rig("initial")
         if path_m is None:
             raise InputError(f"{run.path}: run folder: expected at least two iterations, got fewer")
-        start = problem.objective.mount.mount_pose_of_rig(began)
-        began_as = None if has_ordered_start(config) else began
+        start = placement.objective.mount.mount_pose_of_rig(began)
+        began_as = None if placement.has_ordered_start else began
         kept = _Way(began, path_m, run.rig("final"))
-    loose = problem_on(traffic, free, networks, probability)
-    lost = _walk(loose, descent_from(loose, start, began_as), display, "without constraints")
+    loose = placement_on(traffic, free, networks, probability)
+    lost = _walk(loose, descent_from(loose, start, began_as), progress, "without constraints")
 
-    constraints, surface = problem.objective.constraints, problem.objective.mount.surface
-    point_m = np.concatenate([traffic.ego.bounds_m(), *(track.trajectory_m.reshape(-1, 3) for track in (lost, kept))])
+    constraints, surface = placement.objective.constraints, placement.objective.mount.surface
+    point_m = np.concatenate([traffic.ego.bounds_m(), *(way.trajectory_m.reshape(-1, 3) for way in (lost, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 1.9 + 2.0 * min(0.8 * WIDTH_INCH * width_m / length_m, 5.0))
@@ -169,15 +165,15 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, display:
         return save_figure(figure, path)
 
 
-def _walk(problem: Problem, descent: Descent, display: RunDisplay, how: str) -> _Way:
+def _walk(placement: Placement, descent: Descent, progress: Progress, how: str) -> _Way:
     """Run all iterations; the end is the last iterate, projected to a feasible rig if there are constraints."""
-    mount, constraints = problem.objective.mount, problem.objective.constraints
-    count = problem.config.run.iterations
-    records = [descent.step() for _ in display.steps(how, range(count), count=count)]
+    mount, constraints = placement.objective.mount, placement.objective.constraints
+    count = placement.config.run.iterations
+    records = [descent.step() for _ in progress.steps(how, range(count), count=count)]
     pose = descent.state()["pose_value"]
     last = mount.rig(pose)
     positions = [record.positions_m for record in records] + [[camera.position_m for camera in last.cameras]]
-    if problem.config.optimiser.multiplier_learning_rate != 0.0:
+    if placement.config.optimiser.multiplier_learning_rate != 0.0:
         pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]], pose[:, RISE_M])
     return _Way(mount.rig(descent.start), np.array(positions, np.float64), mount.rig(pose))
 
@@ -210,8 +206,8 @@ class _SceneObservation:
 class _Observer:
     """Looks at scenes through rigs, with the configuration's detector."""
 
-    def __init__(self, config: Config, display: RunDisplay) -> None:
-        self._config, self._display = config, display
+    def __init__(self, config: Config, progress: Progress) -> None:
+        self._config, self._progress = config, progress
         self._device, self._detector = checked_device(config.device), load_detector(config)
 
     def observe(self, rig: Rig, scenes: Sequence[Scene], how: str) -> list[_SceneObservation]:
@@ -226,7 +222,7 @@ class _Observer:
             device=self._device,
         )
         observations = []
-        for scene in self._display.steps(how, scenes, count=len(scenes)):
+        for scene in self._progress.steps(how, scenes, count=len(scenes)):
             observation = observer.observe(DeviceScene.pack(scene, device=self._device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
@@ -236,31 +232,31 @@ class _Observer:
         return observations
 
 
-def before_and_after(config: Config, path: Path, *, run: RunFolder | None, display: RunDisplay) -> Path:
+def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
     """Figure 11: what a rig sees at the start and once optimised, on a batch of training scenes and on all test scenes.
 
     Args:
         config: The optimisation, and the scenes and detector of the observations.
         path: PNG file to write.
         run: Gives both rigs; None: the optimisation is done now.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
     """
     if run is None:
-        problem = load_problem(config, display)
-        descent, count = begin_descent(problem, read_start(config)).descent, config.run.iterations
-        for _ in display.steps("optimising", range(count), count=count):
+        placement = build(config).prepare(progress)
+        descent, count = Optimisation.begin(placement).descent, config.run.iterations
+        for _ in progress.steps("optimising", range(count), count=count):
             if descent.verdict is None:
                 descent.step()
-        mount = problem.objective.mount
+        mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)
     else:
         start, result = run.rig("initial"), run.rig()
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
-    observer = _Observer(config, display)
+    observer = _Observer(config, progress)
     rows = {
         "Start": (start, observer.observe(start, train, "start")),
         "Optimised": (result, observer.observe(result, train, "optimised")),
@@ -284,24 +280,24 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, displ
         return save_figure(figure, path)
 
 
-def highest(config: Config, path: Path, *, display: RunDisplay) -> Path:
+def highest(config: Config, path: Path, *, progress: Progress) -> Path:
     """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in all test scenes.
 
     Args:
         config: The cameras, the scenes, the detector.
         path: PNG file to write.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
     """
     scenes = list(
-        display.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))
+        progress.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))
     )
     ego = scenes[0].ego
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
-    observations = _Observer(config, display).observe(rig, scenes, "test scenes")
+    observations = _Observer(config, progress).observation(rig, scenes, "test scenes")
     image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.0 + 2.35 * image_rows)

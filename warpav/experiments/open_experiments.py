@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from warpav.core.progress import Progress
 from warpav.evaluation.statistics import RESAMPLES
 from warpav.experiments.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
 from warpav.experiments.correlation import RANDOM_GROUPS, correlate, correlation_goal
@@ -20,9 +21,6 @@ from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import compare_results
 from warpav.runs.config import Config
 from warpav.runs.run_folder import write_json, write_text
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 RUNS = 10
 """Run seeds of an arm."""
@@ -127,7 +125,7 @@ def run_open(
     out: Path | None = None,
     quick: bool = False,
     resamples: int = RESAMPLES,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Do what is missing of an experiment of our own; show its table and its goals, and write them.
 
@@ -140,7 +138,7 @@ def run_open(
         out: As of `run_experiment`.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
         resamples: Of the bootstraps.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
@@ -155,20 +153,20 @@ def run_open(
         runs=runs,
         render_budget=render_budget,
         out=out,
-        display=display,
+        progress=progress,
     )
     in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
     # earlier runs of the same configuration count as well; arms without a result are named
     done = replace(done, results={**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))})
     done = replace(done, results={arm: done.results[arm] for arm in in_order if arm in done.results})
-    display.stage("intervals")
+    progress.stage("intervals")
     if name == "correlation":
         table: Any = correlate(done.results, done.folder / "correlation.png", resamples=resamples)
         goals = [correlation_goal(table)]
     else:
         there = [arm for arm, found in done.results.items() if found]
         if not there:
-            _say_failures(done, display)
+            _say_failures(done, progress)
             return done
         reference = experiment.reference if experiment.reference in there else there[0]
         table = compare_results(done.results, reference, resamples=resamples)
@@ -178,17 +176,17 @@ def run_open(
         odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]
         table = replace(table, remarks=(*_remarks(name, config), *odd))
     _write(done, name, table, goals)
-    display.show(table.terminal())
+    progress.show(table.terminal())
     if goals:
-        display.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
-    _say_failures(done, display)
-    display.say(f"{done.done} new results; tables and results: {done.folder}")
+        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
+    _say_failures(done, progress)
+    progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done
 
 
-def _say_failures(done: Finished, display: RunDisplay) -> None:
+def _say_failures(done: Finished, progress: Progress) -> None:
     for failure in done.failed:
-        display.say(f"failed: {failure}")
+        progress.say(f"failed: {failure}")
 
 
 def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None:  # noqa: ANN401 (either table)

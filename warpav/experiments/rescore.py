@@ -13,17 +13,18 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from warpav.core.devices import device_name
 from warpav.core.errors import InputError, OptionError
 from warpav.core.fingerprint import digest
+from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.evaluation.statistics import RESAMPLES, rank_correlation
 from warpav.experiments.experiment import (
     DESCRIPTION,
-    QUIET,
     RESULTS,
     Finished,
     make_scenes_ready,
@@ -37,15 +38,12 @@ from warpav.experiments.experiment import (
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
-from warpav.runs.problem import load_networks, problem_on
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import placement_on
 from warpav.runs.run_folder import environment, write_json, write_text
-from warpav.runs.sources import device_name
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
@@ -153,7 +151,7 @@ def run_rescore(
     *,
     name: str,
     resamples: int = RESAMPLES,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Rescore all rigs of an experiment, show the table, and report whether the arms keep their order.
 
@@ -162,7 +160,7 @@ def run_rescore(
         config: Its configuration with the changed evaluation options.
         name: The new results go to ``<folder>/rescored_<name>``.
         resamples: Of the bootstraps.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: The folder holds no experiment, or something cannot be used.
@@ -175,16 +173,16 @@ def run_rescore(
     load_networks(config)  # what is wrong with the detector shows before anything else begins
     waiting = [task for task in tasks if not _is_there(task)]
     if waiting:
-        make_scenes_ready(config, display)  # and likewise what is wrong with the scenes
+        make_scenes_ready(config, progress)  # and likewise what is wrong with the scenes
     (out / RESULTS).mkdir(parents=True, exist_ok=True)
     title = f"{described['experiment']} rescored {name}"
     write_json(out / DESCRIPTION, {**described, "experiment": title, "options": json.loads(unseeded(config))})
     write_json(out / "env.json", environment(config, device_name(config.device)))
     if len(waiting) < len(tasks):
-        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
+        progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
     failed = []
     done = outcomes(rescore_rig, waiting, config, out)
-    for outcome in display.steps("rigs", done, count=len(waiting)) if waiting else ():
+    for outcome in progress.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
             failed.append(f"{outcome.task.name}: {outcome.error}")
     after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
@@ -202,12 +200,12 @@ def run_rescore(
         write_text(out / "rescored.md", text)
         write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
         write_summary(out, after, text, goals)
-        display.show(table.terminal())
+        progress.show(table.terminal())
         for goal in goals:
-            display.say(str(goal))
+            progress.say(str(goal))
     for failure in failed:
-        display.say(f"failed: {failure}")
-    display.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
+        progress.say(f"failed: {failure}")
+    progress.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
     return Finished(out, after, failed, len(waiting) - len(failed))
 
 
@@ -233,10 +231,10 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
-    traffic = traffic_of_process(config, QUIET)
-    problem = problem_on(traffic, config, load_networks(config), None)
+    traffic = traffic_of_process(config, NullProgress())
+    placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
-    metrics = asdict(evaluate_rig(rig, problem.test, problem.objective, with_objective=False))
+    metrics = asdict(evaluate_rig(rig, placement.test, placement.objective, with_objective=False))
     old = read_json(task.source / RESULTS / f"{task.name}.json")
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
@@ -246,7 +244,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in problem.test],
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)

@@ -16,54 +16,9 @@ from warpav.optimisation.missed import Stage
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import AssignedScene, Evaluation, RigObjective
 from warpav.optimisation.segregation import BatchChooser, ShuffledBatches
+from warpav.optimisation.settings import OptimiserSettings
 from warpav.optimisation.starts import exchange_cameras
 from warpav_kernels.placement import update
-
-
-@dataclass(frozen=True)
-class OptimiserSettings:
-    """How the descent steps.
-
-    Attributes:
-        iterations: Number of steps, at least 1.
-        batch_size: Scenes per step, at least 1.
-        learning_rate_position_m: First step of x and y [m].
-        learning_rate_yaw_rad: First step of the yaw [rad].
-        learning_rate_pitch_rad: First step of the pitch [rad], where that is free.
-        learning_rate_height_m: First step of the height above the surface [m], likewise.
-        learning_rate_zoom: First step of the logarithm of the focal length, likewise.
-        schedule: ``constant``, or ``cosine`` from the first step down to a hundredth of it.
-        weight_decay: Pull of AdamW towards 0.
-        multiplier_learning_rate: Step of the multipliers: of AdamW, or of plain ascent where the constraints are
-            inequalities.
-        multiplier_weight_decay: Pull of AdamW on the multipliers towards 0.
-        keep: ``last``, or ``best`` on all validation scenes.
-        check_every: Iterations between two looks at all validation scenes, with ``keep`` best.
-        panorama_until: Share of the run over which what lies outside the images ceases to pull, 0..1.
-        detector_from: Share of the run from which the detector has a say in the loss ``missed``, 0..1.
-        patience: Looks without a better rig after which a descent ends; None: it never does.
-        starts: Rigs that were looked at to find the one to start from; 1: none was.
-        descents: Parts of the run, each from a start of its own.
-    """
-
-    iterations: int = 100
-    batch_size: int = 4
-    learning_rate_position_m: float = 0.25
-    learning_rate_yaw_rad: float = 0.25
-    learning_rate_pitch_rad: float = math.radians(2.0)
-    learning_rate_height_m: float = 0.02
-    learning_rate_zoom: float = 0.02
-    schedule: str = "constant"
-    weight_decay: float = 1e-3
-    multiplier_learning_rate: float = 0.25
-    multiplier_weight_decay: float = 1e-3
-    keep: str = "last"
-    check_every: int = 10
-    panorama_until: float = 0.0
-    detector_from: float = 0.0
-    patience: int | None = None
-    starts: int = 1
-    descents: int = 1
 
 
 @dataclass(frozen=True)
@@ -208,6 +163,8 @@ class Descent:
         scenes: The training scenes with their assigned cameras.
         settings: How to step.
         start: Mount poses to start from, float [camera, 7].
+        iterations: Number of steps, at least 1.
+        batch_size: Scenes per step, at least 1.
         rng: Chooses the batches.
         validation: Scenes on which rigs are compared; None: the training scenes.
         further_starts: Where to begin again, each as ``start``; ``settings.descents`` - 1 of them.
@@ -221,6 +178,8 @@ class Descent:
     settings: OptimiserSettings
     start: np.ndarray
     rng: np.random.Generator
+    iterations: int = 100
+    batch_size: int = 4
     validation: Sequence[AssignedScene] | None = None
     further_starts: Sequence[np.ndarray] = ()
     candidates: list[Candidate] = field(default_factory=list)
@@ -246,6 +205,9 @@ class Descent:
         is_moved = self._mount.is_free.copy()
         is_moved[[X_M, Y_M, YAW_RAD]] = True
         self._rate = rate * is_moved
+        self._multiplier_rate = self.settings.multiplier_step(
+            are_inequalities=self.objective.constraints.are_inequalities
+        )
         if self._mount.held is not None:
             self._rate[self._mount.held.is_held] = 0.0
 
@@ -254,7 +216,7 @@ class Descent:
         device, constraints = self.objective.device, self.objective.constraints
         self._begun_at = self.iteration
         left = self.settings.descents - self.descent
-        self._step_count = round((self.settings.iterations - self.iteration) / left)
+        self._step_count = round((self.iterations - self.iteration) / left)
         self._pose = AdamW(self._mount.within(start), weight_decay=self.settings.weight_decay, device=device)
         multiplier = np.zeros(len(constraints.names), np.float32)
         self._multiplier: AdamW | MultiplierAscent = (
@@ -275,7 +237,7 @@ class Descent:
             self._begin(self.further_starts[self.descent - 1])
         look = self._look() if self._is_time_to_look() else None
         pose, multiplier = self._pose.value, self._multiplier.value
-        batch = [self.scenes[k] for k in self._batches.choose(self.settings.batch_size)]
+        batch = [self.scenes[k] for k in self._batches.choose(self.batch_size)]
         result = self.objective.evaluate(pose, batch, multiplier=multiplier, gradient=True, stage=self._stage())
         gradient, multiplier_gradient = result.gradient, result.multiplier_gradient
         assert gradient is not None
@@ -289,7 +251,7 @@ class Descent:
         self._pose.step(gradient, self._rate * self._schedule())
         if self._mount.is_free.any():
             self._pose.value = self._mount.within(self._pose.value)
-        self._multiplier.step(multiplier_gradient, np.full(len(multiplier), -self.settings.multiplier_learning_rate))
+        self._multiplier.step(multiplier_gradient, np.full(len(multiplier), -self._multiplier_rate))
         self.iteration += 1
         return record
 

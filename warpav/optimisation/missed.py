@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpav.detection.probability import Appearance, DetectionProbability
-from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import PlacedViews
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Measures, Renderer, WindowMeasures
 from warpav_kernels.placement import missed_loss

@@ -18,10 +18,11 @@ from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.detector_loss import detector_loss_of
-from warpav.optimisation.losses import MISSED, OBJECTIVES, LossSettings, lagrangian_of
+from warpav.optimisation.losses import Reference, lagrangian_of
 from warpav.optimisation.missed import Stage, StageOnDevice
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.optimisation.scene_step import AssignedScene, SceneLosses, SceneStep, losses_of_look
+from warpav.optimisation.settings import OBJECTIVES, LossSettings
 from warpav.raster.renderer import Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
 
@@ -109,6 +110,8 @@ class RigObjective:
         *,
         camera_count: int,
         settings: LossSettings,
+        reference: Reference = Reference.NON_OCCLUDED,
+        multiplier_damping: float = 0.0,
         constraints: Constraints | None = None,
         confidence_min: float = 0.1,
         iou_min: float = 0.5,
@@ -123,7 +126,9 @@ class RigObjective:
             mount: Where the cameras stand.
             detector: Runs on what the cameras see ahead; no gradient flows through it.
             camera_count: Number of cameras, at least 1.
-            settings: Scales and parameters of the losses.
+            settings: Weights and parameters of the losses.
+            reference: What the detected area is compared with.
+            multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
             constraints: Where the cameras may stand; None: the thesis's bounds, 0.2 m apart.
             confidence_min: Least confidence of a true positive.
             iou_min: Least intersection over union of a true positive.
@@ -147,6 +152,8 @@ class RigObjective:
         self.probability = probability if settings.missed > 0.0 else None
         self.detector = detector
         self.settings = settings
+        self.reference = reference
+        self.multiplier_damping = multiplier_damping
         self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
         self.camera_count = camera_count
         self.confidence_min = confidence_min
@@ -227,6 +234,7 @@ class RigObjective:
                 constraint_loss,
                 multiplier_array,
                 self.settings,
+                damping=self.multiplier_damping,
                 are_inequalities=self.constraints.are_inequalities,
             )
         pose_gradient = multiplier_gradient = None
@@ -255,7 +263,7 @@ class RigObjective:
     def _shares(self, scenes: Sequence[AssignedScene]) -> np.ndarray:
         """What each scene's losses weigh in the batch, float64 [objective]."""
         share = np.full(len(self.settings.objectives), 1.0 / len(scenes))
-        share[MISSED] = 1.0 / max(sum(assigned.scene.vehicle_count for assigned in scenes), 1)
+        share[OBJECTIVES.index("missed")] = 1.0 / max(sum(assigned.scene.vehicle_count for assigned in scenes), 1)
         return share
 
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
@@ -399,6 +407,7 @@ class RigObjective:
                 seed=self._seed,
                 forward_view=views.ahead,
                 settings=self.settings,
+                reference=self.reference,
                 probability=self.probability,
                 stage=self._stage,
             )
@@ -483,6 +492,7 @@ class RigObjective:
             wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
             assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
             settings=self.settings,
+            reference=self.reference,
             probability=self.probability,
             detected=wp.array((observation.match >= 0).astype(np.float32), dtype=float, device=self.device),
             stage=self._stage,

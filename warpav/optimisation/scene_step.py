@@ -12,10 +12,11 @@ import warp as wp
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.detector_loss import detector_loss_of
-from warpav.optimisation.losses import MISSED, OBJECTIVES, LossSettings, placement_losses_of
+from warpav.optimisation.losses import Reference, placement_losses_of
 from warpav.optimisation.missed import ProbabilityLook, StageOnDevice, add_missed_loss
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
+from warpav.optimisation.settings import OBJECTIVES, LossSettings
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Measures, Renderer
 
@@ -56,6 +57,7 @@ def losses_of_look(
     *,
     assigned_count: int,
     settings: LossSettings,
+    reference: Reference,
     probability: DetectionProbability | None,
     detected: wp.array,
     stage: StageOnDevice,
@@ -72,6 +74,7 @@ def losses_of_look(
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle]; for the thesis's losses.
         assigned_count: Number of vehicles that have a camera.
         settings: Parameters of the losses.
+        reference: What the detected area is compared with.
         probability: Of detection; the loss ``missed`` needs it.
         detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
         stage: How far along the optimisation is.
@@ -88,6 +91,7 @@ def losses_of_look(
             assigned_camera,
             assigned_count=assigned_count,
             settings=settings,
+            reference=reference,
             unblocked=renderer.unblocked_area(scene) if settings.surface_blockage > 0.0 else None,
         )
     else:
@@ -116,7 +120,7 @@ def losses_of_look(
             stage,
             rotation_count=rotation_count,
             settings=settings,
-            place=MISSED,
+            place=OBJECTIVES.index("missed"),
             loss=loss,
             window_rad=moving_rad,
         )
@@ -148,6 +152,7 @@ class SceneStep:
         seed: wp.array,
         forward_view: Sequence[int],
         settings: LossSettings,
+        reference: Reference = Reference.NON_OCCLUDED,
         probability: DetectionProbability | None = None,
         stage: StageOnDevice | None = None,
         recorded: bool | None = None,
@@ -163,6 +168,7 @@ class SceneStep:
             seed: Weight of each placement loss in that gradient, float [loss].
             forward_view: The view of each camera in which it looks straight ahead.
             settings: Parameters of the losses.
+            reference: What the detected area is compared with.
             probability: Of detection; the loss ``missed`` needs it.
             stage: How far along the optimisation is; None: at its end, without the detector.
             recorded: Whether to record the launches; None: on a GPU.
@@ -174,7 +180,7 @@ class SceneStep:
             raise ValueError("settings.missed needs the probability of detection")
         self.scene = scene = assigned.scene
         device = renderer.device
-        self._mount, self._renderer, self._settings = mount, renderer, settings
+        self._mount, self._renderer, self._settings, self._reference = mount, renderer, settings, reference
         self._pose, self._seed, self._ahead_view = pose, seed, list(forward_view)
         camera_count = pose.shape[0]
         self._rotation_count = renderer.view_count // camera_count
@@ -279,6 +285,7 @@ class SceneStep:
             self._assigned_camera,
             assigned_count=self._assigned_count,
             settings=self._settings,
+            reference=self._reference,
             probability=self._probability,
             detected=self._detected,
             stage=self._stage,

@@ -20,14 +20,12 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import annotated_types
 import yaml
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     ValidationError,
@@ -38,13 +36,24 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from warpav.core.errors import InputError, OptionError
+from warpav.core.section import Expectation, Section, mistake, shown
+from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
 from warpav.core.yaml_file import Location, parse_yaml, read_yaml
+from warpav.optimisation.settings import (
+    METHOD_LOSSES,
+    ONE_FIELD_LOSSES,
+    LossSettings,
+    OptimiserSettings,
+    SegregationSettings,
+    VisibilitySettings,
+)
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.rig.presets import preset_names
 from warpav.scene.scene import ROAD_USERS
 
-METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
+if TYPE_CHECKING:
+    from warpav.runs.placement import Placement
+
 COMMAND_LINE = "command line"
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""
@@ -56,53 +65,6 @@ MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """What a field expects, in words; ``{range}`` is replaced by the field's limits, ``unit`` follows them."""
-
-    text: str
-    unit: str = ""
-
-
-def _mistake(text: str, *fields: str) -> NoReturn:
-    """Refuse a value with a finished text; ``fields`` are the members of the section that the text speaks of."""
-    raise PydanticCustomError("mistake", "{text}", {"text": text, "fields": fields})
-
-
-def _quantity_reader(quantity: str, unit_factor: Mapping[str, float], example: str) -> BeforeValidator:
-    def read(value: object) -> object:
-        if not isinstance(value, str):
-            return value
-        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]*)\s*", value)
-        unit = match[2] if match else ""
-        if match and unit in unit_factor:
-            try:
-                return float(match[1]) * unit_factor[unit]
-            except ValueError:
-                match = None
-        problem = f"; {unit!r} is no unit of {quantity}, use {', '.join(unit_factor)}" if match and unit else ""
-        _mistake(f"expected {example}, got {value!r}{problem}")
-
-    return BeforeValidator(read)
-
-
-_LENGTH_TEXT = 'a length in metres{range}, such as 0.2 or "20 cm"'
-_ANGLE_TEXT = 'an angle in degrees{range}, such as 90, "90 deg" or "1.57 rad"'
-_NUMBER_OR_TEXT = {"anyOf": [{"type": "number"}, {"type": "string"}]}
-
-Metres = Annotated[
-    float,
-    _quantity_reader("length", METRES_PER_UNIT, _LENGTH_TEXT.format(range="")),
-    Expectation(_LENGTH_TEXT, " m"),
-    WithJsonSchema(_NUMBER_OR_TEXT),
-]
-Degrees = Annotated[
-    float,
-    _quantity_reader("angle", DEGREES_PER_UNIT, _ANGLE_TEXT.format(range="")),
-    Expectation(_ANGLE_TEXT, " deg"),
-    WithJsonSchema(_NUMBER_OR_TEXT),
-]
-
 _SEEDS_TEXT = "seeds as a range such as 1000..1009 or a list such as [1, 2, 3]"
 
 
@@ -113,21 +75,21 @@ def _read_seeds(value: object) -> tuple[int, ...]:
         if match:
             first, last = int(match[1]), int(match[2])
             if last < first:
-                _mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
+                mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
             if last > MAX_SEED or last - first >= MAX_SEED_COUNT:
-                _mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
+                mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
             seeds.extend(range(first, last + 1))
         elif isinstance(item, int) and not isinstance(item, bool):
             if not 0 <= item <= MAX_SEED:
-                _mistake(f"expected seeds from 0 to {MAX_SEED}, got {item}")
+                mistake(f"expected seeds from 0 to {MAX_SEED}, got {item}")
             seeds.append(item)
         else:
-            _mistake(f"expected {_SEEDS_TEXT}, got {_shown(value)}")
+            mistake(f"expected {_SEEDS_TEXT}, got {shown(value)}")
     if not seeds:
-        _mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
+        mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
     twice = sorted({seed for seed in seeds if seeds.count(seed) > 1}) if len(set(seeds)) < len(seeds) else []
     if twice:
-        _mistake(f"expected every seed once, got {twice[0]} twice")
+        mistake(f"expected every seed once, got {twice[0]} twice")
     return tuple(seeds)
 
 
@@ -155,16 +117,16 @@ def _read_targets(value: object) -> tuple[str, ...]:
         if target not in ROAD_USERS:
             near = difflib.get_close_matches(str(target), ROAD_USERS, 1, 0.6)
             hint = f"; did you mean {near[0]}?" if near else ""
-            _mistake(f"expected {_TARGETS_TEXT}, got {_shown(target)}{hint}")
+            mistake(f"expected {_TARGETS_TEXT}, got {shown(target)}{hint}")
     if not targets:
-        _mistake(f"expected {_TARGETS_TEXT}, got none; a rig has to be made for somebody")
+        mistake(f"expected {_TARGETS_TEXT}, got none; a rig has to be made for somebody")
     return tuple(each for each in ROAD_USERS if each in targets)
 
 
 def _read_path(value: object) -> object:
     if isinstance(value, str):
         if not value.strip():
-            _mistake(f"expected a path, got {value!r}")
+            mistake(f"expected a path, got {value!r}")
         return Path(value).expanduser()
     return value
 
@@ -172,7 +134,7 @@ def _read_path(value: object) -> object:
 def _read_device(value: object) -> object:
     if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
         hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
-        _mistake(f"expected cpu or a GPU such as cuda:0, got {_shown(value)}{hint}")
+        mistake(f"expected cpu or a GPU such as cuda:0, got {shown(value)}{hint}")
     return value
 
 
@@ -194,9 +156,9 @@ def _read_names(value: object) -> tuple[Any, ...]:
     names = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     for name in names:
         if not isinstance(name, str) or not name:
-            _mistake(f"expected {_NAMES_TEXT}, got {_shown(value)}")
+            mistake(f"expected {_NAMES_TEXT}, got {shown(value)}")
         if names.count(name) > 1:
-            _mistake(f"expected every name once, got {name!r} {names.count(name)} times")
+            mistake(f"expected every name once, got {name!r} {names.count(name)} times")
     return names
 
 
@@ -217,13 +179,7 @@ def _existing_file(value: str, expected: str, candidates: Sequence[str], words: 
         return
     near = difflib.get_close_matches(value, words, 1, 0.6)
     hint = f"did you mean {near[0]}?" if near else "no such file"
-    _mistake(f"expected {expected}, got {value!r}; {hint}")
-
-
-class Section(BaseModel):
-    """Base of all sections: immutable, unknown keys refused, no silent conversions."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    mistake(f"expected {expected}, got {value!r}; {hint}")
 
 
 class RunConfig(Section):
@@ -288,16 +244,16 @@ class SceneConfig(Section):
         for name in ("train_seeds", "validation_seeds"):
             both = sorted(set(getattr(self, name) or ()) & set(self.test_seeds))
             if both:
-                _mistake(
+                mistake(
                     f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
                     "test_seeds",
                     name,
                 )
         if self.source == "folder":
             if self.folder is None:
-                _mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
+                mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
             if not self.folder.is_dir():
-                _mistake(
+                mistake(
                     f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one",
                     "folder",
                 )
@@ -344,51 +300,32 @@ class ReconstructionConfig(Section):
     )
 
 
-def _range_reader(unit_factor: Mapping[str, float], expected: str, *, low: float, high: float) -> BeforeValidator:
-    def number(value: object) -> float | None:
-        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]+)\s*", str(value))
-        if isinstance(value, str) and match and match[2] in unit_factor:
-            with contextlib.suppress(ValueError):
-                return float(match[1]) * unit_factor[match[2]]
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-    def read(value: object) -> tuple[float, float] | None:
-        if value is None:
-            return None
-        ends = [number(end) for end in value] if isinstance(value, (list, tuple)) else []
-        if len(ends) != 2 or ends[0] is None or ends[1] is None or not low <= ends[0] < ends[1] <= high:
-            _mistake(f"expected {expected}, or null, got {_shown(value)}")
-        return ends[0], ends[1]
-
-    return BeforeValidator(read)
-
-
 _PITCHES_TEXT = "two angles from -60 deg to 60 deg, the lower one first, such as [-20, 20]"
 _HEIGHTS_TEXT = "two heights from 0 m to 2 m, the lower one first, such as [0.05, 0.4]"
 _FOVS_TEXT = "two angles from 10 deg to 170 deg, the lower one first, such as [60, 110]"
 _RANGE_AS_LIST = PlainSerializer(lambda value: None if value is None else list(value))
 _RANGE_SCHEMA = WithJsonSchema(
-    {"anyOf": [{"type": "array", "items": _NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
+    {"anyOf": [{"type": "array", "items": NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
 )
 
 Range = tuple[float, float] | None
 PitchRange = Annotated[
     Range,
-    _range_reader(DEGREES_PER_UNIT, _PITCHES_TEXT, low=-60.0, high=60.0),
+    range_reader(DEGREES_PER_UNIT, _PITCHES_TEXT, low=-60.0, high=60.0),
     _RANGE_AS_LIST,
     Expectation(_PITCHES_TEXT),
     _RANGE_SCHEMA,
 ]
 HeightRange = Annotated[
     Range,
-    _range_reader(METRES_PER_UNIT, _HEIGHTS_TEXT, low=0.0, high=2.0),
+    range_reader(METRES_PER_UNIT, _HEIGHTS_TEXT, low=0.0, high=2.0),
     _RANGE_AS_LIST,
     Expectation(_HEIGHTS_TEXT),
     _RANGE_SCHEMA,
 ]
 FovRange = Annotated[
     Range,
-    _range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=170.0),
+    range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=170.0),
     _RANGE_AS_LIST,
     Expectation(_FOVS_TEXT),
     _RANGE_SCHEMA,
@@ -458,7 +395,7 @@ class CameraConfig(Section):
         try:
             shape = LensShape(lens, checked_distortion(lens, self.distortion))
         except ValueError as error:
-            _mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
+            mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
         widest_deg = 170.0
         if shape.has_unit_rays:
             widest_deg = 360.0 if lens is Lens.PANORAMA else 350.0
@@ -467,7 +404,7 @@ class CameraConfig(Section):
             widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
         if self.fov_deg > widest_deg:
             text = f"expected an angle in degrees from 10 deg to {widest_deg:g} deg, the widest for this {lens} lens"
-            _mistake(f"{text}, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
+            mistake(f"{text}, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
         return self
 
 
@@ -563,175 +500,11 @@ class DetectorConfig(Section):
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 
 
-class SegregationConfig(Section):
-    """Which camera is responsible for which vehicle."""
-
-    rotations: int = Field(default=16, ge=2, le=360, description="directions looked at from the origin")
-
-
-class LossConfig(Section):
-    """Weights of the objectives, and the numbers inside them."""
-
-    missed: float = Field(
-        default=0.0, ge=0.0, description="weight of the share of road users that no camera is expected to detect"
-    )
-    in_frame_rotation: float = Field(default=0.0, ge=0.0, description="weight of the in-frame rotation loss")
-    detected_area: float = Field(default=0.0, ge=0.0, description="weight of the detected object area loss")
-    surface_blockage: float = Field(
-        default=0.0, ge=0.0, description="weight of the surface blockage loss: what the ego vehicle hides"
-    )
-    object_visibility: float = Field(
-        default=0.0, ge=0.0, description="weight of the object visibility loss: detected_area without a detector"
-    )
-    angular_coverage: float = Field(
-        default=0.0, ge=0.0, description="weight of the angular coverage loss: directions in no camera's view"
-    )
-    detector_gradient: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="weight of the detection network's own loss, differentiated through it; needs warpav[torch]",
-    )
-    min_detected_area: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=1.0,
-        description="detected (object_visibility: visible) share of a vehicle's area from which more brings nothing",
-    )
-    min_unblocked_area: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=1.0,
-        description="share of a vehicle's area that the ego vehicle leaves free, from which more brings nothing",
-    )
-    epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
-    window_softness_deg: Degrees = Field(
-        default=10.0, gt=0.0, le=90.0, description="missed: softness of a field of view over the panorama"
-    )
-    detector_share: float = Field(
-        default=0.0,
-        ge=0.0,
-        lt=1.0,
-        description="missed: how much of a probability is what the detector really found, at the end of a run",
-    )
-    combine: Literal["any", "best"] = Field(
-        default="any", description="missed: any camera may find an object (noisy or), or the surest one alone counts"
-    )
-    probability: Literal["fitted", "visible_share", "in_frame_share"] = Field(
-        default="fitted",
-        description=(
-            "missed: fitted to the detector, or plainly the share of an object's whole box that is visible, or that is "
-            "in the image, be it hidden there or not"
-        ),
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> LossConfig:
-        weights = (
-            "missed",
-            "in_frame_rotation",
-            "detected_area",
-            "surface_blockage",
-            "object_visibility",
-            "angular_coverage",
-            "detector_gradient",
-        )
-        if not any(getattr(self, name) for name in weights):
-            _mistake("expected at least one weight above 0, got only zeros", *weights)
-        return self
-
-
-class VisibilityConfig(Section):
-    """What hides a vehicle."""
-
-    occlusion: Literal["pairwise", "exact"] = Field(
-        default="pairwise",
-        description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
-    )
-
-
-class OptimiserConfig(Section):
-    """Step sizes, multipliers, and which iterate is kept."""
-
-    learning_rate_position_m: Metres = Field(default=0.25, gt=0.0, le=10.0, description="AdamW step of a position")
-    learning_rate_yaw_deg: Degrees = Field(
-        default=round(math.degrees(0.25), 4), gt=0.0, le=180.0, description="AdamW step of a yaw angle"
-    )
-    learning_rate_pitch_deg: Degrees = Field(
-        default=2.0, gt=0.0, le=180.0, description="AdamW step of a pitch, where rig.free.pitch_deg frees it"
-    )
-    learning_rate_height_m: Metres = Field(
-        default=0.02, gt=0.0, le=2.0, description="AdamW step of a height, where rig.free.height_m frees it"
-    )
-    learning_rate_zoom: float = Field(
-        default=0.02,
-        gt=0.0,
-        le=1.0,
-        description="AdamW step of the logarithm of a focal length, where rig.free.fov_deg frees it",
-    )
-    schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
-    weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
-    multiplier_learning_rate: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=100.0,
-        description="step of a multiplier, AdamW's (thesis) or of plain ascent (default); null: the method's",
-    )
-    multiplier_weight_decay: float = Field(
-        default=1e-3, ge=0.0, le=1.0, description="pull of the multipliers towards zero (method: thesis)"
-    )
-    multiplier_damping: float | None = Field(
-        default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
-    )
-    keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
-    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
-    panorama_until: float = Field(
-        default=0.3,
-        ge=0.0,
-        le=1.0,
-        description="missed: share of the run over which what lies outside the images ceases to pull",
-    )
-    detector_from: float = Field(
-        default=0.7, ge=0.0, le=1.0, description="missed: share of the run from which the detector has a say"
-    )
-    starts: int = Field(
-        default=1, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
-    )
-    descents: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="parts of the run, each from the next best of the rigs that were looked at before it",
-    )
-    patience: int | None = Field(
-        default=None, ge=1, description="looks without a better rig after which a descent ends; null: it never does"
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> OptimiserConfig:
-        if self.descents > self.starts:
-            text = f"expected at most one for each of the {self.starts} optimiser.starts, got {self.descents}"
-            _mistake(text, "descents", "starts")
-        if self.descents > 1 and self.keep != "best":
-            _mistake(f"expected 1 with optimiser.keep={self.keep}, got {self.descents}", "descents", "keep")
-        return self
-
-
 class BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
     random_samples: int = Field(default=100, ge=1, le=1_000_000, description="random rigs of which the best is taken")
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
-
-
-METHOD_LOSSES: dict[str, dict[str, Any]] = {
-    "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},
-    "default": {"missed": 1.0},
-}
-"""Weights of the losses where the configuration says nothing, by method."""
-
-
-ONE_FIELD_LOSSES = (*METHOD_LOSSES["thesis"], "surface_blockage", "object_visibility", "angular_coverage")
-"""Losses that take one field of view for all cameras."""
 
 
 class ExecutorConfig(Section):
@@ -769,16 +542,39 @@ class Config(Section):
     camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
     mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
     detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
-    segregation: SegregationConfig = Field(
-        default=SegregationConfig(), description="which camera answers for which vehicle"
+    segregation: SegregationSettings = Field(
+        default=SegregationSettings(), description="which camera answers for which vehicle"
     )
-    losses: LossConfig = Field(
-        default=LossConfig(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
+    losses: LossSettings = Field(
+        default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
-    visibility: VisibilityConfig = Field(default=VisibilityConfig(), description="what hides a vehicle")
-    optimiser: OptimiserConfig = Field(default=OptimiserConfig(), description="steps and multipliers")
+    visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
+    optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
     executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
+
+    @classmethod
+    def load(cls, path: str | Path | None = None, *overrides: str) -> Config:
+        """The configuration of a YAML file or a shipped name, such as ``quick``, with ``key=value`` overrides.
+
+        Args:
+            path: The file or the name; None: the defaults, which are those of ``quick``.
+            overrides: Such as ``"rig.cameras=6"``; the value is read as YAML.
+
+        Raises:
+            InputError: Anything is wrong; one line a mistake.
+        """
+        return load_config(path, overrides, origin="override")
+
+    def placement(self) -> Placement:
+        """The placement that it describes; scenes and detector are loaded when they are first needed.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        from warpav.runs.build import build
+
+        return build(self)
 
     @model_validator(mode="before")
     @classmethod
@@ -795,7 +591,7 @@ class Config(Section):
     def _check(self) -> Config:
         scene_count = len(self.scenes.train_seeds)
         if self.run.batch_size > scene_count:
-            _mistake(
+            mistake(
                 f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
                 f"set run.batch_size={scene_count} or lower",
                 "run.batch_size",
@@ -804,7 +600,7 @@ class Config(Section):
         self._check_free()
         self._check_freeze()
         if self.segregation.rotations < self.rig.cameras:
-            _mistake(
+            mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
                 "segregation.rotations",
                 "rig.cameras",
@@ -816,14 +612,14 @@ class Config(Section):
         if not frozen:
             return
         if self.rig.start in NAMED_STARTS:
-            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {_shown(frozen)}"
-            _mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
+            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
         if len(frozen) >= self.rig.cameras:
             text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
-            _mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
+            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
         if self.method == "thesis":
-            text = f"expected none, as the thesis moves all cameras, got {_shown(frozen)}; take method: default"
-            _mistake(text, "rig.freeze", "method")
+            text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
+            mistake(text, "rig.freeze", "method")
 
     def _check_free(self) -> None:
         free = self.rig.free
@@ -838,35 +634,36 @@ class Config(Section):
                 continue
             fields = dict.fromkeys((f"rig.free.{name}", option))
             if not pair[0] <= value <= pair[1]:
-                text = f"expected bounds that hold the {value:g} of {what}, got {_shown(pair)}"
-                _mistake(text, *fields)
+                text = f"expected bounds that hold the {value:g} of {what}, got {shown(pair)}"
+                mistake(text, *fields)
             if self.method == "thesis":
-                _mistake(
-                    f"expected null, as the thesis moves x, y and yaw alone, got {_shown(pair)}; take method: default",
+                mistake(
+                    f"expected null, as the thesis moves x, y and yaw alone, got {shown(pair)}; take method: default",
                     f"rig.free.{name}",
                     "method",
                 )
         if free.fov_deg is None:
             return
         if self.camera.lens != "pinhole":
-            text = f"expected null or a pinhole, got {_shown(free.fov_deg)} for a {self.camera.lens} lens"
-            _mistake(text, "rig.free.fov_deg", "camera.lens")
+            text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
+            mistake(text, "rig.free.fov_deg", "camera.lens")
         alike = [name for name in ONE_FIELD_LOSSES if getattr(self.losses, name)]
         if alike:
-            _mistake(
+            mistake(
                 f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
-                f"{_shown(free.fov_deg)}",
+                f"{shown(free.fov_deg)}",
                 "rig.free.fov_deg",
                 f"losses.{alike[0]}",
             )
 
 
-def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> Config:
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:
     """The configuration of a YAML file and ``key=value`` overrides.
 
     Args:
         path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
         overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
+        origin: What messages call the source of the overrides.
 
     Returns:
         The validated, immutable tree.
@@ -880,20 +677,21 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     rig = data.get("rig")
     if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
         rig["start"] = str((file.parent / START_FILE).absolute())
-    return _validated(data, overrides, file, line_of)
+    return _validated(data, overrides, file, line_of, origin)
 
 
-def changed_config(config: Config, overrides: Sequence[str]) -> Config:
+def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
     """The configuration with other values for some options.
 
     Args:
         config: The configuration.
         overrides: As of :func:`load_config`.
+        origin: What messages call the source of the overrides; None: they do not name it.
 
     Raises:
         InputError: An override is wrong, or does not fit the rest.
     """
-    return _validated(config.model_dump(mode="json"), overrides, None, {})
+    return _validated(config.model_dump(mode="json"), overrides, None, {}, origin)
 
 
 def with_absolute_paths(config: Config) -> Config:
@@ -907,7 +705,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
     ):
         if value is not None:
-            overrides.append(f"{option}={_flow_text(str(Path(value).expanduser().absolute()))}")
+            overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
     return changed_config(config, overrides) if overrides else config
 
 
@@ -922,21 +720,26 @@ def overridden_option(override: str) -> str:
     Raises:
         InputError: It is none.
     """
-    return ".".join(_read_override(override)[0])
+    return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
 
 
 def _validated(
-    data: dict[str, Any], overrides: Sequence[str], file: Path | None, line_of: Mapping[Location, int]
+    data: dict[str, Any],
+    overrides: Sequence[str],
+    file: Path | None,
+    line_of: Mapping[Location, int],
+    origin: str | None = COMMAND_LINE,
 ) -> Config:
     override_of: dict[Location, str] = {}
     for override in overrides:
-        location, value = _read_override(override)
-        override_of[location] = override
-        _put(data, location, value, override)
+        place = _override_place(override, origin)
+        location, value = _read_override(override, place)
+        override_of[location] = place
+        _put(data, location, value, place)
     try:
         return Config.model_validate(data)
     except ValidationError as error:
-        lines = [_explain(mistake, file, line_of, override_of) for mistake in error.errors(include_url=False)]
+        lines = [_explain(found, file, line_of, override_of) for found in error.errors(include_url=False)]
         raise InputError("\n".join(dict.fromkeys(lines))) from None
 
 
@@ -955,7 +758,7 @@ def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[C
         yield config
     except OptionError as error:
         file = find_config(path)
-        override_of = {_read_override(override)[0]: override for override in overrides}
+        override_of = {_read_override(each)[0]: _override_place(each, COMMAND_LINE) for each in overrides}
         place = _place(tuple(error.option.split(".")), file, _read_file(file)[1], override_of)
         raise InputError(f"{place}: {error}") from None
 
@@ -1026,10 +829,10 @@ def overrides_from(base: Config, config: Config) -> list[str]:
     """
     before = option_values(base)
     changed = {name: value for name, value in option_values(config).items() if value != before[name]}
-    return [f"{name}={_flow_text(value)}" for name, value in changed.items()]
+    return [f"{name}={flow_text(value)}" for name, value in changed.items()]
 
 
-def _flow_text(value: object) -> str:
+def flow_text(value: object) -> str:
     """A value as YAML on one line."""
     return yaml.safe_dump(value, default_flow_style=True, width=math.inf, allow_unicode=True).partition("\n")[0]
 
@@ -1090,7 +893,7 @@ def find_config(path: str | Path) -> Path:
 def _read_file(file: Path) -> tuple[dict[str, Any], dict[Location, int]]:
     data, line_of = read_yaml(file)
     if data is not None and not isinstance(data, dict):
-        raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {_shown(data)}")
+        raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {shown(data)}")
     if data is not None and {"frame", "cameras"} <= data.keys():
         raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
     return data or {}, line_of
@@ -1105,26 +908,33 @@ _FlowListDumper.add_representer(
 )
 
 
-def _read_override(override: str) -> tuple[Location, object]:
+def _override_place(override: str, origin: str | None) -> str:
+    """Where an override stands, for messages; empty where that needs no saying."""
+    return "" if origin is None else f"{origin} ({override})"
+
+
+def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, object]:
     key, equals, text = override.partition("=")
     location = tuple(part.strip() for part in key.split("."))
     if not equals or not all(location):
         near = difflib.get_close_matches(key, [".".join(name) for name in _option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
-        raise InputError(f"{COMMAND_LINE} ({override}): expected key=value, got {override!r}; {hint}")
-    return location, parse_yaml(text, f"{COMMAND_LINE} ({override})", has_lines=False)[0]
+        raise InputError(_placed(place, f"expected key=value, got {override!r}; {hint}"))
+    return location, parse_yaml(text, place or key, has_lines=False)[0]
 
 
-def _put(data: dict[str, Any], location: Location, value: object, override: str) -> None:
+def _placed(place: str, text: str) -> str:
+    return f"{place}: {text}" if place else text
+
+
+def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:
     for depth, part in enumerate(location[:-1], start=1):
         if data.get(part) is None:
             data[part] = {}
         data = data[part]
         if not isinstance(data, dict):
             outer = ".".join(location[:depth])
-            raise InputError(
-                f"{COMMAND_LINE} ({override}): {outer}: expected a section, got {_shown(data)} in the file"
-            )
+            raise InputError(_placed(place, f"{outer}: expected a section, got {shown(data)} in the file"))
     data[location[-1]] = value
 
 
@@ -1142,7 +952,7 @@ def _option_locations(section: type[Section], prefix: Location = ()) -> Iterator
 
 
 def _explain(
-    mistake: Mapping[str, Any],
+    found: Mapping[str, Any],
     file: Path | None,
     line_of: Mapping[Location, int],
     override_of: Mapping[Location, str],
@@ -1151,7 +961,7 @@ def _explain(
     section: type[Section] = Config
     field: FieldInfo | None = None
     location: Location = ()
-    for part in mistake["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
+    for part in found["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
         known = section.model_fields.get(str(part)) if field is None else None
         if field is not None:
             break
@@ -1163,26 +973,26 @@ def _explain(
             field = known
             if known is None:
                 break
-    fields = mistake.get("ctx", {}).get("fields", ()) if mistake["type"] == "mistake" else ()
+    fields = found.get("ctx", {}).get("fields", ()) if found["type"] == "mistake" else ()
     locations = [(*location, *name.split(".")) for name in fields] or [location]
-    overridden = [name for name in locations if _override_at(name, override_of)]
+    overridden = [name for name in locations if _override_at(name, override_of) is not None]
     written = [name for name in locations if name in line_of]
     place = _place((overridden or written or locations)[0], file, line_of, override_of)
     location = locations[0]
 
-    if mistake["type"] == "extra_forbidden":
+    if found["type"] == "extra_forbidden":
         text = _unknown_option(section, location)
-    elif mistake["type"] == "mistake":
-        text = mistake["ctx"]["text"]
+    elif found["type"] == "mistake":
+        text = found["ctx"]["text"]
     elif field is None:
-        text = f"expected a section with {', '.join(section.model_fields)}, got {_shown(mistake['input'])}"
+        text = f"expected a section with {', '.join(section.model_fields)}, got {shown(found['input'])}"
     else:
-        default = "null" if field.get_default() is None else _shown(field.get_default())
-        text = f"expected {_expected(field)}, got {_shown(mistake['input'])}"
+        default = "null" if field.get_default() is None else shown(field.get_default())
+        text = f"expected {_expected(field)}, got {shown(found['input'])}"
         choices = [str(choice) for choice in _choices(field)]
-        near = difflib.get_close_matches(str(mistake["input"]), choices, 1, 0.6)
+        near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
         text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
-    return f"{place}: {'.'.join(location)}: {text}"
+    return _placed(place, f"{'.'.join(location)}: {text}")
 
 
 def _override_at(location: Location, override_of: Mapping[Location, str]) -> str | None:
@@ -1199,8 +1009,8 @@ def _place(
     override_of: Mapping[Location, str],
 ) -> str:
     override = _override_at(location, override_of)
-    if override:
-        return f"{COMMAND_LINE} ({override})"
+    if override is not None:
+        return override
     if file is None:
         return "defaults"
     for length in range(len(location), 0, -1):
@@ -1257,13 +1067,3 @@ def _limits(metadata: Sequence[object], unit: str) -> str:
 
 def _number(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _shown(value: object) -> str:
-    if value is None:
-        return "nothing (null)"
-    if isinstance(value, (list, tuple, dict)):
-        text = yaml.safe_dump(value, default_flow_style=True, width=10_000).strip()
-    else:
-        text = repr(value) if isinstance(value, str) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

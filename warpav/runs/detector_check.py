@@ -12,7 +12,7 @@ from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
-from warpav.runs.sources import load_detector
+from warpav.runs.networks import load_detector
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
 from warpav.view.scene_figures.panels import checked_png
 

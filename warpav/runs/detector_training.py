@@ -14,8 +14,8 @@ from warpav.detection.detector import ROAD_USERS
 from warpav.detection.training.data import SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
+from warpav.runs.networks import load_detector
 from warpav.runs.run_folder import write_json
-from warpav.runs.sources import load_detector
 
 LEAST_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""

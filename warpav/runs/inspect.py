@@ -11,20 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
+from warpav.runs.mounts import camera_mount, constraints_of, mount_surface
+from warpav.runs.networks import load_detector
+from warpav.runs.rig_source import find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder, trajectory
-from warpav.runs.sources import (
-    camera_mount,
-    checked_device,
-    constraints_of,
-    find_rig,
-    is_run_folder,
-    load_detector,
-    load_scenes,
-    mount_surface,
-)
+from warpav.runs.scene_set import load_scenes
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector

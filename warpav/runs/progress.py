@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rich import progress as progress_bar
 from rich.console import Console, Group
 from rich.live import Live
 from rich.measure import Measurement
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from warpav.core.progress import NullProgress, Progress
 from warpav.runs.run_folder import ARM_ROWS, recall_rows
 
 if TYPE_CHECKING:
@@ -42,7 +45,7 @@ class RunDisplay:
         self.console = console or Console(
             highlight=False, soft_wrap=True, force_terminal=is_terminal, force_jupyter=False
         )
-        self._progress = Progress(
+        self._bar = progress_bar.Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(bar_width=32),
@@ -122,19 +125,37 @@ class RunDisplay:
 
     def _start(self, description: str, count: int | None) -> None:
         if self._task is not None:
-            self._progress.remove_task(self._task)
+            self._bar.remove_task(self._task)
         self._numbers = None
-        self._task = self._progress.add_task(description, total=count, speed="")
+        self._task = self._bar.add_task(description, total=count, speed="")
         if not self.console.is_terminal:
             self.say(description if count is None else f"{description}: {count}")
 
     def _advance(self, number: int, began: float) -> None:
         if self._task is not None:
             speed = (time.perf_counter() - began) / number
-            self._progress.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
+            self._bar.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
 
     def _render(self) -> RenderableType:
-        return Group(self._progress, self._numbers) if self._numbers is not None else self._progress
+        return Group(self._bar, self._numbers) if self._numbers is not None else self._bar
+
+
+@contextlib.contextmanager
+def shown_progress(progress: bool | Progress | None) -> Iterator[Progress]:
+    """What a job reports to: a display for True, nothing for False and None, else the object itself.
+
+    Raises:
+        TypeError: It is something else.
+    """
+    if progress is True:
+        with RunDisplay() as display:
+            yield display
+    elif progress is None or progress is False:
+        yield NullProgress()
+    elif callable(getattr(progress, "steps", None)):
+        yield progress
+    else:
+        raise TypeError(f"progress: expected True, False or an object with the Progress protocol, got {progress!r}")
 
 
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:

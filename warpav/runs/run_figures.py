@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder, check_folder, trajectory
-from warpav.runs.sources import checked_device, find_rig, load_scene
+from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage

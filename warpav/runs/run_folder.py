@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
+from warpav.rig.presets import preset_names
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 
 if TYPE_CHECKING:
@@ -113,7 +114,15 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def create(cls, config: Config, *, name: str, device: str = "", start: Rig | None = None) -> RunFolder:
+    def create(
+        cls,
+        config: Config,
+        *,
+        name: str,
+        device: str = "",
+        start: Rig | None = None,
+        freeze: Sequence[str] = (),
+    ) -> RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
         Args:
@@ -121,7 +130,9 @@ class RunFolder:
                 so that the folder can be used from everywhere.
             name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
             device: What computes, in words.
-            start: The rig that ``rig.start`` names, which the folder keeps, so that it needs no file from elsewhere.
+            start: The rig that the run starts from, where it is a certain one; the folder keeps it, so that it needs no
+                file from elsewhere.
+            freeze: Names of its cameras that stay as they are.
 
         Raises:
             InputError: ``run.out`` exists, or no folder can be made there.
@@ -141,9 +152,10 @@ class RunFolder:
                 "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
             ) from None
         config = with_absolute_paths(config)
-        if start is not None and Path(config.rig.start).is_absolute():  # no preset
+        if start is not None and config.rig.start not in preset_names():
             folder.write_rig("start", start)
-            config = config.model_copy(update={"rig": config.rig.model_copy(update={"start": START_FILE})})
+            rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
+            config = config.model_copy(update={"rig": rig})
         write_text(path / "config.yaml", dump_config(config))
         write_json(path / "env.json", environment(config, device))
         return folder
@@ -163,6 +175,13 @@ class RunFolder:
                 f"{path}: run folder: expected a folder written by warpav optimise, got one without config.yaml"
             )
         return cls(folder)
+
+    def replace_config(self, config: Config) -> None:
+        """Write ``config.yaml`` again, with the same start."""
+        rig = self.config().rig
+        if (self.path / START_FILE).is_file():
+            config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
+        write_text(self.path / "config.yaml", dump_config(config))
 
     def write_rig(self, role: RigRole, rig: Rig) -> None:
         """Write ``rig_<role>.yaml``."""
@@ -301,21 +320,17 @@ class RunFolder:
         """A rig of the run.
 
         Args:
-            role: Which one; None takes the result, which is the best or the final one as ``optimiser.keep`` says, or
-                what comes nearest to it when the run was stopped.
+            role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped before its first
+                step has only the rig that it started from.
 
         Raises:
-            InputError: The run was stopped before it had one, or its best one is missing.
+            InputError: The run was stopped before it had one, or it is missing.
         """
         from warpav.rig.rig import read_rig
 
-        if role is None:
-            keep_best = self.config().optimiser.keep == "best"
-            roles: tuple[RigRole, ...] = ("best", "initial") if keep_best else ("final", "best", "initial")
-            if keep_best and (self.path / "rig_final.yaml").is_file():  # written after the best one
-                roles = ("best",)
-        else:
-            roles = (role,)
+        roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
+        if role is None and (self.path / "rig_final.yaml").is_file():  # written after the best one
+            roles = ("best",)
         for name in roles:
             file = self.path / f"rig_{name}.yaml"
             if file.is_file():
@@ -405,6 +420,18 @@ class RunFolder:
             raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
         except (ValueError, RecursionError) as error:
             raise InputError(f"{file}: expected JSON, got: {error}") from None
+
+
+def read_run(path: str | Path) -> RunFolder:
+    """The run that a folder holds.
+
+    Args:
+        path: The run folder.
+
+    Raises:
+        InputError: There is no folder, or it is not one of a run.
+    """
+    return RunFolder.open(path)
 
 
 def write_json(file: Path, data: object) -> None:

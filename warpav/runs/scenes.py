@@ -12,7 +12,7 @@ from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import check_folder
-from warpav.runs.sources import load_scene, plan_settings, reconstruction_settings
+from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.store import (
     CaptureTask,
     SceneTask,

@@ -13,7 +13,7 @@ from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.runs.config import Config
-from warpav.runs.sources import mount_surface
+from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import Examination, Problem, Reading, VehicleFile, examine, read_vehicle, write_vehicle
 
 BONNET_BELOW_M = 0.15
