@@ -32,7 +32,7 @@ def copied(tmp_path, finished):
 
 def run(out, scenes, *more, **options):
     with RunDisplay() as display:
-        return run_experiment(SMALL, config(scenes, *more), out=out, display=display, **options)
+        return run_experiment(SMALL, config(scenes, *more), out=out, progress=display, **options)
 
 
 def without_seconds(result):

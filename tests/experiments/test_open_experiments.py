@@ -406,7 +406,7 @@ def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_director
     assert "losses.missed: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "losses.missed=2"
     )
-    assert "camera.fov_deg: expected an option by which" in complaint(
+    assert "camera.fov_deg: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "camera.fov_deg=60"
     )
     assert "--name: expected lower-case letters" in complaint(

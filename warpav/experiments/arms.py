@@ -250,9 +250,7 @@ def _gradient(placement: Placement, render_budget: int | None) -> Found:
     placement = _within(placement, render_budget)
     optimisation = Optimisation.begin(placement)
     starts = placement.config.optimiser.starts
-    return _descended(
-        placement, optimisation.descent, optimisation.began_as, first_evaluations=starts if starts > 1 else 0
-    )
+    return _descended(placement, optimisation.descent, optimisation.began_as, start_count=starts if starts > 1 else 0)
 
 
 def _within(placement: Placement, render_budget: int | None) -> Placement:
@@ -266,16 +264,14 @@ def _within(placement: Placement, render_budget: int | None) -> Placement:
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, first_evaluations: int = 0) -> Found:
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> Found:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
     def renders() -> int:
-        return descent.iteration * batch_size + (first_evaluations + len(descent.candidates)) * len(
-            placement.validation
-        )
+        return descent.iteration * batch_size + (start_count + len(descent.candidates)) * len(placement.validation)
 
     while descent.iteration < placement.config.run.iterations and descent.verdict is None:
         record = descent.step()
