@@ -297,7 +297,7 @@ def highest(config: Config, path: Path, *, progress: Progress) -> Path:
     ego = scenes[0].ego
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
-    observations = _Observer(config, progress).observation(rig, scenes, "test scenes")
+    observations = _Observer(config, progress).observe(rig, scenes, "test scenes")
     image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.0 + 2.35 * image_rows)
