@@ -2,9 +2,8 @@
 
 This is the public API; every name is imported when it is first used. ``warpav.raster`` is the rasteriser on its own.
 
-Rooms, top to bottom; an import only ever points downwards (``[tool.importlinter]`` in ``pyproject.toml``):
-
-    cli > experiments > runs > view > evaluation > optimisation > detection > rig, scene > raster > core, warpav_kernels
+The packages below this one stand in layers, which ``pyproject.toml`` lists under ``[tool.importlinter]``: imports only
+point downwards.
 """
 
 import importlib

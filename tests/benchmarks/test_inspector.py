@@ -81,7 +81,7 @@ def test_open(benchmark, arguments):
     benchmark.pedantic(show, rounds=5, warmup_rounds=1)
 
 
-@pytest.mark.parametrize("begin_with", ["coverage", "sight"])
+@pytest.mark.parametrize("begin_with", ["coverage", "visibility"])
 def test_drag(benchmark, arguments, begin_with):
     """One move of the mouse with the ball of a camera held: camera, coverage of four cameras, numbers, picture."""
     config = load_config("quick", arguments[1:])

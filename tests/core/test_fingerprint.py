@@ -1,25 +1,42 @@
 """Hashes of what something is made with: they change with every part and with the code, and with nothing else."""
 
+import functools
+import importlib.util
 import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from warpav.core import fingerprint as module
-from warpav.core.fingerprint import fingerprint
+from warpav.core.fingerprint import fingerprint as fingerprint_of
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 
+TOWN = "warpav.scene.town.town"
+fingerprint = functools.partial(fingerprint_of, code=(TOWN,))
 PLAN, MESHES = PlanSettings(), ReconstructionSettings()
 
 
 @pytest.fixture
 def copied_code(tmp_path, monkeypatch):
-    """A copy of the code that the hash covers, which a test may change; forgets the hash before and after."""
-    folders = [shutil.copytree(folder, tmp_path / folder.name) for folder in module._code_folders()]
-    monkeypatch.setattr(module, "_code_folders", lambda: folders)
+    """A copy of the code, which a test may change; forgets the hashes before and after."""
+    package = Path(module.__file__).parents[1]
+    kernels = Path(importlib.util.find_spec("warpav_kernels").origin).parent
+    for folder in (package, kernels):
+        shutil.copytree(folder, tmp_path / folder.name, ignore=lambda _, names: [n for n in names if "pycache" in n])
+    original = module._source_file
+
+    def copied_file(name):
+        file = original(name)
+        for folder in (package, kernels):
+            if file is not None and file.is_relative_to(folder):
+                return tmp_path / folder.name / file.relative_to(folder)
+        return None
+
+    monkeypatch.setattr(module, "_source_file", copied_file)
     module._code_hash.cache_clear()
     yield tmp_path
     module._code_hash.cache_clear()
@@ -29,7 +46,7 @@ def test_a_fingerprint_is_16_hexadecimal_digits_and_stays():
     assert len(fingerprint("town", 3)) == 16
     assert int(fingerprint("town", 3), 16) >= 0
     assert fingerprint("town", 3, PLAN) == fingerprint("town", 3, replace(PLAN))
-    code = "from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3))"
+    code = f"from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3, code=['{TOWN}']))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert other.stdout.strip() == fingerprint("town", 3)  # in another process, where strings hash otherwise
 
@@ -59,27 +76,40 @@ def test_parts_do_not_run_into_one_another():
 
 
 @pytest.mark.parametrize(
-    "file",
+    ("code", "file"),
     [
-        "scene/town/town.py",
-        "scene/capture/town_simulator.py",
-        "scene/reconstruction/surface.py",
-        "warpav_kernels/reconstruction/poisson.py",
+        (TOWN, "warpav/scene/town/town.py"),
+        (TOWN, "warpav/scene/town/houses.py"),
+        (TOWN, "warpav/raster/mesh.py"),
+        ("warpav.scene.capture.town_simulator", "warpav/scene/capture/town_simulator.py"),
+        ("warpav.scene.capture.town_simulator", "warpav/scene/town/town.py"),
+        ("warpav.scene.reconstruction.reconstruct", "warpav/scene/reconstruction/surface.py"),
+        ("warpav.scene.reconstruction.reconstruct", "warpav_kernels/reconstruction/poisson.py"),
     ],
 )
-def test_changed_code_gives_another_fingerprint(copied_code, file):
-    before = fingerprint("town", 3)
+def test_changed_code_gives_another_fingerprint(copied_code, code, file):
+    before = fingerprint_of("town", 3, code=(code,))
     module._code_hash.cache_clear()
-    assert fingerprint("town", 3) == before
-    with open(copied_code / file, "a") as code:
-        code.write("# changed\n")
+    assert fingerprint_of("town", 3, code=(code,)) == before
+    with open(copied_code / file, "a") as source:
+        source.write("# changed\n")
     module._code_hash.cache_clear()
-    assert fingerprint("town", 3) != before
+    assert fingerprint_of("town", 3, code=(code,)) != before
 
 
-def test_files_that_are_no_code_do_not_matter(copied_code):
+@pytest.mark.parametrize(
+    "file",
+    [
+        "warpav/scene/design.md",
+        "warpav/scene/capture/folder.py",
+        "warpav/rig/rig.py",
+        "warpav/view/picture.py",
+        "warpav_kernels/raster/measure.py",
+    ],
+)
+def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
     before = fingerprint("town", 3)
-    (copied_code / "scene" / "design.md").write_text("a new thought\n")
-    (copied_code / "scene" / "capture" / "notes.pyc").write_bytes(b"\0")
+    with open(copied_code / file, "a") as source:
+        source.write("# changed\n")
     module._code_hash.cache_clear()
     assert fingerprint("town", 3) == before

@@ -7,20 +7,13 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, block, car, roof, vehicle
-from tests.optimisation.thesis_losses import thesis_losses
+from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.metrics import (
-    PAIRED_METRICS,
-    GroupRecall,
-    ObjectOutcome,
-    RigObserver,
-    assign_to_nearest_cameras,
-    evaluate_rig,
-)
+from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
+from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
-from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.device_scene import DeviceScene
@@ -30,7 +23,7 @@ from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 96, math.pi / 2)
 WIDE = CameraModel(96, 96, 2.0)
-MISSED_ALONE = LossSettings(missed=1.0)
+MISSED_ALONE = LossSettings(expected_miss_rate=1.0)
 
 
 def scene_of(*places, wall=None, name="case"):
@@ -84,7 +77,7 @@ class ScriptedDetector:
 
 def objective_of(detector, camera_count=2, free=None):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free)
-    return RigObjective(
+    return rig_objective(
         mount,
         detector,
         camera_count=camera_count,

@@ -12,8 +12,8 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.evaluation.metrics import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig
 from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import views_of_rig
-from warpav.optimisation.objective import AssignedScene
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion, Renderer
 from warpav.rig.rig import Rig

@@ -99,7 +99,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
     assert find_arm("sgd_ifr", own) is own["sgd_ifr"]
     assert find_arm("sobol", own).method == "sobol"
     with pytest.raises(
-        OptionError, match=r"--arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
+        InputError, match=r"arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
     ):
         find_arm("sgd_irf", own)
     with pytest.raises(OptionError, match=r"got 'nuscene'; did you mean nuscenes\?"):
@@ -112,11 +112,11 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     for name in common_arms():
         if name not in ("cma", "cma_then_gradient"):
             find_arm(name, {}).check(settings, None)
-    with pytest.raises(InputError, match="arm gradient: --budget: expected at least 6 scene renders, got 5"):
+    with pytest.raises(InputError, match="arm gradient: `budget`: expected at least 6 scene renders, got 5"):
         Arm("gradient", "gradient").check(settings, 5)
-    with pytest.raises(InputError, match="arm random_batches: --budget: expected at least 2 scene renders, got 1"):
+    with pytest.raises(InputError, match="arm random_batches: `budget`: expected at least 2 scene renders, got 1"):
         Arm("random_batches", "random_batches").check(settings, 1)
-    with pytest.raises(InputError, match="arm greedy_cover: --budget: expected at least 5 scene renders, got 4"):
+    with pytest.raises(InputError, match="arm greedy_cover: `budget`: expected at least 5 scene renders, got 4"):
         Arm("greedy_cover", "greedy_cover").check(settings, 4)
     assert find_rig_of(Arm("greedy_cover", "greedy_cover"), problem, 5).renders == 5  # two cameras, eight directions
     Arm("sobol", "sobol").check(settings, 1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SilentDetector, packed_street, roof
+from tests.optimisation.objectives import rig_objective
 from warpav.experiments.gradient_magnitude import (
     LOSS_OF,
     THESIS_BATCH_SIZE,
@@ -18,9 +19,10 @@ from warpav.experiments.gradient_magnitude import (
     pooled_magnitudes,
 )
 from warpav.experiments.thesis_tables import TABLES, thesis_table
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
-from warpav.optimisation.settings import OBJECTIVES, LossSettings
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 
 YAW_RAD = np.array([0.1, 1.5, 3.2])
@@ -28,8 +30,9 @@ YAW_RAD = np.array([0.1, 1.5, 3.2])
 
 def objective_of(device):
     mount = CameraMount(roof(), camera=CameraModel(64, 64, 0.5 * math.pi), height_offset_m=0.25, device=device)
-    settings = LossSettings(**(dict.fromkeys(OBJECTIVES, 1.0) | {"missed": 0.0}), epsilon=0.05, min_unblocked_area=1.0)
-    return RigObjective(mount, SilentDetector(), camera_count=3, settings=settings)
+    one_field = {name: 1.0 for name, loss in LOSSES.items() if loss.one_field}
+    settings = LossSettings(**one_field, epsilon=0.05, min_unblocked_area=1.0)
+    return rig_objective(mount, SilentDetector(), camera_count=3, settings=settings)
 
 
 def scenes_of(device):

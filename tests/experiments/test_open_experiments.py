@@ -33,12 +33,11 @@ GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 
 
 @pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
+def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    monkeypatch.chdir(tmp_path)
     for function in (open_experiments.run_open, rescore.run_rescore):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
-    return tmp_path
+    return working_directory
 
 
 @pytest.fixture(scope="module")
@@ -392,7 +391,7 @@ def test_results_become_a_page(copied, working_directory, capsys):
         assert [(run["arm"], run["seed"]) for run in published["runs"]][:2] == [("gradient", 0), ("gradient", 1)]
         assert all(len(run["recall_of_scene"]) == 2 for run in published["runs"])
         assert published["options"]["scenes.folder"] == "street"
-    with pytest.raises(InputError, match=r"results\.txt: --out: expected a Markdown file"):
+    with pytest.raises(InputError, match=r"results\.txt: out: expected a Markdown file"):
         write_results_page([copied], working_directory / "results.txt")
     with pytest.raises(InputError, match="expected experiments of different names, got open twice"):
         write_results_page([copied, copied], page)
@@ -409,11 +408,11 @@ def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_director
     assert "camera.fov_deg: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "camera.fov_deg=60"
     )
-    assert "--name: expected lower-case letters" in complaint(
+    assert "(--name): expected lower-case letters" in complaint(
         capsys, "experiment", "rescore", folder, "camera.width_px=96", "--name", "../x"
     )
     assert complaint(capsys, "experiment", "rescore", folder, "device=cpu").startswith(
-        "--name: expected a name, as device=cpu makes none"
+        "command line (--name): expected a name, as device=cpu makes none"
     )
     assert "got none" in complaint(capsys, "experiment", "rescore", str(working_directory), "camera.width_px=96")
     assert "detector.model=gone.onnx" in complaint(capsys, "experiment", "rescore", folder, "detector.model=gone.onnx")

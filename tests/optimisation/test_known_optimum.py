@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
-from warpav.optimisation.gradient import Descent
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.rivals import (
     GradientStage,
     cma_es,
@@ -24,7 +24,7 @@ from warpav.optimisation.rivals import (
 )
 from warpav.optimisation.search import SearchSpace, run_search
 from warpav.optimisation.settings import OptimiserSettings
-from warpav.optimisation.starts import look_at_starts
+from warpav.optimisation.starts import evaluate_starts
 
 WORLDS = [behind_a_wall, bump, square]
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
@@ -34,6 +34,9 @@ STEPS = OptimiserSettings(
     schedule="cosine",
     keep="best",
     check_every=5,
+    weight_decay=1e-3,
+    panorama_until=0.3,
+    starts=1,
 )
 
 
@@ -114,7 +117,7 @@ def default_method(world, seed, *, starts, descents, iterations):
     )
     objective, rng = world.expected, np.random.default_rng(seed)
     space = SearchSpace.over(objective.mount, world.camera_count, constraints=objective.constraints)
-    looked = look_at_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
+    looked = evaluate_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
     first, *others = [each.mount_pose for each in looked[:descents]]
     descent = Descent(objective, world.scenes, settings, first, rng, iterations, 1, further_starts=others)
     for _ in range(iterations):

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,19 @@ import warp as wp
 
 from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
-from tests.optimisation.thesis_losses import thesis_losses
+from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.losses import Reference, lagrangian_of, placement_losses_of
+from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.registry import LossOptions, losses_of
+from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.settings import OBJECTIVES, LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 
 WIDTH, HEIGHT = 32, 8
+THESIS_LOSSES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")
 MODEL = CameraModel(WIDTH, HEIGHT, math.pi / 2)
 SURFACE = flat_surface([-2.0, -1.0], [2.0, 1.0])
 
@@ -151,20 +155,27 @@ def placement_losses(
         )
 
     measures = measured(value, per_shift, per_spin)
+    renderer = SimpleNamespace(device=measures.value.device, view_count=len(value))
+    scene = SimpleNamespace(vehicle_count=len(assigned))
+    on_device = wp.array(assigned, dtype=wp.int32, device=device)
+    nothing = wp.zeros((len(array), len(assigned)), dtype=float, device=device)
+    on_tape = SceneOnTape(
+        mount, renderer, scene, views, measures, assigned, on_device, nothing, nothing, nothing, [], nothing
+    )
+    if unblocked is not None:
+        on_tape.__dict__["unblocked"] = measured(*(numbers[:, :, None] for numbers in unblocked))
+    losses = {}
     with tape:
-        loss = placement_losses_of(
-            mount,
-            views,
-            measures,
-            wp.array(assigned, dtype=wp.int32, device=device),
-            assigned_count=int((assigned >= 0).sum()),
-            settings=thesis_losses(**settings),
-            reference=reference,
-            unblocked=None if unblocked is None else measured(*(numbers[:, :, None] for numbers in unblocked)),
-        )
-    weight = np.pad(np.array(weight, np.float32), (0, len(OBJECTIVES) - len(weight)))
-    tape.backward(grads={loss: wp.array(weight, dtype=float, device=device)})
-    return loss.numpy(), array.grad.numpy()
+        for _, loss in losses_of(LossOptions(thesis_losses(**settings), reference)):
+            losses[loss.name] = loss.on_tape(on_tape)
+    weight = dict(zip(THESIS_LOSSES, weight, strict=False))
+    tape.backward(
+        grads={
+            loss: wp.array([float(weight.get(name, 0.0))], dtype=float, device=device) for name, loss in losses.items()
+        }
+    )
+    values = [losses[name].numpy()[0] if name in losses else 0.0 for name in THESIS_LOSSES]
+    return np.array(values, np.float32), array.grad.numpy()
 
 
 def measures_of(silhouettes):
@@ -421,21 +432,22 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
         surface_blockage=1.0,
         object_visibility=1.0,
     )
-    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0])
     assert not gradient.any()
 
 
 # --- the Lagrangian --------------------------------------------------------------------------------------------------
 
 
-def lagrangian(objective, constraint, multiplier, settings, device, *, damping=0.0, are_inequalities=False):
+def lagrangian(objective, constraint, multiplier, weights, device, *, damping=0.0, are_inequalities=False):
     arrays = [
         wp.array(np.array(numbers, np.float32), dtype=float, device=device, requires_grad=True)
         for numbers in (objective, constraint, multiplier)
     ]
     tape = wp.Tape()
     with tape:
-        total = lagrangian_of(*arrays, settings, damping=damping, are_inequalities=are_inequalities)
+        whole = Lagrangian(weights, len(constraint), damping=damping, are_inequalities=are_inequalities, device=device)
+        total = whole.on_tape(*arrays)
     tape.backward(total)
     return float(total.numpy()[0]), [array.grad.numpy() for array in arrays]
 
@@ -443,7 +455,6 @@ def lagrangian(objective, constraint, multiplier, settings, device, *, damping=0
 @pytest.mark.equation(1)
 @pytest.mark.parametrize("scales", [(1.0, 10.0), (2.0, 0.0), (0.0, 3.0)])
 def test_lagrangian_matches_oracle(device, rng, scales):
-    settings = LossSettings(in_frame_rotation=scales[0], detected_area=scales[1])
     # the constraints come with every objective that takes part, scaled like the largest of them
     taking_part = [j for j in range(2) if scales[j] > 0.0]
     for _ in range(5):
@@ -453,20 +464,19 @@ def test_lagrangian_matches_oracle(device, rng, scales):
             o, c, m = numbers.reshape(3, 2)
             return thesis.lagrangian(o[taking_part], np.array(scales)[taking_part], m, c, [max(scales)] * 2)
 
-        value, gradients = lagrangian(objective, constraint, multiplier, settings, device)
+        value, gradients = lagrangian(objective, constraint, multiplier, scales, device)
         numbers = np.r_[objective, constraint, multiplier]
         assert value == pytest.approx(total(numbers), rel=1e-5)
         np.testing.assert_allclose(np.concatenate(gradients), differences(total, numbers, 1e-5), rtol=1e-4, atol=1e-4)
 
 
 def test_damping_adds_half_the_squared_constraint(device):
-    settings = LossSettings(in_frame_rotation=1.0)
-    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], settings, device)
-    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], settings, device, damping=4.0)
+    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], [1.0, 0.0], device)
+    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], [1.0, 0.0], device, damping=4.0)
     assert with_damping - without == pytest.approx(0.5 * 4.0 * (0.3**2 + 0.2**2), rel=1e-5)
 
 
-INEQUALITIES = LossSettings(in_frame_rotation=1.0, detected_area=3.0)
+INEQUALITIES = (1.0, 3.0)
 DAMPING = 4.0
 
 

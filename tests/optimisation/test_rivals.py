@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimisation.test_gradient import SETTINGS, changed, street_objective, street_scenes
+from tests.optimisation.test_descent import SETTINGS, changed, street_objective, street_scenes
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.rivals import (
     GradientStage,
@@ -481,7 +481,7 @@ def test_a_descent_that_fails_keeps_its_best(monkeypatch):
     steps = []
 
     def step(self):
-        steps.append(self._look())
+        steps.append(self._check(self.mount_pose))
         if len(steps) == 3:
             raise InputError("no longer finite")
 

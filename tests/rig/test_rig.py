@@ -1,5 +1,8 @@
 import math
 import os
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -264,3 +267,24 @@ def test_reading_rejects_a_file_that_is_no_text(tmp_path, content):
 def test_rig_rejects_cameras_that_cannot_be_used(cameras, message):
     with pytest.raises(InputError, match=message):
         Rig.create(cameras, name="my rig")
+
+
+def test_a_notebook_shows_the_cameras_as_a_table():
+    left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
+    page = Rig.create([camera(), left])._repr_html_()
+    assert "Rig of 2 cameras" in page
+    rows = [
+        re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page.partition("tbody")[2])
+    ]
+    assert rows[1] == ["left", "0.500", "0.910", "1.234", "90.0", "-5.0", "0.0", "90.0", "640 x 480", "pinhole"]
+    assert [row[0] for row in rows] == ["front", "left"]
+    assert page.count("<th>") == len(rows[0])
+
+
+def test_showing_a_rig_as_a_table_imports_nothing_heavy():
+    code = (
+        "import sys; from warpav.rig.rig import Rig; Rig(())._repr_html_(); "
+        "print([name for name in ('warp', 'pyvista', 'matplotlib', 'pandas') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -100,14 +100,14 @@ def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
         (["mine.onnx", "scenes.targets=[vehicle,cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "scenes.targets=[cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "detector.input_px=320"], "fixes its input at 64 x 64 pixels"),
-        (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected a picture, got none"),
+        (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected an image, got none"),
         (
             ["mine.onnx", "--image", "text.png"],
-            "text.png: --image: expected a picture such as PNG or JPEG, got",
+            "text.png: --image: expected an image such as PNG or JPEG, got",
         ),
         (
             ["mine.onnx", "--image", "empty.jpg"],
-            "empty.jpg: --image: expected a picture such as PNG or JPEG, got",
+            "empty.jpg: --image: expected an image such as PNG or JPEG, got",
         ),
         (["mine.onnx", "--out", "boxes.png"], "command line (--out): expected --image beside it"),
         (

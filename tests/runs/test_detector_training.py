@@ -15,11 +15,10 @@ SIDES_PX = {64: 2, 96: 1}
 
 
 @pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
+def working_directory(working_directory):
     """A working directory of its own, with a file in it."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    return tmp_path
+    (working_directory / "file").touch()
+    return working_directory
 
 
 @pytest.fixture(autouse=True)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
+from warpav.core.files import write_json
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.runs.config import load_config
-from warpav.runs.run_folder import RunFolder, check_new_run, write_json
+from warpav.runs.run_folder import RunFolder, check_new_run
 
 
 @dataclasses.dataclass

@@ -21,6 +21,8 @@ from warpav.scene.capture.folder import read_capture
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Vehicle
 
+pytestmark = pytest.mark.usefixtures("working_directory")
+
 CAPTURE = [
     "capture.width_px=96",
     "capture.height_px=72",
@@ -37,13 +39,6 @@ RECONSTRUCTION = [
     "reconstruction.environment_triangles=800",
 ]
 SEEDS = (3, 4)
-
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture(scope="module")

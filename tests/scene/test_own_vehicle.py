@@ -88,7 +88,7 @@ def test_the_shape_tells_axes_and_units_and_what_it_suggests_mends_them(car, tmp
     usual = read_vehicle(path).usual
     corrected = Reading(remedy.get("up", usual.up), remedy.get("forward", usual.forward), scale)
     if (up, forward) == ("z", "-x"):  # backwards is a hint, no more: pickups look like that
-        assert any("--forward -x" in hint for hint in found.hints)
+        assert any("`forward` -x" in hint for hint in found.hints)
         return
     assert (corrected.up, corrected.forward) == (up, forward)
     again = checked(path, reading=corrected)
@@ -156,7 +156,7 @@ def test_a_stated_rear_axle_counts_more_than_the_wheels(car, tmp_path):
     path = save(car, tmp_path / "car.ply")
     found = checked(path, rear_axle_m=1.2)
     assert found.corrected.bounds_m()[0, 0] == pytest.approx(-1.2, abs=1e-6)
-    with pytest.raises(InputError, match=r"--rear-axle: expected a distance from the rear end of up to 4.70 m, got 7"):
+    with pytest.raises(InputError, match=r"rear_axle: expected a distance from the rear end of up to 4.70 m, got 7"):
         checked(path, rear_axle_m=7.0)
 
 

@@ -135,7 +135,7 @@ def test_optional_module_says_how_to_get_it():
 
 def test_importing_the_views_imports_neither_pyvista_nor_matplotlib():
     code = (
-        "import sys, warpav.view.figures, warpav.view.picture; "
+        "import sys, warpav.view.figures, warpav.view.output; "
         "print([name for name in ('pyvista', 'vtkmodules', 'matplotlib', 'warp') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -35,7 +35,7 @@ class Progress(Protocol):
         """An optimisation of at most ``count`` iterations begins.
 
         Args:
-            records: `warpav.optimisation.gradient.IterationRecord`, one after each iteration.
+            records: `warpav.optimisation.history.IterationRecord`, one after each iteration.
             count: Iterations planned.
             min_spacing_m: Least distance allowed between two cameras [m], to be shown beside the actual one.
         """

@@ -21,9 +21,10 @@ from warpav.detection.average_precision import (
 )
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.mount import CameraMount, views_of_rig
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import AMODAL_AREA, Measures, Occlusion, Renderer
 from warpav.rig.rig import Rig
@@ -289,40 +290,6 @@ def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
 def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
     """Whether some part of an object lies in some image, from the unoccluded areas [view, object]."""
     return area_px.max(axis=0, initial=0.0) > 0.0
-
-
-def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
-    """Assign each vehicle to the camera whose direction is closest to the vehicle's orientation.
-
-    Segregation assigns every vehicle to an orientation; an imported rig lists its cameras in its own order.
-    Orientations and cameras are paired so that the sum of the squared angles between them is minimal. (Without the
-    squares many pairings are equally good, and rounding would decide.)
-
-    Args:
-        scenes: Scenes with vehicles assigned to orientations.
-        yaw_rad: Orientations [rad], [orientation]; one per camera of the rig.
-        rig: The rig.
-    """
-    camera_of_orientation = nearest_cameras(yaw_rad, rig)
-    return [
-        AssignedScene(
-            assigned.scene,
-            np.where(
-                assigned.assigned_camera >= 0, camera_of_orientation[np.maximum(assigned.assigned_camera, 0)], -1
-            ).astype(np.int32),
-        )
-        for assigned in scenes
-    ]
-
-
-def nearest_cameras(yaw_rad: np.ndarray, rig: Rig) -> np.ndarray:
-    """Index of the camera paired with each orientation, int [orientation]; see `assign_to_nearest_cameras`."""
-    from scipy.optimize import linear_sum_assignment
-
-    camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
-    difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
-    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
-    return camera_of_orientation
 
 
 def evaluate_rig(

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
 from warpav.optimisation.rivals import (
     affordable_iterations,
@@ -144,7 +144,7 @@ class Arm:
         least = self._least_renders(config)
         if render_budget is not None and render_budget < least:
             raise InputError(
-                f"arm {self.name}: --budget: expected at least {least} scene renders, got {render_budget}; raise it, "
+                f"arm {self.name}: `budget`: expected at least {least} scene renders, got {render_budget}; raise it, "
                 "or leave it out for as many as the gradient method spends"
             )
 
@@ -192,7 +192,7 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
-    raise OptionError("--arms", f"expected names out of {names}, got {name!r}{hint}")
+    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
 
 
 def common_arms() -> dict[str, Arm]:
@@ -242,7 +242,7 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     objective = placement.objective
     terms = objective.evaluate(mount_pose, placement.train[:1]).terms
     broken = sum(max(terms[name], 0.0) for name in objective.constraints.names)
-    return objective.settings.constraint_scale * broken
+    return objective.constraint_scale * broken
 
 
 def _gradient(placement: Placement, render_budget: int | None) -> Found:
@@ -278,7 +278,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
         row = (renders(), time.perf_counter() - began, record.best_training_objective, record.loss)
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
-    unprojected = descent.state()["pose_value"]
+    unprojected = descent.mount_pose
     result = descent.finish()
     return Found(
         placement.objective.mount.rig(result.mount_pose),
@@ -306,7 +306,7 @@ def _random_rig(placement: Placement, render_budget: int | None) -> Found:
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
     pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(placement.objective.mount.rig(pose), placement.held_rig, 0, {}, mount_pose=pose)
+    return Found(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
 
 
 def _highest(placement: Placement, render_budget: int | None) -> Found:
@@ -370,7 +370,7 @@ def _searched(
         raise RuntimeError(f"the search ended early: {result.error}")
     return Found(
         placement.objective.mount.rig(result.mount_pose),
-        placement.held_rig,
+        placement.frozen_rig,
         result.renders,
         _columns(result.history),
         mount_pose=result.mount_pose,
@@ -388,7 +388,7 @@ def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found
     # its start is found already
     alone = placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
-    second = _descended(rest, descent_from(rest, first.mount_pose, rest.held_rig), rest.held_rig)
+    second = _descended(rest, descent_from(rest, first.mount_pose, rest.frozen_rig), rest.frozen_rig)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
         both[name] += [None if number is None else number + shift for number in second.history[name]]

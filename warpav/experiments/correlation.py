@@ -120,7 +120,7 @@ def correlate(results: Results, figure: Path | None = None, *, resamples: int = 
     }
     drawn = None
     if figure is not None and rigs and names:
-        from warpav.view.figures import objective_scatter
+        from warpav.view.figures.statistics import objective_scatter
 
         drawn = objective_scatter(rigs, spearman.get(ALL_RANDOM, {}), figure, objectives=names, metrics=HELD_OUT).name
     return Correlations(rigs, spearman, drawn)

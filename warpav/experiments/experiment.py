@@ -17,8 +17,9 @@ from typing import Any, TypeVar
 import yaml
 
 from warpav.core.devices import device_name
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Outcome, run_tasks
+from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
@@ -36,10 +37,11 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
+from warpav.runs.environment import environment
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
+from warpav.runs.run_folder import RUNS_FOLDER
 from warpav.runs.scene_set import (
     SceneSet,
     load_scene_set,
@@ -136,8 +138,8 @@ def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
         return None
     own = {arm.name: arm for arm in experiment.arms}
     if GRADIENTS in own:
-        raise OptionError(
-            "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
+        raise ArgumentError(
+            "arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
         )
     return [find_arm(name, own) for name in dict.fromkeys(each.strip() for each in text.split(","))]
 
@@ -239,9 +241,9 @@ def run_experiment(
     """
     runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
-    for option, value in (("--runs", runs), ("--budget", render_budget)):
+    for option, value in (("runs", runs), ("budget", render_budget)):
         if value is not None and value < 1:
-            raise InputError(f"{option}: expected at least 1, got {value}")
+            raise ArgumentError(option, f"expected at least 1, got {value}")
     arms = experiment.arms if arms is None else arms
     for arm in arms:
         if arm.method != GRADIENTS:
@@ -454,15 +456,19 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
             _check_same(file, read_description(folder), description)
             return
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            f"{folder}: --out: expected a folder of this experiment or one that does not exist yet, got something "
-            "else; choose another with --out"
+        raise ArgumentError(
+            place=folder,
+            option="out",
+            text="expected a folder of this experiment or one that does not exist yet, got something "
+            "else; choose another with `out`",
         )
     try:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{folder}: --out: expected a folder that can be made, got: {error.strerror}") from None
+        raise ArgumentError(
+            place=folder, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
+        ) from None
     write_json(folder / "env.json", environment(config, device_name(config.device)))
     write_json(file, description)
 
@@ -479,7 +485,7 @@ def read_description(folder: Path) -> dict[str, Any]:
         found = there.get("schema") if isinstance(there, dict) else None
         raise InputError(
             f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; choose another folder "
-            "with --out, and run the experiment again"
+            "with `out`, and run the experiment again"
         )
     return there
 
@@ -490,13 +496,13 @@ def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any])
     Raises:
         InputError: They are not.
     """
-    fix = "choose another folder with --out"
+    fix = "choose another folder with `out`"
     if there.get("experiment") != wanted["experiment"]:
         raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
     if there.get("render_budget") != wanted["render_budget"]:
         raise InputError(
             f"{file}: render_budget: expected {wanted['render_budget']}, got {there.get('render_budget')!r}; {fix}, or "
-            "give the same --budget"
+            "give the same `budget`"
         )
     options = there.get("options")
     options = options if isinstance(options, dict) else {}
@@ -525,7 +531,7 @@ def _is_there(task: ArmTask) -> bool:
     if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
         raise InputError(
             f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
-            "delete it, or choose another folder with --out"
+            "delete it, or choose another folder with `out`"
         )
     return True
 
@@ -540,7 +546,12 @@ def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> No
     for arm in arms:
         for each in (arm.evaluation_config(config), arm.search_config(config)):
             losses = each.losses
-            needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
+            needs = (
+                each.detector,
+                each.camera,
+                losses.weights["expected_miss_rate"] > 0.0,
+                losses.weights["detector_gradient"] > 0.0,
+            )
             if needs not in tried:
                 load_networks(each)
                 needed_fit(each, progress)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpav.optimisation.adamw import AdamW
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import random_mount_pose
-from warpav.optimisation.gradient import AdamW
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import BatchChooser
-from warpav.optimisation.settings import OBJECTIVES, OptimiserSettings
+from warpav.optimisation.settings import OptimiserSettings
 
 LOSS_OF = {
     "OOB": "out_of_bounds",
@@ -88,7 +89,7 @@ def measure_gradient_magnitudes(
     cameras, iterations and runs.
 
     Args:
-        objective: Its losses with a scale take part (and the in-frame rotation loss, always); the scales do not matter.
+        objective: Its losses take part; their weights do not matter.
         scenes: The training scenes, vehicles assigned to cameras.
         yaw_rad: Yaw of every camera at the start [rad], [camera].
         runs: Number of descents, at least 1.
@@ -99,7 +100,7 @@ def measure_gradient_magnitudes(
         finished: Called with the number of each run that is done, from 0.
 
     Returns:
-        By the name of the loss, in the order of `OBJECTIVES`, then the constraints.
+        By the name of the loss, in the order of the objective, then the constraints.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
@@ -107,13 +108,12 @@ def measure_gradient_magnitudes(
     """
     if runs < 1:
         raise ValueError(f"runs must be at least 1, got {runs}")
-    measured = [name for name in OBJECTIVES if name in objective.settings.measured_objectives]
-    names = [*measured, *objective.constraints.names]
+    names = [*(loss.name for _, loss in objective.losses), *objective.constraints.names]
     positional, rotational = ({name: _Mean() for name in names} for _ in range(2))
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
         start = random_mount_pose(objective.constraints, yaw_rad, rng=rng)
-        pose = AdamW(start, weight_decay=settings.weight_decay, device=objective.device)
+        pose = AdamW(start, weight_decay=settings.weight_decay)
         rate = np.zeros(start.shape)
         rate[:, [X_M, Y_M]] = settings.learning_rate_position_m
         rate[:, YAW_RAD] = settings.learning_rate_yaw_rad

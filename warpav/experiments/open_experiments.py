@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from warpav.core.files import write_json, write_text
 from warpav.core.progress import Progress
 from warpav.evaluation.statistics import RESAMPLES
 from warpav.experiments.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
@@ -20,7 +21,6 @@ from warpav.experiments.goals import Goal, goals_of, goals_text
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import compare_results
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json, write_text
 
 RUNS = 10
 """Run seeds of an arm."""

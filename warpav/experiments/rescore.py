@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from warpav.core.devices import device_name
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
@@ -38,12 +39,12 @@ from warpav.experiments.experiment import (
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
+from warpav.runs.environment import environment
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
-from warpav.runs.run_folder import environment, write_json, write_text
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
@@ -120,13 +121,13 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     """
     if name is not None:
         if not re.fullmatch(r"[a-z0-9_]+", name):
-            raise OptionError("--name", f"expected lower-case letters, digits and underscores, got {name!r}")
+            raise ArgumentError("name", f"expected lower-case letters, digits and underscores, got {name!r}")
         return name
     values = [override.partition("=")[2] for override in overrides if not override.startswith(("executor.", "device="))]
     words = [Path(value).stem if value.endswith(".onnx") else value for value in values]
     made = re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
     if not made:
-        raise OptionError("--name", f"expected a name, as {' '.join(overrides)} makes none, got none")
+        raise ArgumentError("name", f"expected a name, as {' '.join(overrides)} makes none, got none")
     return made
 
 
@@ -137,7 +138,7 @@ def light_overrides(config: Config) -> tuple[str, ...]:
         "scenes.validation_seeds=null",
         "scenes.mirror=false",
         "run.batch_size=1",
-        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in (*OBJECTIVES, DETECTOR_GRADIENT)),
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in LOSSES),
     )
 
 

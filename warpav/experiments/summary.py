@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json, write_text
 from warpav.experiments.experiment import DESCRIPTION, read_json
 from warpav.experiments.goals import Goal
 from warpav.experiments.tables import COMPARED, Results
-from warpav.runs.run_folder import command_line, write_json, write_text
+from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"
@@ -129,12 +130,16 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
         if names.count(name) > 1:
             raise InputError(f"{page}: expected experiments of different names, got {name} twice")
     if page.suffix != ".md":
-        raise InputError(f"{page}: --out: expected a Markdown file such as docs/results.md, got {page.name!r}")
+        raise ArgumentError(
+            place=page, option="out", text=f"expected a Markdown file such as docs/results.md, got {page.name!r}"
+        )
     parts = [_HEAD, _overview(summaries)]
     try:
         (page.parent / page.stem).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{page}: --out: expected a folder that can be made, got: {error.strerror}") from None
+        raise ArgumentError(
+            place=page, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
+        ) from None
     for summary in summaries:
         file = page.parent / page.stem / f"{_file_stem(summary['experiment'])}.json"
         write_json(file, summary)

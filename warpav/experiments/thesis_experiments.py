@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from warpav.core.files import write_json, write_text
 from warpav.core.progress import Progress
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import GRADIENTS, Experiment, Finished, run_experiment
@@ -13,9 +14,8 @@ from warpav.experiments.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import result_table
 from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json, write_text
 
 RUNS = 5
 """Runs of an arm in the thesis's tables II to IV."""
@@ -33,7 +33,7 @@ def loss_overrides(expression: str) -> tuple[str, ...]:
     Raises:
         ValueError: It names another loss.
     """
-    weights: dict[str, float] = dict.fromkeys((*OBJECTIVES, DETECTOR_GRADIENT), 0.0)
+    weights: dict[str, float] = dict.fromkeys(LOSSES, 0.0)
     for term in expression.removesuffix("*").split("+"):  # the mark of a footnote
         factor, _, name = term.rpartition("*")
         if name not in LOSS_OF or LOSS_OF[name] not in weights:

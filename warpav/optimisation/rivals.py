@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.core.errors import OptionError
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import BudgetedValue, BudgetSpentError
 from warpav.optimisation.settings import OptimiserSettings
 

@@ -3,35 +3,32 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from warpav.core.section import Section, mistake
 from warpav.core.units import Degrees, Metres
+from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
     "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},
-    "default": {"missed": 1.0},
+    "default": {"expected_miss_rate": 1.0},
 }
 """Weights of the losses where the configuration says nothing, by method."""
 
-
-ONE_FIELD_LOSSES = (*METHOD_LOSSES["thesis"], "surface_blockage", "object_visibility", "angular_coverage")
-"""Losses that take one field of view for all cameras."""
-
-OBJECTIVES = (
-    "in_frame_rotation",
-    "detected_area",
-    "surface_blockage",
-    "object_visibility",
-    "angular_coverage",
-    "missed",
-)
-"""The objective losses in the order of their array."""
-
-DETECTOR_GRADIENT = "detector_gradient"
-"""The loss that comes from the detection network itself, where it takes part."""
+if TYPE_CHECKING:
+    LossWeights = Section
+else:
+    LossWeights = create_model(
+        "LossWeights",
+        __base__=Section,
+        **{
+            name: (float, Field(default=0.0, ge=0.0, description=f"weight of {loss.description}"))
+            for name, loss in LOSSES.items()
+        },
+    )
 
 
 class SegregationSettings(Section):
@@ -40,28 +37,11 @@ class SegregationSettings(Section):
     rotations: int = Field(default=16, ge=2, le=360, description="directions looked at from the origin")
 
 
-class LossSettings(Section):
+class LossSettings(LossWeights):
     """Weights of the objectives, and the numbers inside them."""
 
-    missed: float = Field(
-        default=0.0, ge=0.0, description="weight of the share of road users that no camera is expected to detect"
-    )
-    in_frame_rotation: float = Field(default=0.0, ge=0.0, description="weight of the in-frame rotation loss")
-    detected_area: float = Field(default=0.0, ge=0.0, description="weight of the detected object area loss")
-    surface_blockage: float = Field(
-        default=0.0, ge=0.0, description="weight of the surface blockage loss: what the ego vehicle hides"
-    )
-    object_visibility: float = Field(
-        default=0.0, ge=0.0, description="weight of the object visibility loss: detected_area without a detector"
-    )
-    angular_coverage: float = Field(
-        default=0.0, ge=0.0, description="weight of the angular coverage loss: directions in no camera's view"
-    )
-    detector_gradient: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="weight of the detection network's own loss, differentiated through it; needs warpav[torch]",
-    )
+    renamed: ClassVar[Mapping[str, str]] = {"missed": "expected_miss_rate"}
+
     min_detected_area: float = Field(
         default=0.5,
         gt=0.0,
@@ -76,38 +56,31 @@ class LossSettings(Section):
     )
     epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
     window_softness_deg: Degrees = Field(
-        default=10.0, gt=0.0, le=90.0, description="missed: softness of a field of view over the panorama"
+        default=10.0, gt=0.0, le=90.0, description="expected_miss_rate: softness of a field of view over the panorama"
     )
     detector_share: float = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
-        description="missed: how much of a probability is what the detector really found, at the end of a run",
+        description="expected_miss_rate: how much of a probability is what the detector really found, at the end of "
+        "a run",
     )
     combine: Literal["any", "best"] = Field(
-        default="any", description="missed: any camera may find an object (noisy or), or the surest one alone counts"
+        default="any",
+        description="expected_miss_rate: any camera may find an object (noisy or), or the surest one alone counts",
     )
     probability: Literal["fitted", "visible_share", "in_frame_share"] = Field(
         default="fitted",
         description=(
-            "missed: fitted to the detector, or plainly the share of an object's whole box that is visible, or that is "
-            "in the image, be it hidden there or not"
+            "expected_miss_rate: fitted to the detector, or plainly the share of an object's whole box that is "
+            "visible, or that is in the image, be it hidden there or not"
         ),
     )
 
     @model_validator(mode="after")
     def _check(self) -> LossSettings:
-        weights = (
-            "missed",
-            "in_frame_rotation",
-            "detected_area",
-            "surface_blockage",
-            "object_visibility",
-            "angular_coverage",
-            "detector_gradient",
-        )
-        if not any(getattr(self, name) for name in weights):
-            mistake("expected at least one weight above 0, got only zeros", *weights)
+        if not any(self.weights.values()):
+            mistake("expected at least one weight above 0, got only zeros", *self.weights)
         return self
 
     @property
@@ -116,47 +89,21 @@ class LossSettings(Section):
         return math.radians(self.window_softness_deg)
 
     @property
-    def needs_panorama(self) -> bool:
-        """Whether a loss of the thesis takes part, all of which look round from every camera."""
-        return any(getattr(self, name) > 0.0 for name in OBJECTIVES if name != "missed")
+    def weights(self) -> dict[str, float]:
+        """Weight of every loss by its name."""
+        return {name: getattr(self, name) for name in LOSSES}
 
     @property
-    def placement_scale(self) -> tuple[float, ...]:
-        """Weights in the order of `OBJECTIVES`."""
-        return tuple(getattr(self, name) for name in OBJECTIVES)
-
-    @property
-    def objectives(self) -> tuple[str, ...]:
-        """Names of the objectives: `OBJECTIVES`, then `DETECTOR_GRADIENT` where it takes part."""
-        return (*OBJECTIVES, DETECTOR_GRADIENT) if self.detector_gradient > 0.0 else OBJECTIVES
-
-    @property
-    def objective_scale(self) -> tuple[float, ...]:
-        """Weights in the order of `objectives`."""
-        return tuple(getattr(self, name) for name in self.objectives)
-
-    @property
-    def measured_objectives(self) -> tuple[str, ...]:
-        """Names of the objectives whose values are known: those with a weight, and what comes with them."""
-        with_others = ("in_frame_rotation",) if self.needs_panorama else ()
-        return tuple(name for name in self.objectives if getattr(self, name) > 0.0 or name in with_others)
-
-    @property
-    def constraint_scale(self) -> float:
-        """Scale of every constraint: the largest of the objectives' weights, as in the thesis."""
-        return max(self.objective_scale)
-
-    @property
-    def objective_count(self) -> int:
-        """Number of objectives that take part."""
-        return sum(scale > 0.0 for scale in self.objective_scale)
+    def one_field(self) -> list[str]:
+        """Names of the losses that take part and take one field of view for all cameras."""
+        return [name for name, weight in self.weights.items() if weight and LOSSES[name].one_field]
 
 
 class VisibilitySettings(Section):
     """What hides a vehicle."""
 
     occlusion: Literal["pairwise", "exact"] = Field(
-        default="pairwise",
+        default="exact",
         description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
     )
 
@@ -164,10 +111,8 @@ class VisibilitySettings(Section):
 class OptimiserSettings(Section):
     """Step sizes, multipliers, and which iterate is kept."""
 
-    learning_rate_position_m: Metres = Field(default=0.25, gt=0.0, le=10.0, description="AdamW step of a position")
-    learning_rate_yaw_deg: Degrees = Field(
-        default=round(math.degrees(0.25), 4), gt=0.0, le=180.0, description="AdamW step of a yaw angle"
-    )
+    learning_rate_position_m: Metres = Field(default=0.02, gt=0.0, le=10.0, description="AdamW step of a position")
+    learning_rate_yaw_deg: Degrees = Field(default=1.0, gt=0.0, le=180.0, description="AdamW step of a yaw angle")
     learning_rate_pitch_deg: Degrees = Field(
         default=2.0, gt=0.0, le=180.0, description="AdamW step of a pitch, where rig.free.pitch_deg frees it"
     )
@@ -180,8 +125,8 @@ class OptimiserSettings(Section):
         le=1.0,
         description="AdamW step of the logarithm of a focal length, where rig.free.fov_deg frees it",
     )
-    schedule: Literal["constant", "cosine"] = Field(default="constant", description="how the steps shrink over the run")
-    weight_decay: float = Field(default=1e-3, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
+    schedule: Literal["constant", "cosine"] = Field(default="cosine", description="how the steps shrink over the run")
+    weight_decay: float = Field(default=0.0, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
     multiplier_learning_rate: float | None = Field(
         default=None,
         ge=0.0,
@@ -194,19 +139,22 @@ class OptimiserSettings(Section):
     multiplier_damping: float | None = Field(
         default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
     )
-    keep: Literal["last", "best"] = Field(default="last", description="the iterate that becomes the result")
+    keep: Literal["last", "best"] = Field(default="best", description="the iterate that becomes the result")
     check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
     panorama_until: float = Field(
-        default=0.3,
+        default=0.0,
         ge=0.0,
         le=1.0,
-        description="missed: share of the run over which what lies outside the images ceases to pull",
+        description="expected_miss_rate: share of the run over which what lies outside the images ceases to pull",
     )
     detector_from: float = Field(
-        default=0.7, ge=0.0, le=1.0, description="missed: share of the run from which the detector has a say"
+        default=0.7,
+        ge=0.0,
+        le=1.0,
+        description="expected_miss_rate: share of the run from which the detector has a say",
     )
     starts: int = Field(
-        default=1, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
+        default=16, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
     )
     descents: int = Field(
         default=1,

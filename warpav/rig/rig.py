@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,10 +21,6 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 
 if TYPE_CHECKING:
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.scene.scene import Scene
-
     MultiBlock = Any
 
 MAX_IMAGE_PX = 16384
@@ -112,58 +109,26 @@ class Rig:
                 )
         return cls(checked)
 
-    def plot(
-        self,
-        out: str | Path | None = None,
-        *,
-        ego: Mesh | None = None,
-        scene: Scene | None = None,
-        mount_surface: MountSurface | None = None,
-        trajectory_m: np.ndarray | None = None,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the rig in a window or in a notebook, or write a figure.
-
-        Args:
-            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
-            ego: The vehicle that carries the cameras; by default that of the scene, else the axes of the ego frame.
-            scene: Traffic and street around it; an empty ground when None.
-            mount_surface: Drawn on the vehicle in colours of height.
-            trajectory_m: Camera positions over the iterations of an optimisation [m], [iteration, camera, 3].
-            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
-
-        Raises:
-            InputError: The file cannot be written, or nothing can be drawn or shown here.
-        """
-        from warpav.view.picture import plot_rig
-
-        return plot_rig(
-            self,
-            out,
-            ego=ego,
-            scene=scene,
-            mount_surface=mount_surface,
-            trajectory_m=trajectory_m,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
+    def _repr_html_(self) -> str:
+        """What Jupyter shows: the cameras as a table."""
+        rows = "".join(
+            f"<tr><td style='text-align:left'>{html.escape(camera.name)}</td>"
+            + "".join(f"<td>{text}</td>" for text in _table_row(camera))
+            + "</tr>"
+            for camera in self.cameras
         )
+        count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *_TABLE_COLUMNS))
+        return (
+            f"<table><caption>Rig of {count}, ego frame: x forward, y left, z up</caption>"
+            f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the rig in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        from warpav.view import plot
+
+        return plot(self, out=out, **options)
 
     def to_pyvista(self, *, depth_m: float = 1.25) -> MultiBlock:
         """The rig as ``pyvista.MultiBlock``: for every camera ``body``, ``frustum`` and ``axis``.
@@ -176,6 +141,28 @@ class Rig:
         from warpav.view.blocks import rig_to_pyvista
 
         return rig_to_pyvista(self, depth_m=depth_m)
+
+
+_TABLE_COLUMNS = (
+    "x [m]",
+    "y [m]",
+    "z [m]",
+    "yaw [°]",
+    "pitch [°]",
+    "roll [°]",
+    "field of view [°]",
+    "image [px]",
+    "lens",
+)
+
+
+def _table_row(camera: RigCamera) -> list[str]:
+    """What a table says of a camera, in the order of `_TABLE_COLUMNS`."""
+    model = camera.model
+    position = [f"{value:.3f}" for value in camera.position_m]
+    angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
+    size = f"{model.width_px} x {model.height_px}"
+    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens)]
 
 
 def _checked(camera: RigCamera, rig_name: str) -> RigCamera:

@@ -189,7 +189,7 @@ def fit_detector(
     Raises:
         InputError: The input is wrong, or there are too few objects to fit or to judge by.
     """
-    from warpav.view.figures import detection_curves, reliability_diagram
+    from warpav.view.figures.statistics import detection_curves, reliability_diagram
 
     use = detector_use(config)
     seeds = chosen_seeds(config, fit_seeds, held_out_seeds)

@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.training.data import SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
-from warpav.runs.run_folder import write_json
 
 LEAST_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
@@ -84,16 +84,14 @@ def train_detector(
         if value < least:
             raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
     if not stop_after_minutes > 0.0:
-        raise InputError(f"command line (--stop-after-minutes): expected more than 0, got {stop_after_minutes:g}")
+        raise ArgumentError("stop_after_minutes", f"expected more than 0, got {stop_after_minutes:g}")
     import torch  # pyright: ignore[reportMissingImports]
 
     from warpav.detection.training import train
 
     devices = ("cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count())))
     if device not in devices:
-        raise InputError(
-            f"command line (--device): expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}"
-        )
+        raise ArgumentError("device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     picture_folder = _made_folders(out, pictures)
     file = train.train_detector(

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
+from warpav.view import Canvas, drawing_of
 
 
 def evaluate(
@@ -45,6 +47,21 @@ def evaluate(
             raise TypeError(f"rigs: expected rigs by name, got {type(rig).__name__} as {name!r}")
     with shown_progress(progress) as shown:
         return evaluate_on(named, placement.observed(scenes, progress=shown), placement, progress=shown)
+
+
+@drawing_of.register(RigEvaluation)
+def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.view.figures.statistics import recall_figure
+
+    if not evaluation.objects:
+        raise InputError("plot: expected an evaluation with objects, got none")
+    headings = {"distance_m": "Recall by distance [m]", "sector": "Recall by sector", "category": "Recall by category"}
+    groupings = {
+        heading: {name: metrics.recall_by[by] for name, metrics in evaluation.metrics.items()}
+        for by, heading in headings.items()
+    }
+    title = canvas.title or f"{len(evaluation.scenes)} scenes, {len(evaluation.objects)} objects"
+    return recall_figure(groupings, title=title)
 
 
 def evaluate_on(

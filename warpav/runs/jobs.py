@@ -7,15 +7,16 @@ from typing import Any
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
+from warpav.core.files import write_json
 from warpav.core.progress import Progress
-from warpav.optimisation.gradient import IterationRecord
+from warpav.optimisation.history import IterationRecord
 from warpav.runs.build import build
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
+from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
 
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
@@ -59,12 +60,11 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
     """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
     descent, mount = optimisation.descent, optimisation.placement.mount
-    state = descent.state()
     folder.append_event(record)
-    folder.write_checkpoint(state)
-    folder.write_rig("final", mount.rig(state["pose_value"]))
+    folder.write_rig("final", mount.rig(descent.mount_pose))
     if record.training_objective is not None:
         folder.write_rig("best", mount.rig(descent.best.mount_pose))
+        folder.write_checkpoint(descent.state())
 
 
 def measure_rig(source: str, config: Config, *, json_file: Path | None, progress: Progress) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, progress
     rig = find_rig(source, config, placement.ego)
     began_as = rig
     if is_run_folder(source):
-        began_as = placement.held_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
+        began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
     name = arm_name(source)
     found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
     evaluation = {"schema": EVALUATION_SCHEMA, **found.to_json()}

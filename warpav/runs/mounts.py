@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING
 
 from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
-from warpav.optimisation.settings import ONE_FIELD_LOSSES
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config
+from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
-    from warpav.optimisation.mount import CameraMount, FreeRanges, HeldCameras
+    from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
     from warpav.raster.mesh import Mesh
 
 
@@ -77,13 +76,13 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     )
 
 
-def constraints_of(config: Config, surface: MountSurface, held: HeldCameras | None = None) -> Constraints:
+def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras | None = None) -> Constraints:
     """What the method demands of the places of the cameras.
 
     Args:
         config: The configuration.
         surface: What they stand on.
-        held: Those that stay as they are.
+        frozen: Those that stay as they are.
 
     Raises:
         InputError: No place of the mountable zone is far enough from its border.
@@ -97,11 +96,11 @@ def constraints_of(config: Config, surface: MountSurface, held: HeldCameras | No
         camera_count=config.rig.cameras,
         min_spacing_m=config.rig.min_spacing_m,
         margin_m=config.mount.margin_m,
-        held=held,
+        frozen=frozen,
     )
 
 
-def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
+def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
     """The rig that a run starts from, as a mount can hold some of its cameras.
 
     Args:
@@ -112,6 +111,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
     Raises:
         InputError: The rig has no such camera, or one that cannot be in one rig with those of the configuration.
     """
+    named = "the start rig" if config.rig.start in NAMED_STARTS else config.rig.start
     shared, known = camera_model(config), [camera.name for camera in start.cameras]
     cameras = []
     for camera in start.cameras:
@@ -122,7 +122,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1, 0.5)
             hint = f"; did you mean {near[0]}?" if near else ""
-            names = f"{', '.join(known)}, the cameras of the rig that the run starts from"
+            names = f"{', '.join(known)}, the cameras of {named}"
             raise OptionError("rig.freeze", f"expected names out of {names}, got {name!r}{hint}")
         model = models[name]
         if not model.fits_beside(shared):
@@ -131,9 +131,9 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
                 "expected cameras with the image and the lens of the others, but for a pinhole's field of view, got "
                 f"{name} with {model.width_px} x {model.height_px} px ({model.lens}"
                 f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
-                f"({shared.lens}); {_as_held(model)}",
+                f"({shared.lens}); {_as_frozen(model)}",
             )
-        alike = [each for each in ONE_FIELD_LOSSES if getattr(config.losses, each)]
+        alike = config.losses.one_field
         if alike and model.log_zoom_over(shared):
             raise OptionError(
                 "rig.freeze",
@@ -143,7 +143,7 @@ def checked_held(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
     return Rig.create(cameras, name="rig.start")
 
 
-def _as_held(model: CameraModel) -> str:
+def _as_frozen(model: CameraModel) -> str:
     """How a run's cameras can have the image and the lens of a camera."""
     if model.focal_px is not None:
         return "replace focal_px and centre_px by fov_deg in the rig's file"

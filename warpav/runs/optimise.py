@@ -9,9 +9,10 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.gradient import Descent, IterationRecord
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.search import SearchSpace
-from warpav.optimisation.starts import look_at_starts
+from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
 from warpav.runs.config import changed_config
 from warpav.runs.placement import Placement, Stream
@@ -94,7 +95,7 @@ class Optimisation:
         config, mount = placement.config, placement.mount
         start = start_pose(placement)
         further: list[np.ndarray] = []
-        began_as = placement.held_rig if placement.has_ordered_start else mount.rig(start)
+        began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
         if config.optimiser.starts > 1:
             if progress is not None:
                 progress.stage(f"best of {config.optimiser.starts} rigs to start from")
@@ -105,7 +106,7 @@ class Optimisation:
                 yaw_rad=placement.yaw_rad,
             )
             rng = placement.random_numbers(Stream.STARTS)
-            found = look_at_starts(
+            found = evaluate_starts(
                 placement.objective, placement.validation, space, config.optimiser.starts, rng, known=start
             )
             # those without a finite value are no starts; then some are taken twice

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -19,19 +18,22 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.metrics import assign_to_nearest_cameras, nearest_cameras
-from warpav.optimisation.losses import Reference
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
-from warpav.optimisation.segregation import Segregation, assign_vehicles, choose_orientations
-from warpav.optimisation.settings import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras, assign_vehicles, nearest_cameras
+from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.loss import Loss, LossSchedule
+from warpav.optimisation.losses.registry import LOSSES, LossOptions, losses_of
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.segregation import Segregation, choose_orientations
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
-from warpav.runs.mounts import checked_held, constraints_of
+from warpav.runs.mounts import checked_frozen, constraints_of
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, own_vehicle, pack_scenes
@@ -45,13 +47,10 @@ if TYPE_CHECKING:
 TOWN_SOURCE = "town seed "
 """How the source of an embedded scene begins; its seed follows."""
 
-WEIGHTS = (*OBJECTIVES, DETECTOR_GRADIENT)
-"""Names of the losses, each of which has a weight."""
-
 DEGREES_OF_FREEDOM = {
     "x_m": X_M,
     "y_m": Y_M,
-    "height_m": RISE_M,
+    "height_m": HEIGHT_DELTA_M,
     "yaw_rad": YAW_RAD,
     "pitch_rad": PITCH_RAD,
     "log_focal": LOG_ZOOM,
@@ -80,6 +79,7 @@ class Parts:
         ego: The vehicle that takes the place of every scene's own, where it is not ``config.scenes.ego``.
         networks: The detector; None: that of ``config``.
         probability: The model of detection probability; None: `warpav.runs.detector_fit.ensure_fit` gives it.
+        losses: Every loss with its weight; None: those of ``config``.
         has_own_detector: Whether the detector is an object that no configuration describes.
         has_own_scenes: Whether the scenes are objects that no configuration describes.
     """
@@ -90,6 +90,7 @@ class Parts:
     ego: Mesh | None = None
     networks: Networks | None = None
     probability: DetectionProbability | None = None
+    losses: tuple[tuple[float, Loss], ...] | None = None
     has_own_detector: bool = False
     has_own_scenes: bool = False
 
@@ -132,7 +133,7 @@ class Placement:
         start: str | Path | Rig | None = None,
         freeze: str | Sequence[str] = (),
         rig: RigConfig | Mapping[str, Any] | None = None,
-        losses: Mapping[str, float] | None = None,
+        losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
         config: Config | None = None,
     ) -> None:
         """A placement from objects.
@@ -149,7 +150,8 @@ class Placement:
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
             freeze: Names of cameras of ``start`` that stay as they are.
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
-            losses: Weights by name, such as ``{"missed": 1.0}``; they replace those of the method.
+            losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
+                `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
 
         Raises:
@@ -177,7 +179,7 @@ class Placement:
             "scenes.ego": str(ego) if ego_is_file else None,
             "rig.start": "random" if start_rig is not None else None if start is None else str(start),
             "rig.freeze": None if start is None else [],
-            "losses": None if losses is None else {**dict.fromkeys(WEIGHTS, 0.0), **losses},
+            "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
             **_scene_options(train, validation, base),
         }
@@ -196,13 +198,14 @@ class Placement:
         if start_rig is not None and names:
             if len(names) >= len(start_rig.cameras):
                 raise ArgumentError("freeze", f"expected fewer than all {len(start_rig.cameras)} cameras")
-            checked_held(found, start_rig, names)
+            checked_frozen(found, start_rig, names)
         self._parts = Parts(
             found,
             start_rig,
             names or found.rig.freeze,
             mesh,
             networks=None if own_detector is None else Networks(own_detector, None),
+            losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
             has_own_detector=own_detector is not None,
             has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),
         )
@@ -214,7 +217,8 @@ class Placement:
     def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:
         """A placement from its parts, whose scenes are loaded when they are first needed."""
         placement = cls.__new__(cls)
-        placement._parts, placement._load, placement._prepared = parts, load, None
+        placement._parts, placement._load = parts, load
+        placement._own = placement._prepared = None
         return placement
 
     @property
@@ -243,14 +247,14 @@ class Placement:
 
     def with_config(self, config: Config) -> Placement:
         """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
-        placement = Placement.of(replace(self._parts, config=config), self._load)
+        parts = replace(self._parts, config=config)
+        placement = Placement.of(parts, self._load)
+        placement._own = self._own
         if self._prepared is not None and _have_one_objective(config, self.config):
             placement._prepared = self._prepared
         elif self._prepared is not None:
             done = self._prepared
-            placement._prepared = _assembled(
-                replace(self._parts, config=config), done.scenes, done.networks, done.probability
-            )
+            placement._prepared = _assembled(parts, done.scenes, done.networks, done.probability)
         return placement
 
     def prepare(self, progress: Progress | None = None) -> Placement:
@@ -268,7 +272,7 @@ class Placement:
             networks = parts.networks or load_networks(parts.config)
             scenes = self._load(progress)
             probability = parts.probability
-            if probability is None and parts.config.losses.missed > 0.0:
+            if probability is None and _needs_fit(parts):
                 own = networks.detector if parts.has_own_detector else None
                 probability = ensure_fit(parts.config, detector=own, ego=parts.ego, progress=progress)
             progress.stage("assigning the vehicles to the cameras")
@@ -327,7 +331,7 @@ class Placement:
         return self._ready.networks.detector
 
     @property
-    def held_rig(self) -> Rig | None:
+    def frozen_rig(self) -> Rig | None:
         """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
         return self._parts.start if self._parts.freeze else None
 
@@ -335,9 +339,9 @@ class Placement:
     def yaw_rad(self) -> np.ndarray:
         """The orientation that each camera takes, unless its rig began otherwise [rad], [camera]."""
         orientation_rad = self.segregation.yaw_rad
-        if self.held_rig is None:
+        if self.frozen_rig is None:
             return orientation_rad
-        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.held_rig))]
+        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.frozen_rig))]
 
     @property
     def has_ordered_start(self) -> bool:
@@ -398,7 +402,9 @@ class Placement:
         Raises:
             InputError: The rig does not fit the placement.
         """
-        found = self._without_constraints().evaluate(self._pose_of(rig), self._scenes_for(rig, scenes), gradient=True)
+        found = self.objective.evaluate(
+            self._pose_of(rig), self._scenes_for(rig, scenes), gradient=True, with_constraints=False
+        )
         assert found.gradient is not None
         columns = {
             name: column
@@ -424,16 +430,10 @@ class Placement:
         Raises:
             InputError: The rig does not fit the placement, or the objective takes no part in detection probability.
         """
-        found = self.objective.evaluate(self._pose_of(rig), self._scenes_for(rig, scenes), chances=True)
-        if found.chance is None:
-            raise InputError("losses.missed: expected a weight above 0, for only this loss knows probabilities, got 0")
-        return np.asarray(found.chance)
-
-    def _without_constraints(self) -> RigObjective:
-        """The same objective whose Lagrangian is the objective alone, where all multipliers are 0."""
-        objective = copy.copy(self.objective)
-        objective.multiplier_damping = 0.0
-        return objective
+        found = self.objective.evaluate(self._pose_of(rig), self._scenes_for(rig, scenes), detection_probability=True)
+        if found.detection_probability is None:
+            raise InputError("losses: expected a loss that knows detection probabilities, such as expected_miss_rate")
+        return found.detection_probability
 
     def _pose_of(self, rig: Rig) -> np.ndarray:
         if not isinstance(rig, Rig):
@@ -487,7 +487,14 @@ def placement_on(
 
 def needed_fit(config: Config, progress: Progress) -> DetectionProbability | None:
     """What `ensure_fit` gives, where the losses of a configuration need it; else None."""
-    return ensure_fit(config, progress=progress) if config.losses.missed > 0.0 else None
+    return ensure_fit(config, progress=progress) if _needs_fit(Parts(config)) else None
+
+
+def _needs_fit(parts: Parts) -> bool:
+    """Whether a loss needs the model of detection probability."""
+    if parts.losses is None:
+        return parts.config.losses.weights["expected_miss_rate"] > 0.0
+    return any(loss.needs(LossSchedule()).detection_probability for _, loss in parts.losses)
 
 
 def _have_one_objective(one: Config, other: Config) -> bool:
@@ -513,22 +520,22 @@ def _assembled(
     assigned = assign_vehicles(scenes.scenes, [area[:, segregation.rotation] for area in areas])
     mount = scenes.mount
     if parts.start is not None and parts.freeze:
-        mount = mount.holding(checked_held(config, parts.start, parts.freeze), parts.freeze)
-    constraints = constraints_of(config, mount.surface, mount.held)
+        mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
+    constraints = constraints_of(config, mount.surface, mount.frozen)
+    reference = Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE
+    options = LossOptions(config.losses, reference, networks.differentiable)
     objective = RigObjective(
         mount,
         networks.detector,
         camera_count=config.rig.cameras,
-        settings=config.losses,
-        reference=Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE,
+        losses=losses_of(options) if parts.losses is None else parts.losses,
+        camera_probability=CameraProbability.of(config.losses, probability),
         multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
         constraints=constraints,
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
-        probability=probability,
-        differentiable_detector=networks.differentiable,
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)
@@ -559,6 +566,21 @@ def _checked_scenes(name: str, scenes: Sequence[Scene], *, least: int = 1) -> li
     if len(found) < least:
         raise ArgumentError(name, "expected at least one scene, got none")
     return found
+
+
+def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tuple[tuple[float, Loss], ...]:
+    """The losses of an argument, functions among them."""
+    found = []
+    for each in losses:
+        if (
+            not isinstance(each, tuple)
+            or len(each) != 2
+            or isinstance(each[0], bool)
+            or not isinstance(each[0], (int, float))
+        ):
+            raise TypeError(f"losses: expected pairs of a weight and a loss, such as (0.1, my_loss), got {each!r}")
+        found.append((float(each[0]), each[1] if isinstance(each[1], Loss) else UserLoss.of(each[1])))
+    return tuple(found)
 
 
 def _are_town(scenes: Sequence[Scene]) -> bool:

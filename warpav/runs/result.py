@@ -6,16 +6,20 @@ import html
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
+from warpav.core.executor import in_background
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.gradient import Candidate, Descent, IterationRecord
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
 from warpav.rig.rig import Rig
@@ -28,9 +32,10 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.store import scene_path
+from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
-    from warpav.optimisation.objective import AssignedScene
+    from warpav.optimisation.assignment import AssignedScene
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""
@@ -162,6 +167,10 @@ class Result:
             write_verdict(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the result in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        return plot(self, out=out, **options)
+
     def __repr__(self) -> str:
         return f"Result({self._description()})"
 
@@ -173,6 +182,25 @@ class Result:
         text = f"{count} cameras, {len(self.records)} iterations, objective {self.start_objective:.4f} -> "
         text += f"{self.found_objective:.4f}"
         return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.runs.inspect import DrawnRun, rigs_of_events
+
+    placement, events = result.placement, [asdict(record) for record in result.records]
+    frames = rigs_of_events(events, result.rig, place="result")
+    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
+    return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 
 
 class StageTimer:
@@ -222,7 +250,7 @@ def write_verdict(
     """
     from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.report import write_report
-    from warpav.runs.run_figures import draw_run
+    from warpav.runs.run_figures import RigDrawing, draw_rigs, draw_views
 
     placement, descent = result.placement, result._descent
     mount = placement.mount
@@ -230,40 +258,52 @@ def write_verdict(
     folder.write_rig("best", result.rig)
     folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
 
-    rigs, began_as = _compared(result, progress)
-    compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
-    timer.end("comparison on the test scenes")
-    progress.stage("ground that no camera sees")
-    ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
-    timer.end("ground that no camera sees")
-    evaluation = {
-        **compared.to_json(),
-        "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
-        "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
-        "descent": {
-            "iterations": descent.iteration,
-            "planned": placement.config.run.iterations,
-            "ended": result.ended,
-            "kept": result._kept.iteration,
-        },
-        "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
-        "outcomes": compared.outcomes(),
-        "ground": ground.table(),
-    }
-    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
-    progress.stage("figures and report")
-    folder.write_ground(ground.arrays(placement.ego.bounds_m()))
-    outcomes = [
-        [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
-    ]
-    draw_run(
-        folder,
-        {START: result.start, OPTIMISED: result.found},
-        objective=placement.objective,
-        scene=first,
-        assigned=_shown_scenes(test, outcomes),
-        say=progress.say,
+    constraints = placement.objective.constraints
+    drawing = RigDrawing(
+        folder.path,
+        result.start,
+        result.found,
+        first,
+        mount.surface,
+        constraints.min_spacing_m,
+        shows_zone=constraints.are_inequalities,
     )
+    with in_background(draw_rigs, drawing) as drawn:
+        rigs, began_as = _compared(result, progress)
+        compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
+        timer.end("comparison on the test scenes")
+        progress.stage("ground that no camera sees")
+        ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
+        timer.end("ground that no camera sees")
+        evaluation = {
+            **compared.to_json(),
+            "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
+            "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
+            "descent": {
+                "iterations": descent.iteration,
+                "planned": placement.config.run.iterations,
+                "ended": result.ended,
+                "kept": result._kept.iteration,
+            },
+            "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
+            "outcomes": compared.outcomes(),
+            "ground": ground.table(),
+        }
+        folder.write_evaluation({**evaluation, "seconds": timer.seconds})
+        progress.stage("figures and report")
+        folder.write_ground(ground.arrays(placement.ego.bounds_m()))
+        outcomes = [
+            [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
+        ]
+        draw_views(
+            folder,
+            {START: result.start, OPTIMISED: result.found},
+            objective=placement.objective,
+            assigned=_shown_scenes(test, outcomes),
+        )
+    problem = drawn.result()
+    if problem:
+        progress.say(f"no image of the rig: {problem}")
     timer.end("figures")
     evaluation = {**evaluation, "seconds": timer.seconds}
     folder.write_evaluation(evaluation)
@@ -292,7 +332,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     began_as = result.began_as
     return (
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.held_rig},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig},
     )
 
 
@@ -337,3 +377,23 @@ def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]
         "objective": [candidate.training_objective for candidate in candidates],
         "objective_iteration": [candidate.iteration for candidate in candidates],
     }
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    scene: Scene | None = None,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    scene = result.placement.shown if scene is None else next(result.placement.as_seen([scene]))
+    steps = [record.positions_m for record in result.records if record.descent == result._kept.descent]
+    has_path = len(steps) > 1 and not result.is_worse_than_start
+    return drawing_of(
+        result.rig,
+        canvas,
+        scene=scene,
+        trajectory_m=np.array(steps) if has_path else None,
+        visibility=visibility,
+    )

@@ -15,7 +15,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
 from warpav.rig.rig import Rig
 from warpav.runs.config import NAMED_STARTS, Config, placed_config
-from warpav.runs.mounts import camera_model, camera_mount, checked_held, constraints_of
+from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def read_start(config: Config) -> Rig | None:
             f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
             f"set rig.cameras={len(rig.cameras)}"
         )
-    checked_held(config, rig, config.rig.freeze)
+    checked_frozen(config, rig, config.rig.freeze)
     return rig
 
 

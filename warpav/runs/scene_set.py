@@ -18,11 +18,13 @@ from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import compiling
 from warpav.optimisation.segregation import areas_around
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount
+from warpav.scene.cache import town_scenes
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
 
 VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
+
+RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.trace", "reconstruction")
+"""Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
@@ -152,14 +157,15 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    for k, scene in enumerate(scenes):
-        ego = scene.ego if ego is None else ego
-        if not is_same_vehicle(scene.ego, ego):
-            raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
-        shown = scene if k in (0, test_from) else shown
-        packed.append(DeviceScene.pack(scene, device=device))
-        if config.scenes.mirror and k < train_count:
-            mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
+    with compiling(device, but=RARE_KERNELS):
+        for k, scene in enumerate(scenes):
+            ego = scene.ego if ego is None else ego
+            if not is_same_vehicle(scene.ego, ego):
+                raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+            shown = scene if k in (0, test_from) else shown
+            packed.append(DeviceScene.pack(scene, device=device))
+            if config.scenes.mirror and k < train_count:
+                mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
     assert ego is not None
     assert shown is not None
     _check_targets(config.scenes.targets, packed, progress)
@@ -341,10 +347,9 @@ def reconstruction_settings(config: Config) -> ReconstructionSettings:
 
 def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     from warpav.scene.glb import read_scene
-    from warpav.scene.town.town import town_scene
 
     if config.scenes.source == "town":
-        yield from map(town_scene, seeds)
+        yield from town_scenes(seeds)
         return
     if config.scenes.source == "captured":
         yield from map(read_scene, _captured(config, seeds))

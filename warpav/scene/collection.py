@@ -15,6 +15,8 @@ MAX_SEED = 2**31 - 1
 def town(seeds: Iterable[int]) -> list[Scene]:
     """Embedded street scenes: a street with houses, parked and moving vehicles, people, around one ego vehicle.
 
+    They are kept in the user's cache folder; those that are not there yet are built in several processes.
+
     Args:
         seeds: Their numbers, 0 to 2^31 - 1; the same seed gives the same scene.
 
@@ -22,7 +24,7 @@ def town(seeds: Iterable[int]) -> list[Scene]:
         InputError: There is none, or one is out of range.
         TypeError: One is no whole number.
     """
-    from warpav.scene.town.town import town_scene
+    from warpav.scene.cache import town_scenes
 
     numbers = [seeds] if isinstance(seeds, int) else list(seeds)
     for seed in numbers:
@@ -32,7 +34,7 @@ def town(seeds: Iterable[int]) -> list[Scene]:
             raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
     if not numbers:
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
-    return [town_scene(int(seed)) for seed in numbers]
+    return list(town_scenes([int(seed) for seed in numbers]))
 
 
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 
@@ -145,7 +145,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Problem:
+class VehicleProblem:
     """A reason why a vehicle cannot be used as it is.
 
     Attributes:
@@ -177,7 +177,7 @@ class Examination:
     shift_m: np.ndarray
     shape: Shape
     wheels: Wheels | None
-    problems: tuple[Problem, ...]
+    problems: tuple[VehicleProblem, ...]
     hints: tuple[str, ...]
     open_edge_count: int
     flat_triangle_count: int
@@ -287,7 +287,7 @@ def examine(
     """
     mesh = file.in_ego_frame(reading)
     point_m = _points_on(mesh)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     problems += _unit_problems(float(size_m.max()), reading, is_stated="scale" in stated)
@@ -306,7 +306,7 @@ def examine(
     if open_edges:
         hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
     if flat:
-        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; --out removes them")
+        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` leaves them out")
     if len(mesh.triangle) > MANY_TRIANGLES:
         hints.append(
             f"{len(mesh.triangle)} triangles slow every render, and about 10 000 are sufficient; decimate the mesh, "
@@ -380,7 +380,7 @@ def unit_of(length: float) -> tuple[str, float] | None:
     return None
 
 
-def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[Problem]:
+def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
     if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
         return []
     least, greatest = POSSIBLE_LENGTH_M
@@ -389,18 +389,18 @@ def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> lis
     if unit is None:
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
         return [
-            Problem(
-                f"{text}, implausible in any common unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
+            VehicleProblem(
+                f"{text}, a length in no usual unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
             )
         ]
-    with_scale = " with this --scale" if is_stated else ""
+    with_scale = " with this `scale`" if is_stated else ""
     scale = reading.scale * unit[1]
-    return [Problem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
+    return [VehicleProblem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
 
 
 def _axis_findings(
     shape: Shape, reading: Reading, size_m: np.ndarray, is_declared: bool, stated: frozenset[str]
-) -> tuple[list[Problem], list[str]]:
+) -> tuple[list[VehicleProblem], list[str]]:
     """Whether the shape has the axes of the ego frame under this reading."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
@@ -413,8 +413,8 @@ def _axis_findings(
     if has_axes and not is_upside_down:
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
-                "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that face "
-                f"backwards: if a figure (--picture) shows the latter, add --forward {forward}"
+                "the cabin stands nearer to what is read as the front, as in pickups and lorries, or in vehicles that "
+                f"face backwards: if the picture shows one of these, add `forward` {forward}"
             ]
         return [], []
     if not shape.is_up_sure and shape.up[-1] == "z":
@@ -428,31 +428,31 @@ def _axis_findings(
     text += f"forward it {what}"
     if is_declared or {"up", "forward"} <= stated:
         return [], [f"{text}; accepted as stated"]
-    return [Problem(text, remedy)], []
+    return [VehicleProblem(text, remedy)], []
 
 
 def _place_findings(
     mesh: Mesh, wheels: Wheels | None, is_declared: bool, rear_axle_m: float | None
-) -> tuple[np.ndarray, list[Problem], list[str]]:
+) -> tuple[np.ndarray, list[VehicleProblem], list[str]]:
     """Translation of the vehicle [m], [3], the problems that require it, and hints."""
     low, high = mesh.bounds_m().astype(np.float64)
     shift_m = np.zeros(3)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     if abs(low[2]) > GROUND_TOLERANCE_M:
         shift_m[2] = -low[2]
-        problems.append(Problem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
+        problems.append(VehicleProblem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
     if rear_axle_m is not None:
         if not 0.0 <= rear_axle_m <= high[0] - low[0]:
             length = f"{high[0] - low[0]:.2f} m"
-            raise InputError(
-                f"--rear-axle: expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
+            raise ArgumentError(
+                "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
         middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
         target_m = np.array([low[0] + rear_axle_m, middle_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
-            problems.append(Problem("origin: expected below the rear axle as stated by --rear-axle", {}))
+            problems.append(VehicleProblem("origin: it is not below the rear axle as `rear_axle` states it", {}))
         return shift_m, problems, hints
     is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
     if is_declared and is_inside:
@@ -460,15 +460,15 @@ def _place_findings(
     if wheels is None:
         if is_inside:
             hints.append(
-                "no wheels found, so the origin below the rear axle cannot be verified; "
-                "--rear-axle 0.9 would put it 0.9 m in front of the rear end"
+                "no wheels are to be seen, so whether the origin lies below the rear axle cannot be told; "
+                "`rear_axle` 0.9 would put it 0.9 m before the rear end"
             )
         else:
             problems.append(
-                Problem(
+                VehicleProblem(
                     "origin: expected it below the vehicle, got "
-                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels found; "
-                    "--rear-axle gives the distance of the rear axle from the rear end",
+                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
+                    "`rear_axle` says how far before the rear end the rear axle is",
                     {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
                 )
             )
@@ -477,14 +477,14 @@ def _place_findings(
     if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(
-            Problem(
+            VehicleProblem(
                 "origin: expected below the centre of the rear axle, got that at "
                 f"x {offset_m[0]:+.2f} m, y {offset_m[1]:+.2f} m",
                 {},
             )
         )
     if len(wheels.axle_m) > 2:
-        hints.append(f"{len(wheels.axle_m)} axles: the rearmost one counts as the rear axle; --rear-axle overrides it")
+        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless `rear_axle` says else")
     return shift_m, problems, hints
 
 

@@ -48,12 +48,13 @@ class SceneTask:
     def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
         if self.capture is None:
-            return fingerprint("town", self.seed)
+            return fingerprint("town", self.seed, code=("warpav.scene.town.town", "warpav.scene.glb"))
         content = hashlib.sha256()
         for file in sorted(path for path in self.capture.rglob("*") if path.is_file()):
             content.update(file.relative_to(self.capture).as_posix().encode() + b"\0")
             content.update(file.read_bytes())
-        return fingerprint("captured", content.hexdigest(), self.settings)
+        code = ("warpav.scene.reconstruction.reconstruct", "warpav.scene.capture.folder", "warpav.scene.glb")
+        return fingerprint("captured", content.hexdigest(), self.settings, code=code)
 
 
 @dataclass(frozen=True)
@@ -198,9 +199,9 @@ def _make_scene(task: SceneTask) -> bool:
     from warpav.scene.glb import write_scene
 
     if task.capture is None:
-        from warpav.scene.town.town import town_scene
+        from warpav.scene.cache import town_scenes
 
-        scene = town_scene(task.seed)
+        (scene,) = town_scenes([task.seed])
     else:
         from warpav.scene.reconstruction.reconstruct import reconstruct
 

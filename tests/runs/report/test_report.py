@@ -17,8 +17,8 @@ from warpav.runs.report.reading import read_run
 from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
 from warpav.runs.report.words import headline, summary
 from warpav.runs.run_figures import _keep_views
-from warpav.runs.run_folder import ARM_ROWS
-from warpav.view.figures import DetectionPanel
+from warpav.runs.verdict import ARM_ROWS
+from warpav.view.figures.detections import DetectionPanel
 
 
 class Page(HTMLParser):

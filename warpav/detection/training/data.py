@@ -346,7 +346,7 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
         RuntimeError: A scene could not be rendered.
         InputError: The folder holds other images.
     """
-    made_with = fingerprint(subset, CLASS_NAMES, Path(__file__).read_bytes())
+    made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
     if note.is_file():
         if note.read_text() != made_with:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.devices import checked_device
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError
+from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import load_warp
 from warpav.experiments.bench.array_file import ArrayFile
@@ -30,7 +31,6 @@ from warpav.experiments.bench.workload import (
     read_truth,
     read_workload,
 )
-from warpav.runs.run_folder import write_json
 
 if TYPE_CHECKING:
     from warpav.experiments.bench.items import Bench, Timing
@@ -75,7 +75,7 @@ def run_bench(
     """
     wanted = _checked_items(items)
     if repeat < 1:
-        raise InputError(f"command line: --repeat: expected at least 1, got {repeat}")
+        raise ArgumentError("repeat", f"expected at least 1, got {repeat}")
     if json_file is not None:
         _check_target(json_file)
     load_warp()
@@ -255,7 +255,7 @@ def _checked_items(items: str) -> set[str]:
     names = [name.strip() for name in items.split(",")]
     unknown = [name for name in names if name not in ITEMS]
     if unknown:
-        raise InputError(f"command line: --items: expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
+        raise ArgumentError("items", f"expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
     return set(names)
 
 
@@ -267,8 +267,12 @@ def _beside(json_file: Path, item: str) -> Path:
 def _check_target(json_file: Path) -> None:
     folder = json_file.absolute().parent
     if not folder.is_dir():
-        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(folder)!r}")
+        raise ArgumentError(
+            place=json_file, option="json", text=f"expected an existing folder to write to, got {str(folder)!r}"
+        )
     if json_file.is_dir():
-        raise InputError(f"{json_file}: --json: expected a file to write, got a folder")
+        raise ArgumentError(place=json_file, option="json", text="expected a file to write, got a folder")
     if not os.access(folder, os.W_OK):
-        raise InputError(f"{json_file}: --json: expected a folder that can be written, got {str(folder)!r}")
+        raise ArgumentError(
+            place=json_file, option="json", text=f"expected a folder that can be written, got {str(folder)!r}"
+        )

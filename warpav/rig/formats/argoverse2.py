@@ -10,8 +10,16 @@ from typing import Any
 
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix, pinhole_of
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    optics_of_matrix,
+    pinhole_of,
+)
 from warpav.rig.formats.record import Record, rigid_transform
 
 _POSES, _INTRINSICS = "egovehicle_SE3_sensor.feather", "intrinsics.feather"

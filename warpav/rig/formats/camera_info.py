@@ -10,8 +10,15 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Losses, PlacedCamera, RigFormat, file_for_each
-from warpav.rig.formats.optics import Optics, camera_matrix, optics_of_matrix
+from warpav.rig.formats.format import (
+    Losses,
+    Optics,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_for_each,
+    optics_of_matrix,
+)
 from warpav.rig.formats.record import Record, read_yaml_record, yaml_number
 
 FOLDER = "camera_info"

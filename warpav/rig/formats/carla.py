@@ -22,14 +22,15 @@ from warpav.rig.formats.format import (
     Found,
     FoundCamera,
     Losses,
+    Optics,
     PlacedCamera,
     RigFormat,
     file_at,
     file_in,
     link_of_transform,
+    pinhole_of,
     transform_of_link,
 )
-from warpav.rig.formats.optics import Optics, pinhole_of
 from warpav.rig.formats.record import Record, read_json
 
 _CAMERA = "sensor.camera.rgb"
@@ -51,7 +52,7 @@ def _read_bridge(path: Path, part: str | None) -> Found:
     if part is not None and part not in with_cameras:
         raise InputError(f"{path}: expected a vehicle {part!r} with cameras, got {', '.join(with_cameras) or 'none'}")
     if part is None and len(with_cameras) > 1:
-        raise InputError(f"{path}: expected one vehicle with cameras, got {', '.join(with_cameras)}; choose by --part")
+        raise InputError(f"{path}: expected one vehicle with cameras, got {', '.join(with_cameras)}; choose by `part`")
     sensors = with_cameras[part] if part is not None else next(iter(with_cameras.values()), [])
     return _found(path, sensors, _bridge_camera)
 
@@ -70,7 +71,9 @@ def _read_python(path: Path, part: str | None) -> Found:
     path = file_in(path, _SENSORS)
     data = read_json(path, "a list of sensors, as JSON or as Python writes it", parse=_literal)
     if isinstance(data.value, dict) and "objects" in data.value:
-        raise data.error("a list of sensors", "objects, which is the ros-bridge's dialect: --format carla-ros-bridge")
+        raise data.error(
+            "a list of sensors", "objects, which is the ros-bridge's dialect: `format_name` carla-ros-bridge"
+        )
     sensors = data.at("sensors") if isinstance(data.value, dict) else data
     return _found(path, sensors.items("a list of sensors"), _python_camera)
 
@@ -200,7 +203,7 @@ ROS_BRIDGE = RigFormat(
     read=_read_bridge,
     write=_write_bridge,
     parts="a vehicle's id, such as ego_vehicle",
-    mirrored_hint="is the file CARLA's own left-handed dialect (--format carla-python)?",
+    mirrored_hint="is the file CARLA's own left-handed dialect (`format_name` carla-python)?",
 )
 
 PYTHON = RigFormat(
@@ -210,5 +213,5 @@ PYTHON = RigFormat(
     is_ego_origin=False,
     read=_read_python,
     write=_write_python,
-    mirrored_hint="is the file right-handed, with y to the left (--format carla-ros-bridge)?",
+    mirrored_hint="is the file right-handed, with y to the left (`format_name` carla-ros-bridge)?",
 )

@@ -16,13 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
 from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
-from warpav.rig.formats.format import FoundCamera, Losses, PlacedCamera, RigFormat
-from warpav.rig.formats.optics import Optics
+from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
 from warpav.rig.rig import Rig, RigCamera, replace_file
 
 _PLACES = {
@@ -84,21 +83,65 @@ def find_format(name: str) -> RigFormat:
     plain = name.strip().lower().replace("_", "-")
     plain = _OTHER_NAMES.get(plain, plain)
     if plain == "carla":
-        raise InputError(
-            "command line (--format carla): expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
-            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which"
+        raise ArgumentError(
+            "format_name",
+            "expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
+            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which",
         )
     if plain not in _PLACES:
         near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(
-            f"command line (--format {name}): expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}"
-        )
+        raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
     module, attribute = _PLACES[plain]
     return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)
 
 
-def import_rig(path: str | Path, format_name: str, options: ImportOptions | None = None) -> tuple[Rig, list[str]]:
+def import_rig(
+    path: str | Path,
+    format_name: str,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    width_px: int | None = None,
+    height_px: int | None = None,
+    fov_deg: float | None = None,
+    intrinsics: str | Path | None = None,
+    part: str | None = None,
+    accept_mirrored: bool = False,
+) -> Rig:
+    """The rig in another tool's file, in the ego frame.
+
+    Args:
+        path: File or folder.
+        format_name: One of `FORMAT_NAMES`, such as ``"urdf"``.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        width_px: Image width [px] of cameras without one.
+        height_px: Image height [px] of cameras without one.
+        fov_deg: Horizontal field of view [deg] of cameras without a lens.
+        intrinsics: camera_info YAML, or a folder of such: it replaces the file's values of those cameras.
+        part: Which of several rigs in the file.
+        accept_mirrored: Accept cameras whose name contradicts their side or direction.
+
+    Raises:
+        InputError: The file cannot be used.
+    """
+    options = ImportOptions(
+        origin_m,
+        origin_rpy_deg,
+        width_px,
+        height_px,
+        fov_deg,
+        None if intrinsics is None else Path(intrinsics),
+        part,
+        accept_mirrored,
+    )
+    return import_rig_with_notes(path, format_name, options)[0]
+
+
+def import_rig_with_notes(
+    path: str | Path, format_name: str, options: ImportOptions | None = None
+) -> tuple[Rig, list[str]]:
     """The rig in another tool's file.
 
     Args:
@@ -118,12 +161,12 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
     if form.read is None:
         raise InputError(
             f"{file}: {form.name}: expected a format with camera poses, got one without; import the file that has "
-            f"them, such as --format urdf or autoware, with --intrinsics {file}"
+            f"them, such as `format_name` urdf or autoware, with `intrinsics` {file}"
         )
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder of the format {form.name}, got no such file")
     if options.part is not None and form.parts is None:
-        raise InputError(f"command line (--part): {form.name} files hold one rig, got {options.part!r}; leave it out")
+        raise ArgumentError("part", f"{form.name} files hold one rig, got {options.part!r}; leave it out")
     ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
     found = form.read(file, options.part)
     lenses = _lenses(file, options)
@@ -143,7 +186,7 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
     mirrored = [] if options.accept_mirrored else list(mirrored_cameras(cameras))
     if mirrored:
         more = f" ({len(mirrored)} cameras like this)" if len(mirrored) > 1 else ""
-        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} --accept-mirrored takes it as it is")
+        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} `accept_mirrored` takes it as it is")
     count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
     notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes]
     renamed = [camera.name for camera in found.cameras if camera.name != _fit_name(camera.name)]
@@ -154,6 +197,41 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
 
 
 def export_rig(
+    rig: Rig,
+    format_name: str,
+    target: str | Path,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approximate: bool = False,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a rig for another tool, and return the files.
+
+    Args:
+        rig: The cameras.
+        format_name: One of `FORMAT_NAMES`, such as ``"autoware"``.
+        target: File or folder, as the format has it; folders are made.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        approximate: Leave out what the format cannot hold, instead of rejecting the rig.
+        overwrite: Replace existing files.
+
+    Raises:
+        InputError: The format cannot represent the rig, a file exists already, or cannot be written.
+    """
+    return export_rig_with_notes(
+        rig,
+        format_name,
+        target,
+        origin_m=origin_m,
+        origin_rpy_deg=origin_rpy_deg,
+        approximate=approximate,
+        overwrite=overwrite,
+    )[0]
+
+
+def export_rig_with_notes(
     rig: Rig,
     format_name: str,
     target: str | Path,
@@ -199,7 +277,7 @@ def check_target(file: Path, *, overwrite: bool) -> None:
     if file.is_dir():
         raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
     if file.exists() and not overwrite:
-        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
+        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; `overwrite` replaces it")
     for folder in file.parents:
         if folder.is_file():
             raise InputError(f"{folder}: expected a folder to write to, got a file; choose another path")
@@ -221,9 +299,7 @@ def content_of(
     """
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
-        raise InputError(
-            f"command line (--format {form.name}): expected one of {names}; {form.name} is for import only"
-        )
+        raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     return form.write(placed, target, losses)
@@ -250,9 +326,9 @@ def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple
     Raises:
         InputError: A number is not finite.
     """
-    for name, numbers in (("--origin-m", origin_m or ()), ("--origin-rpy-deg", origin_rpy_deg)):
+    for name, numbers in (("origin_m", origin_m or ()), ("origin_rpy_deg", origin_rpy_deg)):
         if not all(map(math.isfinite, numbers)):
-            raise InputError(f"command line ({name}): expected three finite numbers, got {numbers}")
+            raise ArgumentError(name, f"expected three finite numbers, got {numbers}")
     roll, pitch, yaw = map(math.radians, origin_rpy_deg)
     transform = np.eye(4)
     transform[:3, :3] = rotation_from_yaw_pitch_roll(yaw, pitch, roll)
@@ -270,7 +346,7 @@ def _origin_notes(form: RigFormat, origin_m: tuple[float, float, float] | None) 
     if form.is_ego_origin:
         return []
     return [
-        f"warning: the file's origin is {form.origin}; without --origin-m X Y Z, which gives its position, it is "
+        f"warning: the file's origin is {form.origin}; without `origin_m` X Y Z, which gives its position, it is "
         "assumed to be warpav's, on the ground below the centre of the rear axle"
     ]
 
@@ -291,19 +367,17 @@ def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOption
     if optics is None:
         if None in (options.width_px, options.height_px, options.fov_deg):
             raise InputError(
-                f"{location}: expected its image and lens, which the file does not hold; give --width-px, --height-px "
-                "and --fov-deg, or --intrinsics with camera_info YAML files"
+                f"{location}: expected its image and lens, which the file does not hold; give `width_px`, `height_px` "
+                "and `fov_deg`, or `intrinsics` with camera_info YAML files"
             )
         assert options.fov_deg is not None
         if not 0.0 < options.fov_deg < 180.0:
-            raise InputError(
-                f"command line (--fov-deg): expected a number of degrees between 0 and 180, got {options.fov_deg}"
-            )
+            raise ArgumentError("fov_deg", f"expected a number of degrees between 0 and 180, got {options.fov_deg}")
         optics = Optics(options.width_px, options.height_px, fov_rad=math.radians(options.fov_deg))
     if optics.width_px is None or optics.height_px is None:
         if options.width_px is None or options.height_px is None:
             raise InputError(
-                f"{location}: expected the image's size, which the file does not hold; give --width-px and --height-px"
+                f"{location}: expected the image's size, which the file does not hold; give `width_px` and `height_px`"
             )
         optics = dataclasses.replace(optics, width_px=options.width_px, height_px=options.height_px)
     return optics.model(location)

@@ -10,8 +10,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Found, FoundCamera, RigFormat
-from warpav.rig.formats.optics import Optics, optics_of_matrix
+from warpav.rig.formats.format import Found, FoundCamera, Optics, RigFormat, optics_of_matrix
 from warpav.rig.formats.record import Record, read_yaml_record
 
 _DISTORTION = {
@@ -46,7 +45,7 @@ def read(path: Path, part: str | None) -> Found:
         if has_imu
         else "poses are relative to cam0, which is assumed to point forward"
     )
-    return Found(tuple(cameras), (f"{note}; --origin-rpy-deg turns them",))
+    return Found(tuple(cameras), (f"{note}; `origin_rpy_deg` turns them",))
 
 
 def _optics(entry: Record) -> Optics:

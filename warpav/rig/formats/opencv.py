@@ -14,8 +14,16 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, file_for_each
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_for_each,
+    optics_of_matrix,
+)
 from warpav.rig.formats.record import Record, read_text, rigid_transform
 
 if TYPE_CHECKING:

@@ -866,7 +866,7 @@ def _place(transform: Remote) -> tuple[float, float, float, float]:
 
 
 def _actor_from_ego(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
-    """The ego frame as the wheels stand: on the ground they touch, its origin below the centre of the rear axle.
+    """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
 
     Args:
         wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].

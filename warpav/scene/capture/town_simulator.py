@@ -36,7 +36,7 @@ class TownSimulator:
 
     def __init__(self) -> None:
         """No situation yet."""
-        self.name, self.source, self.world = "", "", fingerprint("town")
+        self.name, self.source, self.world = "", "", fingerprint("town", code=(__name__,))
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None

@@ -217,10 +217,10 @@ def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequen
     from embreex.rtcore_scene import EmbreeScene
 
     meshes = [*blockers, *vehicles]
-    corners = np.concatenate([mesh.vertex_m[mesh.triangle] for mesh in meshes])
+    whole = merge(meshes)
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
     caster = EmbreeScene()
-    TriangleMesh(caster, corners)
+    TriangleMesh(caster, whole.vertex_m, whole.triangle)
     share = np.zeros(len(vehicles))
     for index, mesh in enumerate(vehicles):
         # Centres of triangles: a ray to a vertex may miss the surface by a rounding error.
