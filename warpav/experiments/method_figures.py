@@ -153,12 +153,12 @@ class _Observer:
         )
         views = []
         for scene in self._progress.steps(how, scenes, count=len(scenes)):
-            look = observer.look(DeviceScene.pack(scene, device=self._device))
+            observation = observer.observe(DeviceScene.pack(scene, device=self._device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
-                for camera, seen in zip(rig.cameras, look.cameras, strict=True)
+                for camera, seen in zip(rig.cameras, observation.cameras, strict=True)
             ]
-            views.append(SceneViews(scene, look.detected, panels))
+            views.append(SceneViews(scene, observation.detected, panels))
         return views
 
 
