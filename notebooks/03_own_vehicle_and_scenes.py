@@ -55,7 +55,7 @@ _ = trimesh.Trimesh(in_the_file, made.triangle, vertex_colors=made.vertex_rgb, p
 
 # %%
 found = examine(read_vehicle("van.glb"), Reading(up="z", forward="y", scale=0.01))
-van = found.mended
+van = found.corrected
 wa.plot(
     van, mount_surface=mount_surface_from_mesh(van), axle_m=[axle + found.shift_m[0] for axle in found.wheels.axle_m]
 )

@@ -144,7 +144,7 @@ exports = {  # format: where to, and its origin in the ego frame
     "carla-python": (target / "sensors.json", middle_m),
 }
 for name, (file, origin_m) in exports.items():
-    files, _ = wa.export_rig(result.rig, name, file, origin_m=origin_m)
+    files = wa.export_rig(result.rig, name, file, origin_m=origin_m)
     print(f"{name:17}", *(each.relative_to(target) for each in files))
 print()
 print((target / "sensors.json").read_text())
@@ -159,10 +159,8 @@ print((target / "sensors.json").read_text())
 # Import everything again and compare the poses:
 
 # %%
-from warpav.rig.formats.convert import ImportOptions
-
 for name, (file, origin_m) in exports.items():
-    again, _ = wa.import_rig(file, name, ImportOptions(origin_m=origin_m))
+    again = wa.import_rig(file, name, origin_m=origin_m)
     shift_m, turn_rad = 0.0, 0.0
     for one, other in zip(result.rig.cameras, again.cameras, strict=True):
         assert one.name == other.name
