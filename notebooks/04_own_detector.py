@@ -69,7 +69,7 @@ plt.show()
 # %%
 from warpav.runs.detector_check import check_detector
 
-print(*check_detector("mine.onnx", wa.Config()), sep="\n")
+print(*check_detector("mine.onnx", wa.Config()), sep="\n")  # times are those of this machine, now
 
 # %% [markdown]
 # When the image is not right:
@@ -113,6 +113,7 @@ for axis, index, label in zip(
     axis.plot(shown, fitted.model.curve(index, value))
     axis.set(xlabel=label, ylabel="" if index else "added to the logit")
     axis.grid(alpha=0.3)
+    axis.sharey(axes[0])
 axes[0].set_xscale("log")
 axes[3].plot([0, 1], [0, 1], color="gray", linewidth=0.8)
 axes[3].errorbar(predicted, detected, np.maximum([detected - low, high - detected], 0.0), fmt="o", markersize=4)
@@ -121,8 +122,8 @@ plt.show()
 print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.scores.calibration_error:.3f}")
 
 # %% [markdown]
-# The three curves on the left are what raises and what lowers the chances: the more pixels and the larger the visible
-# share, the better. These are the directions in which an optimisation moves cameras. If your curve rises only at
+# The three curves on the left show what raises the chances and by how much: here the visible area first, then the
+# visible share. These are the directions in which an optimisation moves cameras. If your curve rises only at
 # thousands of pixels, the images are too small for your detector, and no place on the roof helps. (There are three more
 # features: aspect, distance from the border and contrast.)
 #
