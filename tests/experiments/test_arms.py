@@ -6,7 +6,7 @@ import math
 import pytest
 
 from tests.experiments.small_experiment import config
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
@@ -102,7 +102,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
         InputError, match=r"arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
     ):
         find_arm("sgd_irf", own)
-    with pytest.raises(OptionError, match=r"got 'nuscene'; did you mean nuscenes\?"):
+    with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
     assert set(METHODS) < set(common_arms())
 
@@ -131,7 +131,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
 def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     arm = common_arms()["thesis_gradient"]
     base = problem.config.model_copy(update={"method": "default"})
-    assert arm.judged_config(base).method == "default"
+    assert arm.evaluation_config(base).method == "default"
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run
