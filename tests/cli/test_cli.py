@@ -765,4 +765,4 @@ def test_arms_that_place_all_cameras_refuse_frozen_ones(working_directory, capsy
     for arm in ("greedy_cover", "nuscenes", "random_batches"):
         words = ["experiment", "table2", "quick", *SMALL, "method=default", *start, "--arms", arm, "--out", "x"]
         message = _complaint(capsys, *words)
-        assert f"arm {arm}: rig.freeze: expected none, for it places all cameras, got front_bumper" in message
+        assert f"arm {arm}: rig.freeze: expected none, since it places all cameras, got front_bumper" in message

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from warpav.core import fingerprint as module
-from warpav.core.fingerprint import recipe as recipe_of
+from warpav.core.fingerprint import fingerprint as fingerprint_of
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 
 TOWN = "warpav.scene.town.town"
-recipe = functools.partial(recipe_of, code=(TOWN,))
+fingerprint = functools.partial(fingerprint_of, code=(TOWN,))
 PLAN, MESHES = PlanSettings(), ReconstructionSettings()
 
 
@@ -42,13 +42,13 @@ def copied_code(tmp_path, monkeypatch):
     module._code_hash.cache_clear()
 
 
-def test_a_recipe_is_16_hexadecimal_digits_and_stays():
-    assert len(recipe("town", 3)) == 16
-    assert int(recipe("town", 3), 16) >= 0
-    assert recipe("town", 3, PLAN) == recipe("town", 3, replace(PLAN))
-    code = "from warpav.core.fingerprint import recipe; print(recipe('town', 3, code=['warpav.scene.town.town']))"
+def test_a_fingerprint_is_16_hexadecimal_digits_and_stays():
+    assert len(fingerprint("town", 3)) == 16
+    assert int(fingerprint("town", 3), 16) >= 0
+    assert fingerprint("town", 3, PLAN) == fingerprint("town", 3, replace(PLAN))
+    code = f"from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3, code=['{TOWN}']))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == recipe("town", 3)  # in another process, where strings hash otherwise
+    assert other.stdout.strip() == fingerprint("town", 3)  # in another process, where strings hash otherwise
 
 
 @pytest.mark.parametrize(
@@ -67,12 +67,12 @@ def test_a_recipe_is_16_hexadecimal_digits_and_stays():
         (b"town", 3, PLAN, MESHES),
     ],
 )
-def test_another_setting_gives_another_recipe(parts):
-    assert recipe(*parts) != recipe("town", 3, PLAN, MESHES)
+def test_another_setting_gives_another_fingerprint(parts):
+    assert fingerprint(*parts) != fingerprint("town", 3, PLAN, MESHES)
 
 
 def test_parts_do_not_run_into_one_another():
-    assert recipe(b"ab", b"c") != recipe(b"a", b"bc")
+    assert fingerprint(b"ab", b"c") != fingerprint(b"a", b"bc")
 
 
 @pytest.mark.parametrize(
@@ -87,14 +87,14 @@ def test_parts_do_not_run_into_one_another():
         ("warpav.scene.reconstruction.reconstruct", "warpav_kernels/reconstruction/poisson.py"),
     ],
 )
-def test_changed_code_gives_another_recipe(copied_code, code, file):
-    before = recipe_of("town", 3, code=(code,))
+def test_changed_code_gives_another_fingerprint(copied_code, code, file):
+    before = fingerprint_of("town", 3, code=(code,))
     module._code_hash.cache_clear()
-    assert recipe_of("town", 3, code=(code,)) == before
+    assert fingerprint_of("town", 3, code=(code,)) == before
     with open(copied_code / file, "a") as source:
         source.write("# changed\n")
     module._code_hash.cache_clear()
-    assert recipe_of("town", 3, code=(code,)) != before
+    assert fingerprint_of("town", 3, code=(code,)) != before
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_changed_code_gives_another_recipe(copied_code, code, file):
     ],
 )
 def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
-    before = recipe("town", 3)
+    before = fingerprint("town", 3)
     with open(copied_code / file, "a") as source:
         source.write("# changed\n")
     module._code_hash.cache_clear()
-    assert recipe("town", 3) == before
+    assert fingerprint("town", 3) == before

@@ -58,7 +58,7 @@ def truth_boxes(rig, scene):
         renderer = Renderer([camera.model], occlusion=Occlusion.EXACT)
         views = views_of_rig(Rig.create([camera]), rotation_count=1, rotation_step_rad=0.0)
         renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-        seen = observe(renderer, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+        seen = observe(renderer, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
         boxes.append(seen.truth_box_px[0])
     return np.array(boxes)
 
@@ -200,7 +200,7 @@ def test_what_becomes_of_every_object():
     scene = scene_of(AHEAD, FAR_LEFT_AHEAD, BEHIND, LEFT_SIDE, wall=wall)
     box_px = truth_boxes(rig, scene)[0, 0]
     calls = [ConstantDetector([[box_px]], [[0.8]]), ConstantDetector.silent(1)]
-    look = observer_of(rig, calls).look(scene)
+    look = observer_of(rig, calls).observe(scene)
     assert look.outcomes == [
         ObjectOutcome.DETECTED,
         ObjectOutcome.MISSED,
@@ -208,7 +208,7 @@ def test_what_becomes_of_every_object():
         ObjectOutcome.OUT_OF_FRAME,
     ]
     np.testing.assert_allclose(look.confidence, [0.8, np.nan, np.nan, np.nan], rtol=1e-6)
-    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).look(scene_of()).outcomes == []
+    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).observe(scene_of()).outcomes == []
 
 
 def observer_of(rig, calls):

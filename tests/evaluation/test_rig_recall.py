@@ -172,7 +172,7 @@ def too_small_box(rig, scene):
     renderer = Renderer([MODEL], occlusion=Occlusion.EXACT)
     views = views_of_rig(camera, rotation_count=1, rotation_step_rad=0.0)
     renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-    seen = observe(renderer, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+    seen = observe(renderer, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
     assert np.isnan(seen.truth_box_px).all()
     return seen.too_small_box_px[0, 0]
 

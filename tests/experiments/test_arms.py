@@ -131,7 +131,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
 def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     arm = common_arms()["thesis_gradient"]
     base = problem.config.model_copy(update={"method": "default"})
-    assert arm.judged_config(base).method == "default"
+    assert arm.evaluation_config(base).method == "default"
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run

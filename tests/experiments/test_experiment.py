@@ -32,7 +32,7 @@ def copied(tmp_path, finished):
 
 def run(out, scenes, *more, **options):
     with RunDisplay() as display:
-        return run_experiment(SMALL, config(scenes, *more), out=out, display=display, **options)
+        return run_experiment(SMALL, config(scenes, *more), out=out, progress=display, **options)
 
 
 def without_seconds(result):
@@ -70,7 +70,7 @@ def test_every_task_leaves_its_result(finished, scenes):
 
 def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     with RunDisplay() as display:
-        problem = build(ARMS[0].judged_config(config(scenes, "run.seed=1"))).prepare(display)
+        problem = build(ARMS[0].evaluation_config(config(scenes, "run.seed=1"))).prepare(display)
     descent = Optimisation.begin(problem).descent
     losses = [descent.step().loss for _ in range(2)]
     found = descent.finish()

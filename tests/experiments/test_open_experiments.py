@@ -114,7 +114,7 @@ def test_the_experiments_have_the_arms_that_they_promise():
         for arm in experiment.arms:
             assert arm.search_config(config) != arm.search_config(quick)
     for arm in EXPERIMENTS["ablations"].arms[1:]:
-        assert arm.judged_config(config) == config
+        assert arm.evaluation_config(config) == config
         assert arm.search_config(config) != config
 
 
@@ -122,7 +122,7 @@ def test_the_counterpart_of_a_preset_has_its_cameras():
     arm = gradient_like("nuscenes")
     assert arm.overrides == ("rig.cameras=6", "camera.fov_deg=64.8")
     assert odd_fields("nuscenes") == "gradient_as_nuscenes: 6 cameras of 64.8 deg, but 89.3 in the preset"
-    assert gradient_like("argoverse2").judged_config(load_config("default")).rig.cameras == 9
+    assert gradient_like("argoverse2").evaluation_config(load_config("default")).rig.cameras == 9
     assert common_fov_deg("argoverse2") == 62.6
     assert odd_fields("argoverse2").endswith("but 49.4 in the preset")
 
@@ -269,7 +269,10 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
         assert rig["objectives"]["thesis"] > 0.0
     assert len({rig["objectives"]["configured"] for rig in written["rigs"]}) > 3
     assert (folder / "correlation.png").is_file()
-    assert "not measured: objective ranks 100 random rigs" in capsys.readouterr().out
+    assert (
+        "not measured: rank correlation of objective and held-out recall over 100 random rigs"
+        in capsys.readouterr().out
+    )
 
 
 def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
@@ -397,12 +400,12 @@ def test_results_become_a_page(copied, working_directory, capsys):
 def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_directory):
     folder = str(copied)
     assert complaint(capsys, "experiment", "rescore", folder).startswith(
-        "experiment rescore: expected options to judge"
+        "experiment rescore: expected evaluation options"
     )
-    assert "losses.missed: expected an option by which rigs are judged" in complaint(
+    assert "losses.missed: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "losses.missed=2"
     )
-    assert "camera.fov_deg: expected an option by which" in complaint(
+    assert "camera.fov_deg: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "camera.fov_deg=60"
     )
     assert "(--name): expected lower-case letters" in complaint(

@@ -24,7 +24,7 @@ from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.options import Reference
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.search import BudgetedValue, SearchSpace
 from warpav.optimisation.settings import LossSettings

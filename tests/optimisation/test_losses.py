@@ -13,9 +13,9 @@ from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.lagrangian import Lagrangian
-from warpav.optimisation.losses.registry import LossOptions, losses_of
+from warpav.optimisation.losses.options import LossOptions, Reference
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.camera import CameraModel

@@ -153,14 +153,14 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match=r"rig\.yaml: expected a place to write .*No space left"):
+    with pytest.raises(InputError, match=r"rig\.yaml: expected a writable path .*No space left"):
         write_rig(Rig.create([camera("new")]), file)
     assert read_rig(file).cameras[0].name == "old"
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_writing_rejects_a_missing_folder(tmp_path):
-    with pytest.raises(InputError, match="expected a place to write the rig to, got: No such file"):
+    with pytest.raises(InputError, match="expected a writable path for the rig, got: No such file"):
         write_rig(Rig.create([camera()]), tmp_path / "missing" / "rig.yaml")
 
 
@@ -200,7 +200,7 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         (
             "fov_deg: 90",
             "fov_deg: 90\n    lens: fisheye\n    distortion: [0.1, 0.0]",
-            r":3: cameras\[0\]: expected numbers that make a camera, got: a fisheye lens has 0 or 4 .*, got 2",
+            r":3: cameras\[0\]: expected valid camera parameters, got: a fisheye lens has 0 or 4 .*, got 2",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    focal_px: [400, 400]", r":3: cameras\[0\]: .* got: fov_rad .* contradicts"),
         ("fov_deg: 90", "fov_deg: 90\n    centre_px: [3, 4]", r":3: cameras\[0\]: .* got: centre_px needs focal_px"),

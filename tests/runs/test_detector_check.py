@@ -69,7 +69,7 @@ def test_overrides_name_the_file_s_meaning(folder, capsys):
     words = ["detector.format=ultralytics-end2end", "detector.labels=[car,person]", "detector.classes.cyclist=[person]"]
     assert main(["detector", "check", "unnamed.onnx", *words]) == 0
     text = capsys.readouterr().out
-    assert "format      ultralytics-end2end: detector.format says so" in text
+    assert "format      ultralytics-end2end: set by detector.format" in text
     assert "labels      2 from detector.labels: car, person" in text
     assert "cyclist     person" in text
     assert "pedestrian  no label" in text

@@ -131,7 +131,7 @@ def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
     tent = Mesh.create(corner, [[0, 1, 2], [4, 3, 2], [3, 0, 2], [1, 4, 2]], (80, 80, 80))
     write_vehicle(tent, tmp_path / "tent.glb")
     assert check("tent.glb") == 2
-    assert "tent.glb: mount surface: expected faces that look upwards" in capsys.readouterr().err
+    assert "tent.glb: mount surface: expected faces that point upwards" in capsys.readouterr().err
 
 
 @needs_opengl

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, InputError
 
 
@@ -20,7 +20,7 @@ def write_text(file: Path, text: str) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    with writing(file), replacing(file) as draft:
+    with writing(file), atomic_write(file) as draft:
         draft.write_text(text, encoding="utf-8")
 
 

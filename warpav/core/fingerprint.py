@@ -1,4 +1,4 @@
-"""Hashes of what something is made with, so that it is made once: inputs, settings, and the code itself."""
+"""Fingerprints of cached files: hashes of inputs, settings and the code that makes scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PACKAGES = ("warpav", "warpav_kernels")
 _DIGITS = 16
 
 
-def recipe(*parts: object, code: Collection[str]) -> str:
+def fingerprint(*parts: object, code: Collection[str]) -> str:
     """Hash of the parts and of the code that works on them, as `digest`.
 
     Args:

@@ -193,18 +193,20 @@ def _cell(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
 
 
-def seen_objects(looks: Mapping[str, Any], scenes: Sequence[Any], rigs: Mapping[str, Rig]) -> tuple[SeenObject, ...]:
+def seen_objects(
+    observations: Mapping[str, Any], scenes: Sequence[Any], rigs: Mapping[str, Rig]
+) -> tuple[SeenObject, ...]:
     """Every object of scenes before several rigs.
 
     Args:
-        looks: `warpav.evaluation.metrics.SceneLooks` by rig.
+        observations: `warpav.evaluation.metrics.SceneObservations` by rig.
         scenes: The scenes on the device.
         rigs: The rigs.
     """
     objects = []
     for number, scene in enumerate(scenes):
-        cameras = {name: each.looks[number].cameras for name, each in looks.items()}
-        outcomes = {name: each.looks[number].outcomes for name, each in looks.items()}
+        cameras = {name: each.observations[number].cameras for name, each in observations.items()}
+        outcomes = {name: each.observations[number].outcomes for name, each in observations.items()}
         for k in range(scene.vehicle_count):
             forward_m, left_m = scene.from_ego_m[k]
             objects.append(

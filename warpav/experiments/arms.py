@@ -1,7 +1,8 @@
-"""Arms of an experiment: named ways in which a rig is found, all on the same scenes and at the same budget of renders.
+"""Arms of an experiment: named search methods, all on the same scenes and at the same budget of renders.
 
 The budget counts scene renders: one scene drawn in all views of a rig. Unless it is given, it is what the gradient
-method of the arm's own configuration spends, with all its looks at all validation scenes; the rivals get as much.
+method of the arm's own configuration spends, including its evaluations of all validation scenes; the other searches get
+the same.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
 
 GREEDY_DIRECTIONS = 8
-"""Directions in which greedy cover looks at each place."""
+"""Directions that greedy cover evaluates at each position."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,10 @@ class Found:
         rig: The rig.
         began_as: The rig that it began as, see `Placement.assigned`; None when camera k took orientation k.
         renders: Scene renders that finding it took.
-        history: Columns of numbers, one for each step or look: ``renders``, ``seconds`` and ``best_value`` so far, on
+        history: Columns of numbers, one per step or evaluation: ``renders``, ``seconds`` and ``best_value`` so far, on
             the scenes that the method compares rigs on, and with the gradient method ``loss``.
-        training_objective: Its objective on all validation scenes; None where nobody has looked.
-        mount_pose: Its mount poses, float32 [camera, 5]; None for cameras that do not look level.
+        training_objective: Its objective on all validation scenes; None if not evaluated.
+        mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
         notes: What else is worth knowing, by name.
     """
 
@@ -79,13 +80,14 @@ Finder = Callable[[Placement, int | None], Found]
 
 @dataclass(frozen=True)
 class Arm:
-    """One way to find a rig.
+    """A search method with its options.
 
     Attributes:
         name: Its name, also in file names: lower-case letters, digits and underscores.
         method: A key of `METHODS`, or the name of a preset.
-        overrides: Options that make the arm, such as ``losses.detected_area=0``; its rigs are judged with them, too.
-        search_overrides: Options for the search alone; rigs are judged without them.
+        overrides: Options that make the arm, such as ``losses.detected_area=0``; they also apply to the evaluation of
+            its rigs.
+        search_overrides: Options for the search alone; the evaluation ignores them.
     """
 
     name: str
@@ -103,8 +105,8 @@ class Arm:
         """The options that set it apart from other arms; the thesis's whole method is not taken apart."""
         return self.overrides if self.name in common_arms() else (*self.overrides, *self.search_overrides)
 
-    def judged_config(self, config: Config) -> Config:
-        """The configuration that its rigs are judged by.
+    def evaluation_config(self, config: Config) -> Config:
+        """The configuration that its rigs are evaluated with.
 
         Raises:
             InputError: The arm's options do not fit the rest.
@@ -134,7 +136,7 @@ class Arm:
             )
         if config.rig.freeze and self.method not in _HOLDING:
             raise InputError(
-                f"arm {self.name}: rig.freeze: expected none, for it places all cameras, got "
+                f"arm {self.name}: rig.freeze: expected none, since it places all cameras, got "
                 f"{', '.join(config.rig.freeze)}; leave the arm or the option out"
             )
         if self.method in _DESCENDING or config.rig.freeze:
@@ -158,7 +160,7 @@ class Arm:
             return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(ranked_count / CMA_SHARE))
         if self.method == "random_batches":
             return config.run.batch_size
-        if self.method == "greedy_cover":  # one place in all directions, and the look at the rig
+        if self.method == "greedy_cover":  # one position in all directions, and the evaluation of the rig
             return ranked_count * (math.ceil(GREEDY_DIRECTIONS / config.rig.cameras) + 1)
         return ranked_count if self.method in METHODS and self.is_seeded else 1
 
@@ -197,7 +199,7 @@ def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
     ``gradient`` is the gradient method of the configuration, ``thesis_gradient`` that of the shipped configuration
-    ``thesis``, judged like all others.
+    ``thesis``, evaluated like all others.
     """
     arms = [Arm(name, name) for name in (*METHODS, *preset_names())]
     return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=thesis_method()), *arms)}
@@ -248,7 +250,7 @@ def _gradient(placement: Placement, render_budget: int | None) -> Found:
     placement = _within(placement, render_budget)
     optimisation = Optimisation.begin(placement)
     starts = placement.config.optimiser.starts
-    return _descended(placement, optimisation.descent, optimisation.began_as, first_looks=starts if starts > 1 else 0)
+    return _descended(placement, optimisation.descent, optimisation.began_as, start_count=starts if starts > 1 else 0)
 
 
 def _within(placement: Placement, render_budget: int | None) -> Placement:
@@ -262,14 +264,14 @@ def _within(placement: Placement, render_budget: int | None) -> Placement:
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, first_looks: int = 0) -> Found:
-    """The rig at the end of a descent, before which so many rigs were looked at on all validation scenes."""
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> Found:
+    """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
     def renders() -> int:
-        return descent.iteration * batch_size + (first_looks + len(descent.candidates)) * len(placement.validation)
+        return descent.iteration * batch_size + (start_count + len(descent.candidates)) * len(placement.validation)
 
     while descent.iteration < placement.config.run.iterations and descent.verdict is None:
         record = descent.step()
@@ -298,7 +300,7 @@ def _start(placement: Placement, render_budget: int | None) -> Found:
 
 
 def _random_rig(placement: Placement, render_budget: int | None) -> Found:
-    """Any rig that may stand there, its cameras turned anyhow; nothing is looked at."""
+    """A random feasible rig with random directions, without evaluation."""
     del render_budget
     space = SearchSpace.over(
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
@@ -360,7 +362,7 @@ def _searched(
     search: Callable[[Placement, Sequence[Any]], Search],
     free_yaw: bool,
 ) -> Found:
-    """A rival search on fixed training scenes."""
+    """A baseline search on fixed training scenes."""
     rng = placement.random_numbers(Stream.SEARCH)
     value, scenes = _ranking(placement, rng, _budget(placement, render_budget), free_yaw=free_yaw)
     result = run_search(search(placement, scenes), value, rng)
@@ -442,7 +444,7 @@ METHODS: dict[str, Finder] = {
     "random_rig": _random_rig,
     "highest": _highest,
     "random_batches": _random_batches,
-    # a random direction would only make a rival weaker: these two keep those that share the vehicles best
+    # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
     "sobol": partial(_searched, search=lambda *_: sobol_search, free_yaw=False),
     "cma": partial(_searched, search=lambda *_: cma_es, free_yaw=True),

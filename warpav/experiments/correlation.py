@@ -127,7 +127,7 @@ def correlate(results: Results, figure: Path | None = None, *, resamples: int = 
 
 
 def correlation_goal(found: Correlations) -> Goal:
-    """Whether the objective that rigs are judged by ranks random rigs as their recall does."""
+    """Whether the evaluation objective ranks random rigs like their recall."""
     text = f"rank correlation of objective and held-out recall over {RIGS_MIN} random rigs at least {CORRELATION_MIN:g}"
     objectives = found.spearman.get(ALL_RANDOM, {})
     estimate = next(iter(objectives.values()), {}).get("tp_detection_rate")

@@ -1,6 +1,6 @@
 """An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
 
-``<folder>/experiment.json`` says what the results were made with, ``<folder>/results/<arm>_<seed>.json`` holds one
+``<folder>/experiment.json`` holds the options of the results, ``<folder>/results/<arm>_<seed>.json`` holds one
 result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again does what is missing, and nothing else.
 """
 
@@ -78,7 +78,7 @@ class Experiment:
         quick_runs_of: The same of the small version.
         reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
         objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
-            its arm is judged by.
+            its arm is evaluated with.
     """
 
     name: str
@@ -230,7 +230,7 @@ def run_experiment(
         experiment: The experiment.
         config: What all arms have in common; run seeds count up from ``run.seed``.
         arms: Only these; they need not be among the experiment's. None: all of the experiment's.
-        runs: Run seeds, at least 1; None: as many as the experiment says.
+        runs: Run seeds, at least 1; None: the experiment's default.
         render_budget: Scene renders for every search; None: as many as the gradient method spends.
         out: Folder; None: ``run.out``, or ``runs/<name>``.
         progress: Where to show it.
@@ -335,21 +335,21 @@ def _placement(config: Config) -> Placement:
 
 def _rig(task: ArmTask) -> dict[str, Any]:
     began = time.perf_counter()
-    judge = _placement(task.arm.judged_config(task.config))
-    placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
+    evaluation = _placement(task.arm.evaluation_config(task.config))
+    placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
     loaded = time.perf_counter()
     found = find_rig_of(task.arm, placement, task.render_budget)
     searched = time.perf_counter()
-    metrics = evaluate_rig(found.rig, judge.assigned(judge.test, found.began_as), judge.objective)
+    metrics = evaluate_rig(found.rig, evaluation.assigned(evaluation.test, found.began_as), evaluation.objective)
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
         "metrics": asdict(metrics),
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "overrides": list(task.arm.overrides),
         "training_objective": found.training_objective,
         "validation_objectives": _validation_objectives(task, found),
-        "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
+        "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "renders": found.renders,
         "seconds": {
@@ -363,19 +363,19 @@ def _rig(task: ArmTask) -> dict[str, Any]:
 
 
 def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
-    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses than the judge's."""
+    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses."""
     values: dict[str, float | None] = {}
     for name, overrides in task.objectives.items():
         values[name] = None
         if found.mount_pose is not None:
-            judge = _placement(changed_config(task.arm.judged_config(task.config), overrides))
-            scenes = judge.assigned(judge.validation, found.began_as)
-            values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
+            evaluation = _placement(changed_config(task.arm.evaluation_config(task.config), overrides))
+            scenes = evaluation.assigned(evaluation.validation, found.began_as)
+            values[name] = evaluation.objective.evaluate(found.mount_pose, scenes).objective
     return values
 
 
 def _gradients(task: ArmTask) -> dict[str, Any]:
-    config = task.arm.judged_config(task.config)
+    config = task.arm.evaluation_config(task.config)
     began = time.perf_counter()
     placement = _placement(config)
     loaded = time.perf_counter()
@@ -411,7 +411,7 @@ def _tasks(
             SCHEMA,
             arm.method,
             render_budget,
-            unseeded(arm.judged_config(config)),
+            unseeded(arm.evaluation_config(config)),
             unseeded(arm.search_config(config)),
             sorted(objectives.items()),
         )
@@ -523,7 +523,7 @@ def _is_there(task: ArmTask) -> bool:
     """Whether a task's result is there already.
 
     Raises:
-        InputError: Something else is in its place.
+        InputError: The path is taken by something else.
     """
     if not task.file.is_file():
         return False
@@ -544,7 +544,7 @@ def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> No
     """
     tried = []
     for arm in arms:
-        for each in (arm.judged_config(config), arm.search_config(config)):
+        for each in (arm.evaluation_config(config), arm.search_config(config)):
             losses = each.losses
             needs = (
                 each.detector,
@@ -584,7 +584,7 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
     """
     tried = []
     for arm in arms:
-        for each in (arm.judged_config(config), arm.search_config(config)):
+        for each in (arm.evaluation_config(config), arm.search_config(config)):
             needs = (each.rig, each.mount, each.camera, each.method)
             if arm.method in preset_names() or needs in tried:
                 continue
@@ -595,7 +595,7 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
 def outcomes(
     function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
 ) -> Iterator[Outcome[Task, dict[str, Any]]]:
-    """Do tasks where the configuration says; what becomes of them, as they finish."""
+    """Run tasks with the configured executor; yields their outcomes as they finish."""
     executor = config.executor
     return run_tasks(
         function,
@@ -626,7 +626,7 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
     return f"{name}: {shown}  {result['renders']} renders  {took}"
 
 
-def read_json(file: Path) -> Any:  # noqa: ANN401 (whatever JSON holds)
+def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
     """The content of a result.
 
     Raises:

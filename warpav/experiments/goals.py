@@ -25,7 +25,7 @@ PRESET_GAIN_MIN = 0.10
 """Least relative gain of recall above a preset with as many cameras."""
 
 ELSEWHERE = "thesis_gradient"
-"""The arm that searches under other constraints than it is judged by."""
+"""The arm whose search uses other constraints than its evaluation."""
 
 TOLERANCE = 1e-6
 """Objectives that differ by less are the same: rounding of float32."""
@@ -137,7 +137,7 @@ def _above_rivals(metric: str, table: ArmsTable) -> Goal:
     text = f"{COMPARED[metric]} at least that of {', '.join(RIVALS)}"
     known = {arm: value for arm, value in rivals.items() if value is not None}
     if ours is None or not known:
-        return Goal(text, None, "no rival has run")
+        return Goal(text, None, "no baseline has run")
     numbers = f"{ours:.4f} against " + ", ".join(f"{arm} {value:.4f}" for arm, value in known.items())
     lost = [arm for arm, value in known.items() if ours < value]
     for arm in lost:

@@ -29,7 +29,9 @@ LOSS_OF = {
 
 THESIS_RUNS = 10
 THESIS_ITERATIONS = 100
-THESIS_SETTINGS = OptimiserSettings(learning_rate_yaw_deg=math.degrees(0.25))
+THESIS_SETTINGS = OptimiserSettings(
+    learning_rate_position_m=0.25, learning_rate_yaw_deg=math.degrees(0.25), weight_decay=1e-3
+)
 THESIS_BATCH_SIZE = 1
 
 
@@ -84,8 +86,8 @@ def measure_gradient_magnitudes(
 ) -> dict[str, GradientMagnitude]:
     """Mean magnitudes of every loss's gradient along descents in which all losses count, unscaled.
 
-    Every run starts at random places; every iteration differentiates each loss by itself, and the cameras follow the
-    sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
+    Every run starts at random positions; every iteration differentiates each loss separately, and the cameras follow
+    the sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
     cameras, iterations and runs.
 
     Args:

@@ -153,12 +153,12 @@ class _Observer:
         )
         views = []
         for scene in self._progress.steps(how, scenes, count=len(scenes)):
-            look = observer.look(DeviceScene.pack(scene, device=self._device))
+            observation = observer.observe(DeviceScene.pack(scene, device=self._device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
-                for camera, seen in zip(rig.cameras, look.cameras, strict=True)
+                for camera, seen in zip(rig.cameras, observation.cameras, strict=True)
             ]
-            views.append(SceneViews(scene, look.detected, panels))
+            views.append(SceneViews(scene, observation.detected, panels))
         return views
 
 
@@ -183,7 +183,8 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)
     else:
-        start, result = run.rig("initial"), run.rig()
+        # the rig that was found, even where the run hands over its start because that is better
+        start, result = run.rig("initial"), run.rig("final" if config.optimiser.keep == "last" else "best")
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
     observer = _Observer(config, progress)

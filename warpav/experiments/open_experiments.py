@@ -1,6 +1,6 @@
 """The experiments of our own.
 
-All ways to find a rig at one budget of renders; the default method with one thing changed at a time; whether its
+All methods at one budget of renders; the default method with one option changed at a time; whether its
 objective ranks rigs as the detector does.
 """
 
@@ -29,7 +29,7 @@ REFERENCE = "gradient"
 """The default method, with which all others are compared."""
 
 CONFIGURED = "configured"
-"""Name of the objective that the arms are judged by."""
+"""Name of the objective that the arms are evaluated with."""
 
 PRESETS = ("nuscenes", "argoverse2")
 """Presets that are compared with the default method of as many cameras."""
@@ -68,7 +68,7 @@ _CHANGES = {
     "detector_30": ("losses.detector_share=0.3",),
     "detector_60": ("losses.detector_share=0.6",),
 }
-"""What an arm of the ablations searches by; all are judged by the configuration as it is."""
+"""Search options of each ablation; all arms are evaluated with the unchanged configuration."""
 
 
 def _experiments() -> dict[str, Experiment]:
@@ -170,7 +170,7 @@ def run_open(
             return done
         reference = experiment.reference if experiment.reference in there else there[0]
         table = compare_results(done.results, reference, resamples=resamples)
-        # the goals are the default method's, and nobody else can stand for it
+        # the goals apply to the default method only
         has_goals = name == "open" and reference == experiment.reference
         goals = goals_of(done.results, table, PRESETS, resamples=resamples) if has_goals else []
         odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]

@@ -1,4 +1,4 @@
-"""The rigs of an experiment judged anew: by another detector, in larger images, on scenes from elsewhere.
+"""Rescoring of an experiment's rigs with another detector, image size or source of scenes.
 
 ``<folder>/rescored_<name>/`` holds what the folder of an experiment holds. The rigs stay as they are; the same command
 again does what is missing.
@@ -48,7 +48,7 @@ from warpav.runs.placement import placement_on
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
-"""Sections of options that say how rigs are judged."""
+"""Sections of options that affect the evaluation of rigs."""
 
 JUDGING_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
@@ -59,11 +59,11 @@ _RECALL = "tp_detection_rate"
 
 @dataclass(frozen=True)
 class RescoreTask:
-    """One rig to be judged anew.
+    """One rig to rescore.
 
     Attributes:
         name: Name of its files.
-        config: How to judge it.
+        config: Configuration of the evaluation.
         source: Folder of the results that it comes from.
         folder: Folder of the new results.
         made_with: Hash of all that the new result depends on.
@@ -97,18 +97,18 @@ def check_judging(overrides: Sequence[str]) -> None:
     """Refuse overrides that would change rigs, or nothing.
 
     Raises:
-        InputError: One of them is no option of judging, or there is none.
+        InputError: One of them is not an option of the evaluation, or there is none.
     """
     if not overrides:
         raise InputError(
-            "experiment rescore: expected options to judge by, such as detector.model=FILE.onnx or "
+            "experiment rescore: expected evaluation options such as detector.model=FILE.onnx or "
             "scenes.source=captured, got none"
         )
     for override in overrides:
         option = overridden_option(override)
         if option.partition(".")[0] not in JUDGING and option not in JUDGING_OPTIONS:
             raise InputError(
-                f"command line ({override}): {option}: expected an option by which rigs are judged: of "
+                f"command line ({override}): {option}: expected an evaluation option: of "
                 f"{', '.join(JUDGING)}, or {', '.join(JUDGING_OPTIONS)}; rigs stay as they are"
             )
 
@@ -132,7 +132,7 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
 
 
 def light_overrides(config: Config) -> tuple[str, ...]:
-    """Overrides that leave out what judging a rig does not need: training, validation, losses that ask for a fit."""
+    """Overrides that disable what rescoring does not need: training, validation, losses that need a fit."""
     return (
         f"scenes.train_seeds=[{_unused_seed(config)}]",
         "scenes.validation_seeds=null",
@@ -154,11 +154,11 @@ def run_rescore(
     resamples: int = RESAMPLES,
     progress: Progress,
 ) -> Finished:
-    """Judge all rigs of an experiment anew, show the table, and say whether the arms come in the same order.
+    """Rescore all rigs of an experiment, show the table, and report whether the arms keep their order.
 
     Args:
         folder: Folder of the experiment.
-        config: Its configuration, changed as rigs are to be judged now.
+        config: Its configuration with the changed evaluation options.
         name: The new results go to ``<folder>/rescored_<name>``.
         resamples: Of the bootstraps.
         progress: Where to show it.
@@ -188,7 +188,7 @@ def run_rescore(
             failed.append(f"{outcome.task.name}: {outcome.error}")
     after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
     for task in tasks:
-        if _is_there(task):  # what another judge said before is none of it
+        if _is_there(task):  # results of other evaluation options do not count
             result = read_json(task.file)
             after[result["arm"]].append(result)
     there = [arm for arm, runs in after.items() if runs]
@@ -229,7 +229,7 @@ def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def rescore_rig(task: RescoreTask) -> dict[str, Any]:
-    """Judge a rig, write the new result and return it."""
+    """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
     traffic = traffic_of_process(config, NullProgress())
@@ -237,7 +237,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     metrics = asdict(evaluate_rig(rig, placement.test, placement.objective, with_objective=False))
     old = read_json(task.source / RESULTS / f"{task.name}.json")
-    for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, whoever judges it
+    for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
     result = {
         "schema": SCHEMA,
@@ -253,7 +253,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
 
 
 def resized(rig: Rig, config: Config) -> Rig:
-    """The same rig with images of the configuration's size; places, directions and fields of view stay."""
+    """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
     camera = config.camera
     return Rig.create(
         [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
@@ -301,7 +301,7 @@ def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path) -> Re
 
 
 def _is_there(task: RescoreTask) -> bool:
-    """Whether a rig has been judged so already; a result that was made otherwise is made again."""
+    """Whether a rig has been rescored with the same options; other results are replaced."""
     if not task.file.is_file():
         return False
     result = read_json(task.file)

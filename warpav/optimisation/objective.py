@@ -16,8 +16,8 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav.detection.detector import Detections as DetectedBoxes
 from warpav.detection.detector import Detector
-from warpav.detection.in_loop import DetectorInLoop, Picture
-from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
+from warpav.detection.in_loop import DetectorInLoop, RenderedImage
+from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.exchange import Exchange
@@ -72,7 +72,7 @@ class _Observed:
     """
 
     step: SceneStep
-    sight: Sight | None
+    sight: VisibleObjects | None
     camera: list[int]
 
 
@@ -175,7 +175,7 @@ class RigObjective:
                 raise InputError(f"losses: {loss.name} takes one field of view for all cameras, got several")
 
     @property
-    def ahead_view(self) -> list[int]:
+    def forward_view(self) -> list[int]:
         """The view of each camera, among those of `observe_rig`, in which it really looks."""
         return self._views_for(self.final_schedule).ahead
 
@@ -393,7 +393,7 @@ class RigObjective:
         seconds: dict[str, float],
     ) -> tuple[list[_Observed], Callable[[], list[DetectedBoxes]]]:
         """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
-        observed, pictures = [], []
+        observed, images = [], []
         started = time.perf_counter()
         needs = self._needs(schedule)
         for assigned, slot in scenes:
@@ -401,20 +401,21 @@ class RigObjective:
             step.observe()
             sight, cameras = None, []
             if needs.detections or needs.true_boxes:
-                sight = see(views.renderers[slot], step.scene, ahead_view=views.ahead)
+                sight = visible_objects(views.renderers[slot], step.scene, forward_view=views.ahead)
                 step.set_true_boxes(sight.truth_box_px)
                 cameras = self._cameras_that_matter(sight, assigned, needs.detections)
             observed.append(_Observed(step, sight, cameras))
-            pictures += [
-                Picture(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1]) for camera in cameras
+            images += [
+                RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
+                for camera in cameras
             ]
         rendered = time.perf_counter()
-        answers = self._loop.ask(pictures)
+        answers = self._loop.ask(images)
         seconds["render"] += rendered - started
         seconds["detect"] += time.perf_counter() - rendered
         return observed, answers
 
-    def _cameras_that_matter(self, sight: Sight, assigned: AssignedScene, detections: Detections) -> list[int]:
+    def _cameras_that_matter(self, sight: VisibleObjects, assigned: AssignedScene, detections: Detections) -> list[int]:
         """Cameras that see enough of an object that some loss asks them for."""
         if detections is Detections.NONE:
             return []
@@ -483,7 +484,7 @@ class RigObjective:
             renderer,
             scene,
             self.detector,
-            ahead_view=at.ahead,
+            forward_view=at.ahead,
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )

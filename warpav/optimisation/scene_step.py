@@ -199,8 +199,7 @@ class SceneStep:
                 values.append(value)
                 for array, part in gradient.items():
                     gradients[array] = part if array not in gradients else _sum(gradients[array], part)
-        weight = self._exchange.weight
-        tape.backward(grads={**{loss: weight[k : k + 1] for k, loss in enumerate(losses)}, **gradients})
+        tape.backward(grads={**dict(zip(losses, self._exchange.weights, strict=True)), **gradients})
         self._keep(scene, losses, values)
 
     def _evaluate(self) -> None:

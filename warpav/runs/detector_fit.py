@@ -17,7 +17,15 @@ from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
-from warpav.detection.probability_fit import BIN_COUNT, Scores, Sightings, fit_probability, look, random_cameras, score
+from warpav.detection.probability_fit import (
+    BIN_COUNT,
+    DetectionSamples,
+    Scores,
+    fit_probability,
+    random_cameras,
+    sample_detections,
+    score,
+)
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Occlusion, Renderer
@@ -102,8 +110,8 @@ class Fit:
     """
 
     model: DetectionProbability
-    known: Sightings
-    unseen: Sightings
+    known: DetectionSamples
+    unseen: DetectionSamples
     probability: np.ndarray
     scores: Scores
 
@@ -240,9 +248,9 @@ def fit(
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
     detector = load_detector(config) if detector is None else detector
-    sightings = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
+    samples = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
     progress.stage("fitting")
-    known, unseen = sightings.of_seeds(seeds.fit), sightings.of_seeds(seeds.held_out)
+    known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
         model, penalty = fit_probability(known, rng=np.random.default_rng([config.run.seed, _FOLDS]))
     except ValueError as error:
@@ -279,7 +287,7 @@ def _existing(file: Path) -> Path | None:
 
 def _look_at_scenes(
     config: Config, seeds: Sequence[int], detector: Detector, ego: Mesh | None, progress: Progress
-) -> Sightings:
+) -> DetectionSamples:
     """What the detector finds of the scenes through random cameras on the mount surface."""
     device = checked_device(config.device)
     model = camera_model(config)
@@ -291,13 +299,13 @@ def _look_at_scenes(
         device=device,
     )
 
-    def parts() -> Iterator[Sightings]:
+    def parts() -> Iterator[DetectionSamples]:
         surface = None
         for seed, scene in zip(seeds, load_scenes(config, seeds, ego=ego), strict=True):
             surface = surface or mount_surface(config, scene.ego)
             packed = DeviceScene.pack(scene, device=device)
             if packed.vehicle_count == 0:
-                yield Sightings.join([])
+                yield DetectionSamples.join([])
                 continue
             cameras = random_cameras(
                 np.random.default_rng([config.run.seed, _CAMERAS, seed]),
@@ -307,9 +315,9 @@ def _look_at_scenes(
                 count=-(-VIEWS_PER_SCENE // at_once) * at_once,
                 **vars(free_ranges(config)),
             )
-            yield Sightings.join(
+            yield DetectionSamples.join(
                 [
-                    look(
+                    sample_detections(
                         renderer,
                         packed,
                         cameras[first : first + at_once],
@@ -322,11 +330,11 @@ def _look_at_scenes(
                 ]
             )
 
-    return Sightings.join(list(progress.steps("looking at scenes", parts(), count=len(seeds))))
+    return DetectionSamples.join(list(progress.steps("looking at scenes", parts(), count=len(seeds))))
 
 
-def _counts(sightings: Sightings) -> dict[str, int]:
-    return {"objects": len(sightings), "detected": int(sightings.is_detected.sum())}
+def _counts(samples: DetectionSamples) -> dict[str, int]:
+    return {"objects": len(samples), "detected": int(samples.is_detected.sum())}
 
 
 def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> Path:

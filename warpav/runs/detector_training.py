@@ -12,7 +12,7 @@ from typing import Any
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
-from warpav.detection.training.data import SUBSETS, load_pictures, write_pictures
+from warpav.detection.training.data import SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
@@ -141,10 +141,10 @@ def measure_detector(
     report: dict[str, dict[str, dict[str, Any]]] = {}
     for name, title in _SUBSETS.items():
         say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
-        write_pictures(SUBSETS[name], folder / name, processes=processes)
+        write_images(SUBSETS[name], folder / name, processes=processes)
         report[title] = {
             str(side_px): evaluate(detector, each.first(image_count))
-            for side_px, each in load_pictures(folder / name).items()
+            for side_px, each in load_images(folder / name).items()
         }
     write_json(out / "evaluation.json", report)
     text = tables(report)

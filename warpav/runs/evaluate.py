@@ -7,7 +7,7 @@ from typing import Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.metrics import look_at_scenes, metrics_of
+from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.assignment import AssignedScene
 from warpav.rig.rig import Rig
@@ -83,7 +83,7 @@ def evaluate_on(
     """
     began_as = {} if began_as is None else began_as
     looks = {
-        name: look_at_scenes(rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective)
+        name: observe_scenes(rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective)
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }
     packed = [assigned.scene for assigned in scenes]

@@ -316,7 +316,7 @@ def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
 
     device = checked_device(config.device)
     observer = _observer(rig, load_detector(config), config, device)
-    return observer.look(DeviceScene.pack(scene, device=device)).outcomes
+    return observer.observe(DeviceScene.pack(scene, device=device)).outcomes
 
 
 def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:

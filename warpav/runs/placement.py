@@ -19,9 +19,10 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras, assign_vehicles, nearest_cameras
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import Loss, LossSchedule
-from warpav.optimisation.losses.registry import LOSSES, LossOptions, losses_of
+from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
 from warpav.rig.presets import preset_names
@@ -190,7 +190,7 @@ class RunFolder:
         with writing(folder):
             folder.mkdir(exist_ok=True)
             for name, encoded in image_of.items():
-                with replacing(folder / name) as draft:
+                with atomic_write(folder / name) as draft:
                     draft.write_bytes(encoded)
         write_json(self.path / "figures" / "views.json", views)
 
@@ -346,7 +346,7 @@ def _numbered_folder(name: str) -> Path:
 def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import numpy as np
 
-    with writing(file), replacing(file) as draft, draft.open("wb") as stream:
+    with writing(file), atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 

@@ -107,12 +107,12 @@ def check_vehicle(
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
     try:
-        surface = mount_surface(config, shown.mended)
+        surface = mount_surface(config, shown.corrected)
     except InputError as error:
         problems.append(VehicleProblem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.mended)
+        lines += _mount_lines(surface, shown.corrected)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
@@ -120,7 +120,7 @@ def check_vehicle(
     if picture is not None:
         lines.append(f"wrote {_draw(shown, surface, picture, path.name)}")
     if out is not None and is_fixable:
-        write_vehicle(found.mended, out, source=path.name)
+        write_vehicle(found.corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
         return VehicleReport(tuple(lines), ())
     found_wrong = tuple(f"{path}: {problem.text}" for problem in problems)
@@ -222,7 +222,7 @@ def _draw(found: Examination, surface: MountSurface | None, image: Path, title: 
 
     axles: Sequence[float] = found.wheels.axle_m if found.wheels else ()
     axle_m = [x + found.shift_m[0] for x in axles]
-    return plot(found.mended, mount_surface=surface, axle_m=axle_m, title=title, out=image)
+    return plot(found.corrected, mount_surface=surface, axle_m=axle_m, title=title, out=image)
 
 
 def _row(name: str, text: str) -> str:

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
 from warpav.scene.town.town import town_scene
@@ -75,7 +75,7 @@ def town_scenes(
 
 def scene_file(seed: int, folder: Path) -> Path:
     """The file that keeps the scene of a seed."""
-    made_of = recipe(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
+    made_of = fingerprint(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
     return folder / f"town_{seed}_{made_of}.npz"
 
 
@@ -109,7 +109,7 @@ def _write(scene: Scene, file: Path) -> None:
         "vehicles": len(scene.vehicles),
         "users": [[user.instance_id, user.category, user.box.yaw_rad] for user in users],
     }
-    with replacing(file) as draft, draft.open("wb") as stream:
+    with atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez(
             stream,
             words=np.frombuffer(json.dumps(words).encode(), np.uint8),

@@ -110,7 +110,7 @@ class Vehicle:
 
     @property
     def road_user(self) -> str:
-        """Its kind out of `ROAD_USERS`: whatever is neither a person nor a cyclist counts as a vehicle."""
+        """Its kind out of `ROAD_USERS`: anything else than a person or cyclist counts as a vehicle."""
         return _ROAD_USER_OF_CATEGORY.get(self.category.lower(), "vehicle")
 
     def mirrored(self) -> Vehicle:
@@ -138,7 +138,7 @@ BLACK_SKY = Sky(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
 class Scene:
     """One traffic situation, in the ego frame.
 
-    Ego frame: ISO 8855, x forward, y left, z up; origin on the ground below the middle of the rear axle.
+    Ego frame: ISO 8855, x forward, y left, z up; origin on the ground below the centre of the rear axle.
 
     Attributes:
         name: Short name, such as ``town_0007``.
@@ -148,8 +148,8 @@ class Scene:
             otherwise.
         sky: The background.
         source: Where it came from, such as ``town seed 7``.
-        others: The other road users, in order of instance id. They are drawn and hide the vehicles as the environment
-            does, but no loss and no metric asks for them.
+        others: The other road users, in order of instance id. They are rendered and occlude the vehicles like the
+            environment does, but no loss and no metric asks for them.
     """
 
     name: str
@@ -184,7 +184,7 @@ class Scene:
         )
 
     def around(self, ego: Mesh) -> Scene:
-        """The scene with another ego vehicle; road users at whose places it stands are left out."""
+        """The scene with another ego vehicle; road users that overlap with it are removed."""
         low_m, high_m = ego.bounds_m()[:, :2]
         vehicles, others = (
             tuple(user for user in users if not user.box.meets_m(low_m, high_m))
@@ -246,7 +246,7 @@ class Scene:
     def to_pyvista(self) -> MultiBlock:
         """The scene as ``pyvista.MultiBlock``: ``environment``, ``ego``, ``vehicle_<instance id>`` of all road users.
 
-        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the way back.
+        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the inverse.
         """
         from warpav.view.blocks import scene_to_pyvista
 

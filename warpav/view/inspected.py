@@ -21,7 +21,7 @@ from warpav.rig.rig import Rig, RigCamera, write_rig
 
 if TYPE_CHECKING:
     from warpav.evaluation.coverage import Coverage
-    from warpav.evaluation.metrics import RigLook, RigObserver
+    from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
@@ -160,9 +160,9 @@ class InspectedRig:
         return coverage
 
     @cached_property
-    def observation(self) -> RigLook:
+    def observation(self) -> RigObservation:
         """What the detector makes of the scene."""
-        return self._observer_of(self.rig).look(self.packed)
+        return self._observer_of(self.rig).observe(self.packed)
 
     @property
     def violation_m(self) -> float:

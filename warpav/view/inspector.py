@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from warpav.evaluation.coverage import Ground
-    from warpav.evaluation.metrics import CameraLook
+    from warpav.evaluation.metrics import CameraObservation
     from warpav.rig.rig import RigCamera
     from warpav.view.inspected import InspectedRig
 
@@ -437,7 +437,7 @@ def _label_m(camera: RigCamera) -> tuple[float, float, float]:
     return float(x), float(y), float(corner[:, 2].max()) + 0.12
 
 
-def framed_view(observed: CameraLook, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
+def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
     """A camera's image with boxes and a coloured border.
 
     Args:

@@ -110,7 +110,7 @@ CORRUPT = {
         ("P0: ", "P0 ", "000000.txt:1: expected KEY: NUMBERS, got 'P0 320"),
     ],
     "opencv": [
-        ("R: ", "Q: ", "camera_from_ego: expected the camera's place: camera_from_ego (4 x 4), or R and T"),
+        ("R: ", "Q: ", "camera_from_ego: expected the camera's pose: camera_from_ego (4 x 4), or R and T"),
         ("camera_matrix", "matrix", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got nothing"),
         ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
         ("data: [ 320., ", "data: [ 320.; ", "expected an OpenCV FileStorage file"),
@@ -271,7 +271,7 @@ def test_a_mirrored_rig_is_refused_with_the_dialect_to_try(tmp_path):
 
 def test_places_in_another_unit_are_refused(tmp_path):
     file = spoilt("nuscenes", tmp_path, "[1.7, 0.5, 1.6]", "[1700, 500, 1600]")
-    assert "expected a place within 100 m of the rear axle" in refusal(file, "nuscenes")
+    assert "expected a position within 100 m of the rear axle" in refusal(file, "nuscenes")
 
 
 @pytest.mark.parametrize(
@@ -296,7 +296,7 @@ def test_xacro_is_refused_with_the_command_to_run(tmp_path):
 
 def test_a_folder_of_files_with_several_cameras_is_refused(tmp_path):
     write_sample("kitti", tmp_path)
-    assert "000000.txt: expected one camera a file in a folder" in refusal(tmp_path, "kitti")
+    assert "000000.txt: expected one camera per file in a folder" in refusal(tmp_path, "kitti")
     assert KITTI.count("P") == 4
     assert KALIBR.count("cam") > 2
 
@@ -319,7 +319,7 @@ def test_exports_replace_nothing_unless_told(tmp_path):
     assert json.loads(file.read_text())
     (tmp_path / "wall").write_text("")
     for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
-        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; name another place$"):
+        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; choose another path$"):
             export_rig_with_notes(plain_rig("a"), "autoware", target, overwrite=True)
     with pytest.raises(InputError, match="expected a place to write to, got"):
         export_rig_with_notes(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
@@ -388,7 +388,7 @@ def test_the_command_checks_rigs(tmp_path, capsys):
     assert main(["rig", "check", "unidrive_6x60"]) == 0
     output = capsys.readouterr().out
     assert "FRONT: at 0.000 0.000 1.600 m, yaw 0.0 pitch 0.0 roll 0.0 deg, pinhole 60.0 deg, 1600 x 900 px" in output
-    assert "odd: cameras 'FRONT' and 'FRONT_LEFT' share one place" in output
+    assert "odd: cameras 'FRONT' and 'FRONT_LEFT' share one position" in output
     assert "can be exported as nuscenes" in output
     mirrored = tmp_path / "rig.yaml"
     write_rig(

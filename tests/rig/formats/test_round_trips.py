@@ -176,7 +176,7 @@ def test_what_is_left_out_is_said(tmp_path):
         export_rig_with_notes(rig, "carla-python", tmp_path / "a.json")
     _, notes = export_rig_with_notes(rig, "carla-python", tmp_path / "a.json", approximate=True)
     text = "\n".join(notes)
-    for thing in ("the lens's distortion is left out", "focal lengths that differ", "a principal point (310, 240 px)"):
+    for thing in ("the lens's distortion is dropped", "focal lengths that differ", "a principal point (310, 240 px)"):
         assert thing in text
     back = import_rig_with_notes(tmp_path / "a.json", "carla-python")[0].cameras[0]
     assert back.model.intrinsics[0, 0] == pytest.approx(500.0)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 SCHEMA = "warpav-bench-1"
 ITEMS = ("w1", "w2", "w3")
 SWEEP = (1, 2, 4, 8)
-# Beyond these, embree's minutes would outweigh what the comparison tells.
+# Above these sizes, embree's minutes are not worth the comparison.
 MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
 MAX_EMBREE_REPEAT = 5
 

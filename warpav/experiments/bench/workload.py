@@ -1,8 +1,8 @@
 """The benchmark's files: a workload (scene, cameras, weights) and its truth, read, checked, and put on a device.
 
 A workload is an ``.npz`` of format 1. Its world is the thesis's (x left, y up, z forward, metres) with the ego vehicle,
-which is not drawn, at the origin. Cameras stand level at a pose (x, z, yaw); each makes four views, turned by quarters
-of a circle, and view = camera * 4 + rotation. The first objects are vehicles, the others only hide them.
+which is not rendered, at the origin. Cameras are level at a pose (x, z, yaw); each has four views, rotated by quarters
+of a circle, and view = camera * 4 + rotation. The first objects are vehicles, the others only occlude them.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ def pack_workload(workload: Workload, *, device: str = "cpu") -> DeviceScene:
         """Objects from the first to before the end."""
         a, b = (0 if k == 0 else int(workload.vertex_end[k - 1]) for k in (first, end))
         p, q = (0 if k == 0 else int(triangle_end[k - 1]) for k in (first, end))
-        if p == q:  # no triangle: one that covers nothing stands in
+        if p == q:  # no triangle: use a degenerate one
             vertex = vertex_ego_m[a:b] if b > a else np.zeros((1, 3), np.float32)
             return Mesh(vertex, np.zeros((1, 3), np.int32), np.zeros(vertex.shape, np.uint8))
         return Mesh(vertex_ego_m[a:b], workload.triangle[p:q] - np.int32(a), grey[a:b])
@@ -288,7 +288,7 @@ def _rgb(workload: Workload, meshes: Sequence[Mesh]) -> np.ndarray:
     count = workload.vehicle_count
     parts = [workload.vertex_rgb[ends[count] :], workload.vertex_rgb[:0]]
     parts += [workload.vertex_rgb[ends[k] : ends[k + 1]] for k in range(count)]
-    padded = [  # a stand-in has a vertex that the workload has not
+    padded = [  # the degenerate triangle adds a vertex
         np.r_[part, np.zeros((len(mesh.vertex_m) - len(part), 3), np.float32)]
         for part, mesh in zip(parts, meshes, strict=True)
     ]
@@ -368,6 +368,6 @@ class _Fields:
         bad = np.argwhere(~is_good(value)) if is_good is not None else np.zeros((0, value.ndim))
         if len(bad):
             at = [int(i) for i in bad[0]]
-            place = f" at {at}" if at else ""
-            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{place}")
+            where = f" at {at}" if at else ""
+            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{where}")
         return value

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpav.optimisation.losses.loss import DeviceLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.losses.loss import HostLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.raster.renderer import BOTTOM, LEFT, RIGHT, TOP
 
@@ -69,10 +69,10 @@ class DetectorGradient(HostLoss):
             return unseen_loss / len(assigned), {}
 
         shown, image_index = np.unique(camera, return_inverse=True)  # only images that show one of them
-        view = np.asarray(scene.ahead_view)[camera]
+        view = np.asarray(scene.forward_view)[camera]
         box_px = truth_box_px[camera, vehicle]
         objects = (image_index, box_px, scene.scene.road_user_index[vehicle])
-        shown_view = [scene.ahead_view[k] for k in shown]
+        shown_view = [scene.forward_view[k] for k in shown]
         if weight is None or tape is None:
             result = self.detector.loss(scene.renderer.rgb(scene.scene, shown_view), *objects)
             return (float(result.loss.sum()) + unseen_loss) / len(assigned), {}

@@ -8,7 +8,7 @@ from typing import Literal
 import warp as wp
 
 from warpav.optimisation.losses.loss import Detections, DeviceLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.raster.device_scene import DeviceScene
 from warpav_kernels.placement import expected_misses

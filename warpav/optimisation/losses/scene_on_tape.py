@@ -52,7 +52,7 @@ class SceneOnTape:
         detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
         panorama_share: See `LossSchedule`, float [1].
         detector_share: Likewise, float [1].
-        ahead_view: The view of each camera in which it looks straight ahead.
+        forward_view: The view of each camera in which it looks straight ahead.
         image: What the cameras see ahead, 0..1, vec3 [camera, row, column].
         camera_probability: How likely a camera is to detect; None where no loss needs it.
         truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
@@ -69,7 +69,7 @@ class SceneOnTape:
     detected: wp.array
     panorama_share: wp.array
     detector_share: wp.array
-    ahead_view: list[int]
+    forward_view: list[int]
     image: wp.array
     camera_probability: CameraProbability | None = None
     truth_box_px: np.ndarray | None = None

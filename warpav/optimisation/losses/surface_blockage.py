@@ -8,7 +8,7 @@ import warp as wp
 
 from warpav.optimisation.losses.assigned_vehicles import AssignedVehicleLoss
 from warpav.optimisation.losses.loss import LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
 

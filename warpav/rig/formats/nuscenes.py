@@ -134,7 +134,7 @@ def _tokens_of_scene(folder: Path, scene: str) -> set[str]:
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """The table and the two beside it; of sample_data only what says how large the images are."""
+    """The table and the two beside it; of sample_data only the image sizes."""
     tables: dict[str, list[dict]] = {_TABLE: [], "sensor.json": [], "sample_data.json": []}
     for camera in cameras:
         model = pinhole_of(camera, losses)
@@ -181,7 +181,7 @@ FORMAT = RigFormat(
     "nuscenes",
     frame="sensor to vehicle, x forward, y left, z up, right-handed, metres; quaternions w x y z; cameras x right, "
     "y down, z forward",
-    origin="below the middle of the rear axle",
+    origin="below the centre of the rear axle",
     is_ego_origin=True,
     read=read,
     write=write,

@@ -23,7 +23,7 @@ from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layo
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_glass, ego_mesh, vehicle_glass, vehicle_mesh
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
-EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the middle of the ego vehicle
+EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
 _TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
 _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face the eye
@@ -84,7 +84,7 @@ class _Placed:
 def ego_vehicle() -> Mesh:
     """The vehicle that carries the cameras, the same in every scene.
 
-    Ego frame: x forward, y left, z up, metres; origin on the ground below the middle of the rear axle.
+    Ego frame: x forward, y left, z up, metres; origin on the ground below the centre of the rear axle.
     """
     return ego_mesh()
 

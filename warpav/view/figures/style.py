@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, InputError
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, hex_colour
 
@@ -74,7 +74,7 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     figure.savefig(encoded, format="png", metadata={"Software": None})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as draft:
+        with atomic_write(path) as draft:
             draft.write_bytes(encoded.getvalue())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
