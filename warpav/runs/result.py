@@ -192,7 +192,7 @@ def _drawing(
     arrows: bool = True,
     visibility: bool = False,
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    from warpav.runs.inspect import DrawnRun, rigs_of_events
+    from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
     placement, events = result.placement, [asdict(record) for record in result.records]
     frames = rigs_of_events(events, result.rig, place="result")
