@@ -135,6 +135,7 @@ class Placement:
         freeze: str | Sequence[str] = (),
         rig: RigConfig | Mapping[str, Any] | None = None,
         losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
+        probability: DetectionProbability | None = None,
         config: Config | None = None,
     ) -> None:
         """A placement from objects.
@@ -153,6 +154,8 @@ class Placement:
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+            probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
+                None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
 
         Raises:
@@ -206,6 +209,7 @@ class Placement:
             names or found.rig.freeze,
             mesh,
             networks=None if own_detector is None else Networks(own_detector, None),
+            probability=probability,
             losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
             has_own_detector=own_detector is not None,
             has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),

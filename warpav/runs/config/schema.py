@@ -514,8 +514,8 @@ def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
     result = dict(below)
     for name, value in above.items():
         under = result.get(name)
-        is_section = isinstance(under, Mapping) and isinstance(value, Mapping)
-        result[name] = merged(under, value) if is_section else value
+        both = isinstance(under, Mapping) and isinstance(value, Mapping)
+        result[name] = merged(dict(under or {}), value) if both else value
     return result
 
 
@@ -594,7 +594,7 @@ class Config(Section):
         if not isinstance(method, str) or method not in METHOD_LOSSES:
             return data  # refused in a moment, with its place
         if isinstance(data.get("losses"), dict):
-            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}  # pyright: ignore[reportCallIssue]
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
