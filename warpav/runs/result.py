@@ -196,7 +196,7 @@ def _drawing(
 
     placement, events = result.placement, [asdict(record) for record in result.records]
     frames = rigs_of_events(events, result.rig, place="result")
-    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    scene = placement.shown if scene is None else next(placement.as_seen([scene]))
     run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
     return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 
