@@ -32,11 +32,12 @@ from scipy.ndimage import minimum_filter
 
 from warpav.core.warp_setup import load_warp
 from warpav.detection.images import render_images
+from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import VISIBLE_AREA, Renderer
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import RigCamera
 from warpav.runs.config import load_config
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.town import town_scene
 
 wp = load_warp()
@@ -140,8 +141,7 @@ def on_device(ego_from_camera):
 def measure(lens, ego_from_camera, supersampling=1):
     """Areas and their Jacobians of every vehicle in every view."""
     renderer = Renderer([lens] * len(ego_from_camera), supersampling=supersampling)
-    renderer.render(packed, *on_device(ego_from_camera))
-    return renderer.measure(packed)
+    return renderer.render(packed.raster, *on_device(ego_from_camera)).measure()
 
 
 def shifted(ego_from_camera, axis, step_m):
@@ -151,7 +151,7 @@ def shifted(ego_from_camera, axis, step_m):
 
 
 here = camera.ego_from_camera[None]
-exact = measure(lens, here).per_shift.numpy()[0, lorry, VISIBLE_AREA]
+exact = measure(lens, here).jac_translation.numpy()[0, lorry, VISIBLE_AREA]
 print("derivative of the lorry's visible area [px²/m]")
 print("             NumPy outline   warpav   differences")
 for axis, name in enumerate(["x forward", "y left", "z up"]):
@@ -205,9 +205,11 @@ def areas(ego_from_camera):
 
 
 measures = measure(small_lens, poses)
-per_shift, per_spin = (array.numpy()[:, :, VISIBLE_AREA] for array in (measures.per_shift, measures.per_spin))
-per_yaw = -np.einsum("vki,vi->vk", per_spin, poses[:, 2, :3])  # turning the camera left turns the world right
-derivative = np.stack([per_shift[..., 0], per_shift[..., 1], per_yaw], axis=-1)
+jac_translation, jac_rotation = (
+    array.numpy()[:, :, VISIBLE_AREA] for array in (measures.jac_translation, measures.jac_rotation)
+)
+per_yaw = -np.einsum("vki,vi->vk", jac_rotation, poses[:, 2, :3])  # turning the camera left turns the world right
+derivative = np.stack([jac_translation[..., 0], jac_translation[..., 1], per_yaw], axis=-1)
 
 step_m, step_rad = 0.06, 0.006
 difference = np.stack(
@@ -254,8 +256,8 @@ way_m = np.linspace(-step_m, step_m, 25)
 
 def on_the_way(samples):
     measures = [measure(small_lens, shifted(there, 0, x), samples) for x in way_m]
-    values = [(each.value.numpy()[0, vehicle], each.per_shift.numpy()[0, vehicle]) for each in measures]
-    return np.array([(value[VISIBLE_AREA], per_shift[VISIBLE_AREA][0]) for value, per_shift in values]).T
+    values = [(each.value.numpy()[0, vehicle], each.jac_translation.numpy()[0, vehicle]) for each in measures]
+    return np.array([(value[VISIBLE_AREA], jac_translation[VISIBLE_AREA][0]) for value, jac_translation in values]).T
 
 
 walked_px, _ = on_the_way(2 * truth_supersampling)
@@ -294,8 +296,8 @@ def lorry_area(mount_pose, supersampling):
     """Visible area of the lorry from the roof [px²]; what is recorded on the active tape is exact to first order."""
     views = mount.place(mount_pose, rotation_count=1)
     renderer = Renderer([mount.camera], supersampling=supersampling)
-    renderer.render(packed, views.position_ego_m, views.camera_from_ego)
-    return renderer.measure(packed).on_tape(views.position_ego_m, views.camera_from_ego)
+    frame = renderer.render(packed.raster, views.position_ego_m, views.camera_from_ego)
+    return frame.measure().on_tape(views.position_ego_m, views.camera_from_ego)
 
 
 pose = wp.array(mount_pose, dtype=float, requires_grad=True)

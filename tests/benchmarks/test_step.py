@@ -12,10 +12,18 @@ from warpav.optimisation.gradient import AdamW
 from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.scene_step import AssignedScene, SceneStep
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
+from warpav.scene.device_scene import DeviceScene
 
 SCENES, ITERATIONS = 4, 100
+
+
+def look_and_learn(step):
+    """A step without a detector."""
+    step.look()
+    return step.learn()
 
 
 class Steps:
@@ -32,8 +40,11 @@ class Steps:
         self.pose = wp.array(self.start, dtype=float, device=device, requires_grad=True)
         self.device = device
         self.renderer = Renderer([model] * (cameras * mount.rotation_count), occlusion=occlusion, device=device)
-        scene = pack_workload(workload, device=device)
-        vehicles = scene.vehicle_count
+        packed = pack_workload(workload, device=device)
+        vehicles = packed.object_count
+        scene = DeviceScene(
+            workload.name, packed, ("vehicle",) * vehicles, np.zeros(vehicles, np.int32), np.zeros((vehicles, 2))
+        )
         self.steps = [
             SceneStep(
                 mount,
@@ -57,7 +68,7 @@ class Steps:
         for _ in range(ITERATIONS):
             self.pose.assign(adam.value)
             self.pose.grad.zero_()
-            losses = [step.run() for step in self.steps]
+            losses = [look_and_learn(step) for step in self.steps]
             gradient = self.pose.grad.numpy()
             assert np.isfinite([loss.value.numpy() for loss in losses]).all()
             adam.step(gradient, rate)
@@ -68,7 +79,7 @@ def test_step(benchmark, device, occlusion):
     steps = Steps(device, occlusion)
 
     def call():
-        steps.steps[0].run()
+        look_and_learn(steps.steps[0])
         wp.synchronize_device(device)
 
     benchmark.pedantic(call, rounds=15, warmup_rounds=3)

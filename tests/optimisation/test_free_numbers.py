@@ -19,10 +19,10 @@ from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, 
 from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import SearchSpace
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 OFFSET_M = 0.25

@@ -11,8 +11,8 @@ import warp as wp
 from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.matching import match_detections
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Renderer
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.detection import network_input as network_input_kernels
 
 
@@ -146,10 +146,10 @@ def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> l
     return detector.detect_tensor(network_input)
 
 
-def see(renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16) -> Sight:
-    """What the cameras see of the vehicles in the renderer's last render; arguments as in `observe`."""
-    masks = renderer.visible_masks(scene, ahead_view)
-    samples = renderer.supersampling
+def see(frame: Frame, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16) -> Sight:
+    """What the cameras see of the vehicles in a render; arguments as in `observe`."""
+    masks = frame.visible_masks(ahead_view)
+    samples = frame.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
     too_small_box_px = truth_box_px.copy()
     for camera, masks_of_camera in enumerate(masks):
@@ -166,7 +166,7 @@ def see(renderer: Renderer, scene: DeviceScene, *, ahead_view: Sequence[int], mi
 
 
 def observe(
-    renderer: Renderer,
+    frame: Frame,
     scene: DeviceScene,
     detector: Detector,
     *,
@@ -176,15 +176,15 @@ def observe(
     iou_min: float,
     min_area_px: int = 16,
 ) -> Observation:
-    """Run the detector on what the cameras see in the renderer's last render, and match its boxes to the truth.
+    """Run the detector on what the cameras see in a render, and match its boxes to the truth.
 
     A detection only ever matches a vehicle of its own kind of road user.
 
     Args:
-        renderer: Has rendered ``scene``.
+        frame: A render of ``scene``.
         scene: The scene.
         detector: Finds vehicles.
-        image: What the renderer shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
+        image: What the frame shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
         ahead_view: The view of each camera in which it looks straight ahead.
         confidence_min: Least confidence of a match.
         iou_min: Least intersection over union of a match.
@@ -194,8 +194,8 @@ def observe(
         The observation; nothing here carries a gradient.
     """
     if image is None:
-        image = renderer.rgb(scene, ahead_view)
+        image = frame.colours(views=ahead_view)
     detections = detections_in(network_input_of([image], detector), detector)
-    sight = see(renderer, scene, ahead_view=ahead_view, min_area_px=min_area_px)
+    sight = see(frame, scene, ahead_view=ahead_view, min_area_px=min_area_px)
     match = sight.match(detections, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, sight.truth_box_px, sight.too_small_box_px, match)

@@ -16,8 +16,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.mount import RISE_M, X_M, Y_M
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config
 from warpav.runs.problem import (
@@ -34,6 +33,7 @@ from warpav.runs.problem import (
 )
 from warpav.runs.run_folder import RunFolder, trajectory
 from warpav.runs.sources import HIGHEST, camera_mount, checked_device, find_rig, load_detector, load_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view.figures import (
     WIDTH_INCH,

@@ -9,8 +9,10 @@ import warp as wp
 
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.mount import PlacedViews
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import BOTTOM, LEFT, RIGHT, TOP, Measures, Renderer
+from warpav.raster.areas import BOTTOM, LEFT, RIGHT, TOP, Measures
+from warpav.raster.frame import Frame
+from warpav.raster.poses import ViewPoses
+from warpav.scene.device_scene import DeviceScene
 
 _SIDES = [LEFT, TOP, RIGHT, BOTTOM]
 # A side of the visible box that is nearer than this to that of the vehicle alone is a side of the vehicle [px].
@@ -19,7 +21,7 @@ _UNSEEN_LOSS = 1.0
 
 
 def detector_loss_of(
-    renderer: Renderer,
+    frame: Frame,
     scene: DeviceScene,
     views: PlacedViews,
     measures: Measures,
@@ -35,19 +37,19 @@ def detector_loss_of(
 
     One that its camera does not see counts 1, the largest loss, and gives no gradient: there the in-frame rotation
     acts. The gradient takes two ways. The colours change as the static scene flows through the image
-    (`Renderer.rgb_on_tape`). The true box moves with its measured extents; a side where something else hides the
+    (`Frame.colours`). The true box moves with its measured extents; a side where something else hides the
     object, or where the image ends, is held: what hides it has no extent of its own, and the border does not move.
 
     Args:
-        renderer: Has rendered ``scene`` from ``views`` last.
+        frame: ``scene`` from ``views``.
         scene: The scene.
-        views: The views of the last render; with a tape, placed on it.
-        measures: Measures of the last render.
+        views: The views of the frame; with a tape, placed on it.
+        measures: Measures of the frame.
         detector: The network.
         truth_box_px: True visible boxes, NaN where too little is seen [px], float [camera, vehicle, 4].
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
         ahead_view: The view of each camera in which it looks straight ahead.
-        tape: Its backward pass is run here, because the renderer's buffers live until the next render; None: no
+        tape: Its backward pass is run here, because the frame's buffers live until the next render; None: no
             gradient.
         weight: Weight of the loss in the gradient.
 
@@ -70,14 +72,13 @@ def detector_loss_of(
     objects = (image_index, box_px, scene.road_user_index[vehicle])
     shown_view = [ahead_view[k] for k in shown]
     if tape is None:
-        result = detector.loss(renderer.rgb(scene, shown_view), *objects)
+        result = detector.loss(frame.colours(views=shown_view), *objects)
         return (float(result.loss.sum()) + unseen_loss) / len(assigned)
 
     with tape:
-        measure = measures.on_tape(views.position_ego_m, views.camera_from_ego, views.log_zoom)
-    image = renderer.rgb_on_tape(
-        tape, scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom, shown_view=shown_view
-    )
+        poses = ViewPoses(views.position_ego_m, views.camera_from_ego, views.log_zoom)
+        measure = measures.on_tape(*poses)
+        image = frame.colours(poses, views=shown_view)
     result = detector.loss(image, *objects, weight=np.full(len(vehicle), weight / len(assigned)))
     assert result.image_gradient is not None
     assert result.box_gradient is not None
@@ -85,7 +86,5 @@ def detector_loss_of(
     moves = np.abs(box_px - alone_px) <= _SAME_SIDE_PX
     to_measure = np.zeros(measure.shape, np.float32)
     to_measure[view[:, None], vehicle[:, None], _SIDES] = np.where(moves, result.box_gradient, 0.0)
-    tape.backward(
-        grads={image: result.image_gradient, measure: wp.array(to_measure, dtype=float, device=renderer.device)}
-    )
+    tape.backward(grads={image: result.image_gradient, measure: wp.array(to_measure, dtype=float, device=frame.device)})
     return (float(result.loss.sum()) + unseen_loss) / len(assigned)

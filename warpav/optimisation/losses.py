@@ -10,7 +10,7 @@ from typing import Literal
 import warp as wp
 
 from warpav.optimisation.mount import CameraMount, PlacedViews
-from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA, Measures
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA, Measures
 from warpav_kernels.placement import lagrangian, placement_losses
 
 # order of the objective losses in their array
@@ -130,7 +130,7 @@ def placement_losses_of(
         assigned_camera: Camera of every vehicle, -1 for none, int [vehicle].
         assigned_count: Number of vehicles that have a camera; a scene without any costs nothing.
         settings: Parameters of the losses.
-        unblocked: `Renderer.unblocked_area` in these views; the surface-blockage loss needs it.
+        unblocked: `Frame.unblocked_area` in these views; the surface-blockage loss needs it.
 
     Returns:
         float [objective] in the order of `OBJECTIVES`; 0 where a loss is left out, and for ``missed``, which is not

@@ -14,8 +14,9 @@ import warp as wp
 from warpav.detection.probability import Appearance, DetectionProbability
 from warpav.optimisation.losses import LossSettings
 from warpav.optimisation.mount import PlacedViews
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Measures, Renderer, WindowMeasures
+from warpav.raster.areas import Measures, WindowMeasures
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.placement import missed_loss
 
 
@@ -65,7 +66,7 @@ class ProbabilityLook:
     @classmethod
     def of(
         cls,
-        renderer: Renderer,
+        frame: Frame,
         scene: DeviceScene,
         measures: Measures,
         image: wp.array | None,
@@ -73,22 +74,22 @@ class ProbabilityLook:
         window_rad: wp.array | None,
         softness_rad: float,
     ) -> ProbabilityLook:
-        """Measure the last render; nothing is taped.
+        """Measure a render; nothing is taped.
 
         Args:
-            renderer: Has rendered ``scene`` with all content in all views.
+            frame: All content of ``scene`` in all views.
             scene: The scene.
-            measures: Of this render, from `Renderer.measure`.
+            measures: Of this render, from `Frame.measure`.
             image: Its colours in all views, vec3 [view, row, column]; None: they are drawn here.
             window_rad: Fields of view over the panoramas, from `CameraMount.windows`; None where each camera has
                 one view.
             softness_rad: Of the windows' edges [rad].
         """
-        appearance = Appearance.of(renderer, scene, measures=measures, image=image)
+        appearance = Appearance.of(frame, scene, measures=measures, image=image)
         if window_rad is None:
             return cls(appearance, None, None)
-        in_window = renderer.window_area(scene, window_rad, softness_rad=softness_rad, visible=True)
-        return cls(appearance, in_window, renderer.window_area(scene, visible=True))
+        in_window = frame.window_area(window_rad, softness_rad=softness_rad, visible=True)
+        return cls(appearance, in_window, frame.window_area(visible=True))
 
 
 def add_missed_loss(

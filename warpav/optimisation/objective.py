@@ -22,7 +22,9 @@ from warpav.optimisation.losses import MISSED, OBJECTIVES, LossSettings, lagrang
 from warpav.optimisation.missed import Stage, StageOnDevice
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.optimisation.scene_step import AssignedScene, SceneLosses, SceneStep, losses_of_look
-from warpav.raster.renderer import Measures, Occlusion, Renderer
+from warpav.raster.areas import Measures
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 
 # Images of so many scenes go to the detector together, while as many others are rendered.
@@ -313,7 +315,7 @@ class RigObjective:
                     supersampling=self.supersampling,
                     occlusion=self.occlusion,
                     device=self.device,
-                    ego_blockage=self.settings.surface_blockage > 0.0,
+                    foreground_layer=self.settings.surface_blockage > 0.0,
                 )
                 for _ in range(self._renderer_count(rotation_count))
             ]
@@ -365,7 +367,7 @@ class RigObjective:
             step.look()
             sight, cameras = None, []
             if asks or self.differentiable_detector is not None:
-                sight = see(views.renderers[slot], step.scene, ahead_view=views.ahead)
+                sight = see(step.frame, step.scene, ahead_view=views.ahead)
             if sight is not None and asks:
                 cameras = self._cameras_that_matter(sight, assigned, stage)
             looked.append(_Looked(step, sight, cameras))
@@ -461,9 +463,9 @@ class RigObjective:
             mount=self.mount,
         )
         scene, renderer = assigned.scene, looks.renderers[0]
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
+        frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom)
         observation = observe(
-            renderer,
+            frame,
             scene,
             self.detector,
             ahead_view=looks.ahead,
@@ -472,10 +474,10 @@ class RigObjective:
         )
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[looks.ahead] = observation.matched_box_px()
-        measures = renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
+        measures = frame.measure(wp.array(box_px, dtype=wp.vec4, device=self.device))
         loss, _ = losses_of_look(
             self.mount,
-            renderer,
+            frame,
             scene,
             views,
             measures,
@@ -491,7 +493,7 @@ class RigObjective:
         if self.differentiable_detector is not None:
             losses.append(
                 detector_loss_of(
-                    renderer,
+                    frame,
                     scene,
                     views,
                     measures,

@@ -16,8 +16,10 @@ from warpav.optimisation.losses import MISSED, OBJECTIVES, LossSettings, placeme
 from warpav.optimisation.missed import ProbabilityLook, StageOnDevice, add_missed_loss
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Measures, Renderer
+from warpav.raster.areas import Measures
+from warpav.raster.frame import Frame
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class SceneLosses(NamedTuple):
 
 def losses_of_look(
     mount: CameraMount,
-    renderer: Renderer,
+    frame: Frame,
     scene: DeviceScene,
     views: PlacedViews,
     measures: Measures,
@@ -65,7 +67,7 @@ def losses_of_look(
 
     Args:
         mount: Knows the rotational additions and the lens.
-        renderer: Has rendered ``scene`` from ``views`` last.
+        frame: ``scene`` from ``views``.
         scene: The scene.
         views: The views; gradients flow to their poses and yaw.
         measures: Of this render.
@@ -88,23 +90,23 @@ def losses_of_look(
             assigned_camera,
             assigned_count=assigned_count,
             settings=settings,
-            unblocked=renderer.unblocked_area(scene) if settings.surface_blockage > 0.0 else None,
+            unblocked=frame.unblocked_area() if settings.surface_blockage > 0.0 else None,
         )
     else:
         loss = wp.zeros(len(OBJECTIVES), dtype=float, device=measures.value.device, requires_grad=True)
     chance = None
     if settings.missed > 0.0 and probability is not None and scene.vehicle_count:
         camera_count = detected.shape[0]
-        rotation_count = renderer.view_count // camera_count
+        rotation_count = frame.view_count // camera_count
         window_rad = moving_rad = None
         if rotation_count > 1:
             window_rad = mount.windows(views, requires_grad=False)
             moving_rad = mount.windows(views) if mount.windows_move else None
         look = ProbabilityLook.of(
-            renderer,
+            frame,
             scene,
             measures,
-            image if renderer.view_count == camera_count else None,
+            image if frame.view_count == camera_count else None,
             window_rad=window_rad,
             softness_rad=settings.window_softness_rad,
         )
@@ -136,6 +138,7 @@ class SceneStep:
     Attributes:
         scene: The scene.
         image: What the cameras see ahead after `look`, until the renderer's next, 0..1, vec3 [camera, row, column].
+        frame: The render of the last `look`; stale after the renderer's next.
     """
 
     def __init__(
@@ -192,8 +195,7 @@ class SceneStep:
             wp.zeros_like(self._detected) if settings.missed > 0.0 and scene.vehicle_count else None,
         )
         self._recordings = [
-            Recording(function, renderer, enabled=recorded)
-            for function in (self._look, self._learn, self._judge, self._look_and_learn)
+            Recording(function, renderer, enabled=recorded) for function in (self._look, self._learn, self._judge)
         ]
 
     def look(self) -> None:
@@ -220,19 +222,12 @@ class SceneStep:
         self._recordings[2]()
         return self._losses
 
-    def run(self) -> SceneLosses:
-        """`look` and `learn` at once, with the boxes as they are: a step without a detector."""
-        self._recordings[3]()
-        return self._losses
-
-    def _look_and_learn(self) -> None:
-        self._look()
-        self._learn()
-
     def _look(self) -> None:
         views = self._views()
-        self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
-        self._renderer.rgb(self.scene, self._ahead_view, into=self.image)
+        self.frame = self._renderer.render(
+            self.scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom
+        )
+        self.frame.colours(views=self._ahead_view, into=self.image)
 
     def detector_loss(
         self, detector: DifferentiableDetector, truth_box_px: np.ndarray, *, weight: float | None
@@ -247,14 +242,14 @@ class SceneStep:
             weight: Weight of the loss in the poses' gradient, to which it is added; None: no gradient.
         """
         tape = None if weight is None else wp.Tape()
-        measures = self._renderer.measure(self.scene, self._box_px)
+        measures = self.frame.measure(self._box_px)
         if tape is None:
             views = self._views()
         else:
             with tape:
                 views = self._views()
         return detector_loss_of(
-            self._renderer,
+            self.frame,
             self.scene,
             views,
             measures,
@@ -272,10 +267,10 @@ class SceneStep:
     def _losses_of_look(self) -> SceneLosses:
         return losses_of_look(
             self._mount,
-            self._renderer,
+            self.frame,
             self.scene,
             self._views(),
-            self._renderer.measure(self.scene, self._box_px),
+            self.frame.measure(self._box_px),
             self._assigned_camera,
             assigned_count=self._assigned_count,
             settings=self._settings,

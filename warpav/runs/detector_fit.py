@@ -16,8 +16,8 @@ from warpav.core.errors import InputError
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import BIN_COUNT, Sightings, fit_probability, look, random_cameras, score
 from warpav.raster.chunks import chunk_view_count
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config
 from warpav.runs.sources import (
     camera_model,
@@ -28,6 +28,7 @@ from warpav.runs.sources import (
     load_scenes,
     mount_surface,
 )
+from warpav.scene.device_scene import DeviceScene
 from warpav.view.figures import detection_curves, reliability_diagram
 
 if TYPE_CHECKING:

@@ -380,7 +380,7 @@ def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path
 def _coverage(rig: Rig, scene: Scene, config: Config) -> Callable[[Any], object]:
     """What draws into the picture of a rig who is seen where."""
     from warpav.evaluation.coverage import Ground
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
     from warpav.view.sight_view import add_coverage
 
     packed = DeviceScene.pack(scene, device=checked_device(config.device))
@@ -390,7 +390,7 @@ def _coverage(rig: Rig, scene: Scene, config: Config) -> Callable[[Any], object]
 
 def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
     """What the configuration's detector makes of every vehicle."""
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
 
     device = checked_device(config.device)
     observer = _observer(rig, load_detector(config), config, device)
@@ -399,7 +399,7 @@ def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
 
 def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:
     from warpav.evaluation.metrics import RigObserver
-    from warpav.raster.renderer import Occlusion
+    from warpav.raster.decide import Occlusion
 
     return RigObserver(
         rig,

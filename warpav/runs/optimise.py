@@ -29,8 +29,8 @@ from warpav.runs.sources import arm_name, check_rig_source, device_name, find_ri
 
 if TYPE_CHECKING:
     from warpav.optimisation.objective import AssignedScene
-    from warpav.raster.device_scene import DeviceScene
     from warpav.runs.progress import RunDisplay
+    from warpav.scene.device_scene import DeviceScene
 
 
 def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:

@@ -26,9 +26,8 @@ from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.segregation import Segregation, areas_around, assign_vehicles, choose_orientations
 from warpav.optimisation.starts import look_at_starts
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import NAMED_STARTS, Config, RigConfig, RunConfig, changed_config
 from warpav.runs.detector_fit import fit_detector
@@ -43,6 +42,7 @@ from warpav.runs.sources import (
     load_detector,
     load_scenes,
 )
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
 if TYPE_CHECKING:

@@ -129,7 +129,7 @@ def rig_plotter(
         add_mount_surface(plotter, mount_surface)
     add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors and not sight, labels=labels)
     if sight and scene is not None:
-        from warpav.raster.device_scene import DeviceScene
+        from warpav.scene.device_scene import DeviceScene
         from warpav.view.sight_view import add_sight
 
         add_sight(plotter, rig, DeviceScene.pack(scene))

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import ObjectOutcome
-    from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.device_scene import DeviceScene
     from warpav.scene.scene import Scene
 
     Plotter = Any
