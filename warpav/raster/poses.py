@@ -54,7 +54,7 @@ def view_poses(
         return camera_from_world._replace(log_focal=_focals(log_focal, view_count, device))
     matrix = _matrices(camera_from_world, view_count, device)
     if not device.is_capturing:
-        _check_rigid(matrix.numpy())
+        check_rigid(matrix.numpy())
     requires_grad = matrix.requires_grad
     position = wp.empty(view_count, dtype=wp.vec3, device=device, requires_grad=requires_grad)
     rotation = wp.empty(view_count, dtype=wp.mat33, device=device, requires_grad=requires_grad)
@@ -103,7 +103,8 @@ def _as_matrices(given: wp.array) -> wp.array:
     return result
 
 
-def _check_rigid(matrix: np.ndarray) -> None:
+def check_rigid(matrix: np.ndarray) -> None:
+    """Raise `InputError` for poses [view, 4, 4] that are not finite, or no rotation and translation."""
     bad = ~np.isfinite(matrix).all(axis=(1, 2))
     if bad.any():
         raise InputError(f"camera_from_world: expected finite numbers, got NaN or infinity in view {np.argmax(bad)}")
