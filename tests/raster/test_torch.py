@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from warpav import raster
+from warpav.core.errors import InputError
 
 torch = pytest.importorskip("torch")
 from warpav.raster import torch as wt  # noqa: E402 (PyTorch has to be there)
@@ -25,8 +26,8 @@ def scene():
     return raster.Scene(
         {"body": raster.Mesh(ball.vertices * [1.2, 0.8, 1.0], ball.faces, rgb)},
         occluders=[
-            raster.Mesh(pillar.vertices + [0.7, 0.0, -2.0], pillar.faces, [30, 60, 30]),
-            raster.Mesh(wall.vertices + [0.0, 0.0, 4.0], wall.faces, [220, 220, 200]),
+            raster.Mesh(np.add(pillar.vertices, [0.7, 0.0, -2.0]), pillar.faces, [30, 60, 30]),
+            raster.Mesh(np.add(wall.vertices, [0.0, 0.0, 4.0]), wall.faces, [220, 220, 200]),
         ],
     )
 
@@ -105,3 +106,53 @@ def test_gradients_match_differences_of_a_finer_render(name, tolerance):
     weight = np.array([0.2] * 3 + [1.0] * 3)
     error = np.linalg.norm((pose.grad.numpy() - truth) * weight) / np.linalg.norm(truth * weight)
     assert error < tolerance
+
+
+def test_matrices_and_vectors_are_the_same_poses():
+    vector = vectors(2).requires_grad_()
+    rotation, translation = wt._rotation_and_translation(vector)
+    bottom = torch.tensor([[[0.0, 0.0, 0.0, 1.0]]], dtype=vector.dtype).expand(2, 1, 4)
+    matrix = torch.cat([torch.cat([rotation, translation[:, :, None]], dim=2), bottom], dim=1)
+    by_vector, by_matrix = (wt.visible_area(scene(), cameras(2), pose) for pose in (vector, matrix))
+    torch.testing.assert_close(by_vector, by_matrix)
+    (one,) = torch.autograd.grad(by_vector.sum(), vector)
+    (other,) = torch.autograd.grad(by_matrix.sum(), vector)
+    torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-3)
+
+
+def test_gradients_are_those_of_the_jacobian_and_can_be_asked_for_twice():
+    pose, log_focal = vectors(2, torch.float32).requires_grad_(), torch.zeros(2, requires_grad=True)
+    rotation, translation = wt._rotation_and_translation(pose.detach())
+    matrix = np.tile(np.eye(4), (2, 1, 1))
+    matrix[:, :3, :3], matrix[:, :3, 3] = rotation.numpy(), translation.numpy()
+    jacobian = raster.render(scene(), cameras(2), matrix).areas().jacobian.numpy()[:, 0]
+    area = wt.visible_area(scene(), cameras(2), pose, log_focal=log_focal)
+    assert area.dtype == torch.float32
+    for times in (1.0, 2.0):
+        found = torch.autograd.grad((times * area).sum(), (pose, log_focal), retain_graph=True)
+        expected = -np.einsum("vij,vj->vi", rotation.numpy(), times * jacobian[:, :3])
+        np.testing.assert_allclose(found[0][:, 3:].numpy(), expected, rtol=1e-3, atol=0.5)
+        np.testing.assert_allclose(found[1].numpy(), times * jacobian[:, 6], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("pose", "kind", "message"),
+    [
+        (np.eye(4)[None], TypeError, "pose: expected a tensor of floats, got ndarray"),
+        (torch.eye(4, dtype=torch.int64)[None], TypeError, "pose: expected a tensor of floats, got torch.int64"),
+        (torch.eye(4), InputError, r"pose: expected \[1, 4, 4\] or \[1, 6\], one for each camera, got \[4, 4\]"),
+        (torch.full((1, 6), float("nan")), InputError, "pose: expected finite numbers"),
+        (2.0 * torch.eye(4)[None], InputError, "expected rotations and translations"),
+        (torch.eye(4, device="meta")[None], (InputError, RuntimeError, NotImplementedError), ""),
+    ],
+)
+def test_poses_that_are_none_are_rejected(pose, kind, message):
+    with pytest.raises(kind, match=message):
+        wt.visible_area(scene(), cameras(1), pose)
+
+
+def test_tensors_that_want_a_gradient_are_sent_here():
+    pose = torch.eye(4)[None].requires_grad_()
+    with pytest.raises(InputError, match=r"warpav\.raster\.torch has functions with gradients"):
+        raster.render(scene(), cameras(1), pose)
+    assert raster.render(scene(), cameras(1), pose.detach()).object_id.shape == (1, SIZE_PX, SIZE_PX)

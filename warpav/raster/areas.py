@@ -104,6 +104,14 @@ class Measures:
         return self if poses is None else replace(self, value=self.on_tape(*poses))
 
 
+def part_of(array: wp.array, place: int | slice) -> wp.array:
+    """A part of the third axis, gradient included; Warp itself cannot cut arrays without objects."""
+    if array.size:
+        return array[:, :, place]
+    shape = [*array.shape[:2], *([len(range(array.shape[2])[place])] if isinstance(place, slice) else [])]
+    return wp.empty((*shape, *array.shape[3:]), dtype=array.dtype, device=array.device)
+
+
 @dataclass(frozen=True)
 class Areas:
     """Areas of every object in every view.
@@ -117,12 +125,12 @@ class Areas:
     @property
     def visible(self) -> wp.array:
         """What of it nothing hides, inside the image [px^2], float [view, object]."""
-        return self.measures.value[:, :, VISIBLE_AREA]
+        return part_of(self.measures.value, VISIBLE_AREA)
 
     @property
     def amodal(self) -> wp.array:
         """The object as if it stood alone, inside the image [px^2], float [view, object]."""
-        return self.measures.value[:, :, AMODAL_AREA]
+        return part_of(self.measures.value, AMODAL_AREA)
 
     @property
     def jacobian(self) -> wp.array:

@@ -132,7 +132,7 @@ class Frame:
         """
         whole = self.measure()
         parts = {
-            name: getattr(whole, name)[:, :, AREA_COUNT:]
+            name: areas.part_of(getattr(whole, name), slice(AREA_COUNT, None))
             for name in ("value", "jac_translation", "jac_rotation", "jac_log_focal")
         }
         return replace(whole, **parts).at(self._poses(camera_from_world, log_focal))

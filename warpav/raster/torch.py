@@ -1,7 +1,7 @@
 """The rasteriser for PyTorch: areas and images as differentiable functions of poses and focal lengths.
 
-Needs the extra ``torch``. Every function renders once and keeps that frame for its backward pass; its gradients are those
-of `warpav.raster.Frame`. A pose is a tensor of floats on the scene's device:
+Needs the extra ``torch``. Every function renders once and keeps that frame for its backward pass; its gradients are
+those of `warpav.raster.Frame`. A pose is a tensor of floats on the scene's device:
 
 - [view, 4, 4]: ``camera_from_world``, a rotation and a translation [m];
 - [view, 6]: a rotation vector [rad] and a translation [m], ``camera_from_world = (exp [r]x, t)``.
