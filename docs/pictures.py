@@ -1,6 +1,6 @@
-"""Make the pictures of README and of the documents anew: ``python docs/pictures.py [NAME ...]``.
+"""Draw the images of README and of the documents again: ``python docs/pictures.py [NAME ...]``.
 
-Each is what a command of warpav writes, or is drawn here. All take some minutes, most of them for the run that README
+Each is what a command of warpav writes, or is drawn here. All of them take some minutes, most for the run that README
 shows.
 """
 
@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from warpav.cli.app import main
 
@@ -46,7 +47,9 @@ def draw_vehicle(folder: Path) -> None:
 
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
-    _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(PICTURES / "stages.jpg"))
+    _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
+    with Image.open(folder / "stages.png") as image:
+        image.convert("RGB").save(PICTURES / "stages.jpg", quality=88, optimize=True)
 
 
 def draw_gradient(folder: Path) -> None:
@@ -181,7 +184,7 @@ if __name__ == "__main__":
     wanted = sys.argv[1:] or list(DRAWN)
     unknown = sorted(set(wanted) - set(DRAWN))
     if unknown:
-        raise SystemExit(f"{', '.join(unknown)}: expected pictures out of {', '.join(DRAWN)}")
+        raise SystemExit(f"{', '.join(unknown)}: expected images out of {', '.join(DRAWN)}")
     for draw in dict.fromkeys(DRAWN[name] for name in wanted):
         with tempfile.TemporaryDirectory() as folder:
             draw(Path(folder))

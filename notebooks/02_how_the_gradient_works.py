@@ -285,7 +285,7 @@ plt.show()
 # image's left border cuts through the lorry:
 
 # %%
-from warpav.runs.sources import camera_mount
+from warpav.runs.mounts import camera_mount
 
 config = load_config("quick", ["camera.fov_deg=80"])
 mount = camera_mount(config, scene.ego)  # the height map of roof and bonnet, and how high above it cameras stand

@@ -34,8 +34,9 @@ import numpy as np
 import trimesh
 from IPython.display import Image
 
-from warpav.runs.progress import RunDisplay, arm_table
+from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import arm_table
 from warpav.scene.glb import read_scene
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
 

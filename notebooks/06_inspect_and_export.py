@@ -32,7 +32,7 @@ from IPython.display import Image
 from scipy.spatial.transform import Rotation
 
 from warpav.rig.rig import read_rig
-from warpav.runs.sources import load_scene
+from warpav.runs.scene_set import load_scene
 
 folder = tempfile.TemporaryDirectory()  # what is written below goes here
 os.chdir(folder.name)
@@ -90,7 +90,7 @@ Image(read_rig("mine.yaml").plot("mine.png", scene=load_scene("1000")), width=80
 # %% language="bash"
 # warpav inspect run --show coverage --out coverage.png
 # warpav inspect run --show outcomes --out outcomes.png
-# warpav inspect run --show sight --out sight.png
+# warpav inspect run --show visibility --out visibility.png
 
 # %%
 Image("coverage.png", width=800)
@@ -105,7 +105,7 @@ Image("outcomes.png", width=800)
 # And what every camera sees, up to what stands in its way:
 
 # %%
-Image("sight.png", width=800)
+Image("visibility.png", width=800)
 
 # %% [markdown]
 # ## Into other tools

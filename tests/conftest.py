@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: devices, random numbers, folders of outside assets."""
+"""Fixtures shared by all tests: devices, random numbers, folders of outside assets; and how the suite is spread."""
 
 import os
 from pathlib import Path
@@ -7,22 +7,51 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warpav.core.executor import available_cores
+
 wp.config.log_level = 30
+MOST_WORKERS, MOST_WORKERS_ON_A_GPU = 8, 4
+
+
+def pytest_report_header():
+    return None if wp.is_cuda_available() else "no CUDA device: tests of cuda:0 are not collected"
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist's own, which acts on the options
+def pytest_cmdline_main(config):
+    """Spread the whole suite over the cores; what is named on the command line runs in this process, but for ``-n``.
+
+    Files stay together, as their fixtures are expensive, and come in order: the type checker is in the first.
+    """
+    option = config.option
+    is_whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    is_spread = getattr(option, "numprocesses", 0) is None and option.dist == "no"
+    if not is_whole or not is_spread or option.usepdb or option.collectonly or option.benchmark_only:
+        return
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        return
+    option.numprocesses = min(available_cores(), MOST_WORKERS_ON_A_GPU if wp.is_cuda_available() else MOST_WORKERS)
+    option.dist = "loadfile"
+    option.loadscopereorder = False
 
 
 def _devices():
     yield pytest.param("cpu", id="cpu")
-    yield pytest.param(
-        "cuda:0",
-        id="cuda",
-        marks=[pytest.mark.gpu, pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")],
-    )
+    if wp.is_cuda_available():
+        yield pytest.param("cuda:0", id="cuda", marks=pytest.mark.gpu)
 
 
 @pytest.fixture(params=list(_devices()))
 def device(request):
     """Every Warp device that the test can run on."""
     return request.param
+
+
+@pytest.fixture
+def working_directory(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture

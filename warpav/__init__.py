@@ -1,14 +1,112 @@
 """warpav: where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.
 
-Rooms, top to bottom; an import only ever points downwards (``[tool.importlinter]`` in ``pyproject.toml``):
+This is the public API; every name is imported when it is first used. ``warpav.raster`` is the rasteriser on its own.
 
-    cli > experiments > runs > view > evaluation > optimisation > detection > rig, scene > raster > core, warpav_kernels
+The packages below this one stand in layers, which ``pyproject.toml`` lists under ``[tool.importlinter]``: imports only
+point downwards.
 """
 
+import importlib
 import os
+from typing import TYPE_CHECKING, Any
 
 # onnxruntime opens connections to its maker's telemetry as soon as it is imported, and reads this only then. Here it is
 # set before any import through warpav; processes that warpav starts inherit it.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from warpav.core.errors import InputError
+    from warpav.core.progress import Progress
+    from warpav.detection.detector import Detections, Detector
+    from warpav.evaluation.rig_evaluation import RigEvaluation
+    from warpav.optimisation import losses
+    from warpav.raster.camera import CameraModel
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.formats.convert import export_rig, import_rig
+    from warpav.rig.presets import preset_rig as preset
+    from warpav.rig.rig import Rig, read_rig, write_rig
+    from warpav.rig.rig import RigCamera as Camera
+    from warpav.runs.config import Config
+    from warpav.runs.evaluate import evaluate
+    from warpav.runs.optimise import optimise
+    from warpav.runs.placement import Placement
+    from warpav.runs.result import Result
+    from warpav.runs.run_folder import RunFolder, read_run
+    from warpav.scene.collection import read_scenes, town
+    from warpav.scene.scene import Scene
+    from warpav.view import plot
+
+_PLACES = {
+    "Camera": ("warpav.rig.rig", "RigCamera"),
+    "CameraModel": ("warpav.raster.camera", "CameraModel"),
+    "Config": ("warpav.runs.config", "Config"),
+    "Detections": ("warpav.detection.detector", "Detections"),
+    "Detector": ("warpav.detection.detector", "Detector"),
+    "InputError": ("warpav.core.errors", "InputError"),
+    "Mesh": ("warpav.raster.mesh", "Mesh"),
+    "Placement": ("warpav.runs.placement", "Placement"),
+    "Progress": ("warpav.core.progress", "Progress"),
+    "Result": ("warpav.runs.result", "Result"),
+    "Rig": ("warpav.rig.rig", "Rig"),
+    "RigEvaluation": ("warpav.evaluation.rig_evaluation", "RigEvaluation"),
+    "RunFolder": ("warpav.runs.run_folder", "RunFolder"),
+    "Scene": ("warpav.scene.scene", "Scene"),
+    "evaluate": ("warpav.runs.evaluate", "evaluate"),
+    "export_rig": ("warpav.rig.formats.convert", "export_rig"),
+    "import_rig": ("warpav.rig.formats.convert", "import_rig"),
+    "losses": ("warpav.optimisation.losses", None),
+    "optimise": ("warpav.runs.optimise", "optimise"),
+    "plot": ("warpav.view", "plot"),
+    "preset": ("warpav.rig.presets", "preset_rig"),
+    "read_rig": ("warpav.rig.rig", "read_rig"),
+    "read_run": ("warpav.runs.run_folder", "read_run"),
+    "read_scenes": ("warpav.scene.collection", "read_scenes"),
+    "town": ("warpav.scene.collection", "town"),
+    "write_rig": ("warpav.rig.rig", "write_rig"),
+}
+"""Module and name of everything public; None for a module."""
+
+__all__ = [
+    "Camera",
+    "CameraModel",
+    "Config",
+    "Detections",
+    "Detector",
+    "InputError",
+    "Mesh",
+    "Placement",
+    "Progress",
+    "Result",
+    "Rig",
+    "RigEvaluation",
+    "RunFolder",
+    "Scene",
+    "evaluate",
+    "export_rig",
+    "import_rig",
+    "losses",
+    "optimise",
+    "plot",
+    "preset",
+    "read_rig",
+    "read_run",
+    "read_scenes",
+    "town",
+    "write_rig",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _PLACES[name]
+    found = importlib.import_module(module)
+    found = found if attribute is None else getattr(found, attribute)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from cyclopts import CycloptsError
 
-from warpav.cli.app import DEFAULT_CONFIG, app, main
+from warpav.cli.app import app, main
+from warpav.cli.arguments import DEFAULT_CONFIG
 from warpav.core.errors import InputError
 from warpav.runs.config import Config, load_config, option_values
 

@@ -16,7 +16,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
 from warpav.runs.config import load_config
 from warpav.runs.inspect import inspector
-from warpav.runs.sources import find_rig
+from warpav.runs.rig_source import find_rig
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 from warpav.view.rig_view import project_px
@@ -28,7 +28,7 @@ SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=
 OPEN = """
 import sys
 from warpav.runs.inspect import inspector
-from warpav.runs.sources import config_for
+from warpav.runs.rig_source import config_for
 with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
     inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)
 """
@@ -81,7 +81,7 @@ def test_open(benchmark, arguments):
     benchmark.pedantic(show, rounds=5, warmup_rounds=1)
 
 
-@pytest.mark.parametrize("begin_with", ["coverage", "sight"])
+@pytest.mark.parametrize("begin_with", ["coverage", "visibility"])
 def test_drag(benchmark, arguments, begin_with):
     """One move of the mouse with the ball of a camera held: camera, coverage of four cameras, numbers, picture."""
     config = load_config("quick", arguments[1:])

@@ -7,23 +7,17 @@ import numpy as np
 import pytest
 import warp as wp
 
+from tests.optimisation.objectives import OneScene, thesis_losses
 from warpav.experiments.bench.workload import embedded_workload, pack_workload
-from warpav.optimisation.gradient import AdamW
-from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.adamw import AdamW
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.scene_step import AssignedScene, SceneStep
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
 from warpav.scene.device_scene import DeviceScene
 
 SCENES, ITERATIONS = 4, 100
-
-
-def look_and_learn(step):
-    """A step without a detector."""
-    step.look()
-    return step.learn()
 
 
 class Steps:
@@ -37,7 +31,6 @@ class Steps:
         cameras = len(workload.pose)
         self.start = np.zeros((cameras, 7), np.float32)
         self.start[:, :3] = workload.pose[:, [1, 0, 2]]  # the workload's z is the ego frame's x
-        self.pose = wp.array(self.start, dtype=float, device=device, requires_grad=True)
         self.device = device
         self.renderer = Renderer([model] * (cameras * mount.rotation_count), occlusion=occlusion, device=device)
         packed = pack_workload(workload, device=device)
@@ -45,33 +38,31 @@ class Steps:
         scene = DeviceScene(
             workload.name, packed, ("vehicle",) * vehicles, np.zeros(vehicles, np.int32), np.zeros((vehicles, 2))
         )
-        self.steps = [
-            SceneStep(
+        self.scenes = [
+            OneScene(
                 mount,
                 self.renderer,
                 AssignedScene(scene, (np.arange(vehicles) % cameras).astype(np.int32)),
-                pose=self.pose,
-                seed=wp.array(LossSettings().placement_scale, dtype=float, device=device),
-                ahead_view=[camera * mount.rotation_count for camera in range(cameras)],
-                settings=LossSettings(),
+                cameras,
+                thesis_losses(),
             )
             for _ in range(SCENES)
         ]
-        for step in self.steps:
-            step.set_boxes(np.tile(np.float32([60.0, 60.0, 200.0, 200.0]), (cameras, vehicles, 1)))
+        self.box_px = np.tile(np.float32([60.0, 60.0, 200.0, 200.0]), (cameras, vehicles, 1))
+
+    def run(self, pose, scenes=SCENES):
+        """One step at a rig: the gradient over some scenes."""
+        results = [one.at(pose, self.box_px) for one in self.scenes[:scenes]]
+        assert np.isfinite([loss for loss, _ in results]).all()
+        return sum(gradient for _, gradient in results)
 
     def descend(self):
         """A hundred iterations on four scenes."""
         rate = np.zeros_like(self.start)
         rate[:, :3] = 1e-3
-        adam = AdamW(self.start, weight_decay=1e-3, device=self.device)
+        adam = AdamW(self.start, weight_decay=1e-3)
         for _ in range(ITERATIONS):
-            self.pose.assign(adam.value)
-            self.pose.grad.zero_()
-            losses = [look_and_learn(step) for step in self.steps]
-            gradient = self.pose.grad.numpy()
-            assert np.isfinite([loss.value.numpy() for loss in losses]).all()
-            adam.step(gradient, rate)
+            adam.step(self.run(adam.value), rate)
 
 
 @pytest.mark.parametrize("occlusion", list(Occlusion), ids=lambda occlusion: occlusion.value)
@@ -79,8 +70,7 @@ def test_step(benchmark, device, occlusion):
     steps = Steps(device, occlusion)
 
     def call():
-        look_and_learn(steps.steps[0])
-        wp.synchronize_device(device)
+        steps.run(steps.start, 1)
 
     benchmark.pedantic(call, rounds=15, warmup_rounds=3)
     assert not steps.renderer.grew()

@@ -3,14 +3,15 @@
 import pytest
 from matplotlib.figure import Figure
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
-from warpav.view import figures, picture
+from warpav.view import output
+from warpav.view.figures.style import save_figure
 
 
 def test_writers_at_the_same_time_do_not_share_a_draft(tmp_path):
     file = tmp_path / "a.txt"
-    with replacing(file) as one, replacing(file) as other:
+    with atomic_write(file) as one, atomic_write(file) as other:
         one.write_text("one")
         other.write_text("other")
         assert not file.exists()
@@ -23,7 +24,7 @@ def test_what_was_there_stays_when_writing_fails(tmp_path):
     file.write_text("before")
 
     def cut_off():
-        with replacing(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_text("half")
             raise KeyboardInterrupt
 
@@ -36,8 +37,8 @@ def test_what_was_there_stays_when_writing_fails(tmp_path):
 def test_a_folder_in_the_way_of_a_picture_leaves_no_draft(tmp_path):
     (tmp_path / "a.png").mkdir()
     for save in (
-        lambda: figures.save_figure(Figure(figsize=(1, 1)), tmp_path / "a.png"),
-        lambda: picture._write(tmp_path / "a.png", b"content"),
+        lambda: save_figure(Figure(figsize=(1, 1)), tmp_path / "a.png"),
+        lambda: output._write(tmp_path / "a.png", b"content"),
     ):
         with pytest.raises(InputError, match=r"a\.png: cannot be written"):
             save()

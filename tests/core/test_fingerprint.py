@@ -1,37 +1,54 @@
 """Hashes of what something is made with: they change with every part and with the code, and with nothing else."""
 
+import functools
+import importlib.util
 import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from warpav.core import fingerprint as module
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint as fingerprint_of
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 
+TOWN = "warpav.scene.town.town"
+fingerprint = functools.partial(fingerprint_of, code=(TOWN,))
 PLAN, MESHES = PlanSettings(), ReconstructionSettings()
 
 
 @pytest.fixture
 def copied_code(tmp_path, monkeypatch):
-    """A copy of the code that the hash covers, which a test may change; forgets the hash before and after."""
-    folders = [shutil.copytree(folder, tmp_path / folder.name) for folder in module._code_folders()]
-    monkeypatch.setattr(module, "_code_folders", lambda: folders)
+    """A copy of the code, which a test may change; forgets the hashes before and after."""
+    package = Path(module.__file__).parents[1]
+    kernels = Path(importlib.util.find_spec("warpav_kernels").origin).parent
+    for folder in (package, kernels):
+        shutil.copytree(folder, tmp_path / folder.name, ignore=lambda _, names: [n for n in names if "pycache" in n])
+    original = module._source_file
+
+    def copied_file(name):
+        file = original(name)
+        for folder in (package, kernels):
+            if file is not None and file.is_relative_to(folder):
+                return tmp_path / folder.name / file.relative_to(folder)
+        return None
+
+    monkeypatch.setattr(module, "_source_file", copied_file)
     module._code_hash.cache_clear()
     yield tmp_path
     module._code_hash.cache_clear()
 
 
-def test_a_recipe_is_16_hexadecimal_digits_and_stays():
-    assert len(recipe("town", 3)) == 16
-    assert int(recipe("town", 3), 16) >= 0
-    assert recipe("town", 3, PLAN) == recipe("town", 3, replace(PLAN))
-    code = "from warpav.core.fingerprint import recipe; print(recipe('town', 3))"
+def test_a_fingerprint_is_16_hexadecimal_digits_and_stays():
+    assert len(fingerprint("town", 3)) == 16
+    assert int(fingerprint("town", 3), 16) >= 0
+    assert fingerprint("town", 3, PLAN) == fingerprint("town", 3, replace(PLAN))
+    code = f"from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3, code=['{TOWN}']))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == recipe("town", 3)  # in another process, where strings hash otherwise
+    assert other.stdout.strip() == fingerprint("town", 3)  # in another process, where strings hash otherwise
 
 
 @pytest.mark.parametrize(
@@ -50,36 +67,49 @@ def test_a_recipe_is_16_hexadecimal_digits_and_stays():
         (b"town", 3, PLAN, MESHES),
     ],
 )
-def test_another_setting_gives_another_recipe(parts):
-    assert recipe(*parts) != recipe("town", 3, PLAN, MESHES)
+def test_another_setting_gives_another_fingerprint(parts):
+    assert fingerprint(*parts) != fingerprint("town", 3, PLAN, MESHES)
 
 
 def test_parts_do_not_run_into_one_another():
-    assert recipe(b"ab", b"c") != recipe(b"a", b"bc")
+    assert fingerprint(b"ab", b"c") != fingerprint(b"a", b"bc")
+
+
+@pytest.mark.parametrize(
+    ("code", "file"),
+    [
+        (TOWN, "warpav/scene/town/town.py"),
+        (TOWN, "warpav/scene/town/houses.py"),
+        (TOWN, "warpav/raster/mesh.py"),
+        ("warpav.scene.capture.town_simulator", "warpav/scene/capture/town_simulator.py"),
+        ("warpav.scene.capture.town_simulator", "warpav/scene/town/town.py"),
+        ("warpav.scene.reconstruction.reconstruct", "warpav/scene/reconstruction/surface.py"),
+        ("warpav.scene.reconstruction.reconstruct", "warpav_kernels/reconstruction/poisson.py"),
+    ],
+)
+def test_changed_code_gives_another_fingerprint(copied_code, code, file):
+    before = fingerprint_of("town", 3, code=(code,))
+    module._code_hash.cache_clear()
+    assert fingerprint_of("town", 3, code=(code,)) == before
+    with open(copied_code / file, "a") as source:
+        source.write("# changed\n")
+    module._code_hash.cache_clear()
+    assert fingerprint_of("town", 3, code=(code,)) != before
 
 
 @pytest.mark.parametrize(
     "file",
     [
-        "scene/town/town.py",
-        "scene/capture/town_simulator.py",
-        "scene/reconstruction/surface.py",
-        "warpav_kernels/reconstruction/poisson.py",
+        "warpav/scene/design.md",
+        "warpav/scene/capture/folder.py",
+        "warpav/rig/rig.py",
+        "warpav/view/picture.py",
+        "warpav_kernels/raster/measure.py",
     ],
 )
-def test_changed_code_gives_another_recipe(copied_code, file):
-    before = recipe("town", 3)
+def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
+    before = fingerprint("town", 3)
+    with open(copied_code / file, "a") as source:
+        source.write("# changed\n")
     module._code_hash.cache_clear()
-    assert recipe("town", 3) == before
-    with open(copied_code / file, "a") as code:
-        code.write("# changed\n")
-    module._code_hash.cache_clear()
-    assert recipe("town", 3) != before
-
-
-def test_files_that_are_no_code_do_not_matter(copied_code):
-    before = recipe("town", 3)
-    (copied_code / "scene" / "design.md").write_text("a new thought\n")
-    (copied_code / "scene" / "capture" / "notes.pyc").write_bytes(b"\0")
-    module._code_hash.cache_clear()
-    assert recipe("town", 3) == before
+    assert fingerprint("town", 3) == before

@@ -9,6 +9,7 @@ import torch
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, roof
+from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import clipped_edges
 from tests.raster.test_gradients import YAW, X, Y, moved
 from warpav.core.errors import InputError
@@ -17,10 +18,10 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
-from warpav.optimisation.detector_loss import detector_loss_of
-from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.detector_gradient import DetectorGradient
+from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount, PlacedViews
-from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -175,18 +176,22 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
         for array in (position, rotation):
             array.requires_grad = True
             array.grad.zero_()
-        detector_loss_of(
-            frame,
-            scene,
-            PlacedViews(position, position, rotation, wp.zeros(len(poses), dtype=float)),
-            measures,
-            detector,
-            truth_box_px=truth_px,
-            assigned_camera=assigned,
-            ahead_view=range(len(poses)),
-            tape=wp.Tape(),
-            weight=1.0,
-        )
+        tape = wp.Tape()
+        with tape:
+            on_tape = SceneOnTape(
+                None,
+                frame,
+                scene,
+                PlacedViews(position, position, rotation, wp.zeros(len(poses), dtype=float)),
+                measures,
+                assigned,
+                *[None] * 4,
+                list(range(len(poses))),
+                None,
+                truth_box_px=truth_px,
+            )
+            _, gradients = DetectorGradient(detector).on_host(on_tape, 1.0, tape)
+        tape.backward(grads=gradients)
         turned = poses[camera, :3, :3].T @ np.cross([0.0, 0.0, 1.0], np.eye(3))
         yaw = (rotation.grad.numpy()[camera].astype(float) * turned).sum()
         ours.append([*position.grad.numpy()[camera, :2], yaw])
@@ -246,11 +251,11 @@ def test_gradient_to_one_pose_agrees_with_differences_of_finer_renders():
 
 def objective_with(detector, **scales):
     mount = CameraMount(roof(), camera=CameraModel(128, 128), height_offset_m=0.25)
-    return RigObjective(
+    return rig_objective(
         mount,
         ConstantDetector.silent(2),
         camera_count=2,
-        settings=LossSettings(**scales),
+        settings=thesis_losses(**scales),
         occlusion=Occlusion.EXACT,
         differentiable_detector=detector,
     )

@@ -181,7 +181,7 @@ def test_only_targets_are_reported(tmp_path, rng, name):
 
 @EVERY
 def test_the_own_name_opens_a_file_as_well(tmp_path, name):
-    assert opened(tmp_path, name, family=name).reason == "detector.format says so"
+    assert opened(tmp_path, name, family=name).reason == "set by detector.format"
 
 
 def test_every_family_is_a_choice_of_the_configuration():

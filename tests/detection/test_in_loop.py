@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from warpav.detection.detector import Detections
-from warpav.detection.in_loop import DetectorInLoop, Picture
+from warpav.detection.in_loop import DetectorInLoop, RenderedImage
 
 
 class Scene:
@@ -36,7 +36,7 @@ class BrightnessDetector:
 
 def picture(scene, camera, pose, brightness):
     image = wp.array(np.full((1, 8, 8, 3), brightness, np.float32), dtype=wp.vec3, device="cpu")
-    return Picture(scene, camera, pose, image)
+    return RenderedImage(scene, camera, pose, image)
 
 
 def confidences(found):

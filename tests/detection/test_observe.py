@@ -17,11 +17,11 @@ MODEL = CameraModel(160, 120, math.pi / 2)
 POSES = [camera_pose([1.2, 0.1, 1.8], 0.05), camera_pose([0.8, -0.2, 1.8], 3.1), camera_pose([1.0, 0.5, 1.8], 1.5)]
 
 
-def observed(detector, device, *, supersampling=1, ahead_view=(0, 1, 2), **limits):
+def observed(detector, device, *, supersampling=1, forward_view=(0, 1, 2), **limits):
     renderer = Renderer([MODEL] * 3, supersampling=supersampling, occlusion=Occlusion.EXACT, device=device)
     frame = renderer.render(packed_street(device).raster, *on_device(POSES, device))
     limits = {"confidence_min": 0.1, "iou_min": 0.5, **limits}
-    return observe(frame, packed_street(device), detector, ahead_view=list(ahead_view), **limits)
+    return observe(frame, packed_street(device), detector, forward_view=list(forward_view), **limits)
 
 
 def true_boxes(object_index, samples, min_area_px=16):
@@ -95,7 +95,7 @@ def test_weak_and_misplaced_detections_do_not_match(device, boxes_at_pixels):
 
 
 def test_chosen_views_only(device):
-    observation = observed(ConstantDetector.silent(2), device, ahead_view=(2, 0))
+    observation = observed(ConstantDetector.silent(2), device, forward_view=(2, 0))
     whole = observed(ConstantDetector.silent(3), device)
     np.testing.assert_array_equal(observation.truth_box_px, whole.truth_box_px[[2, 0]])
     np.testing.assert_array_equal(observation.image_rgb, whole.image_rgb[[2, 0]])

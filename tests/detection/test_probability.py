@@ -281,7 +281,9 @@ def test_another_network_or_camera_needs_another_fit(tmp_path, rng, monkeypatch)
     written(tmp_path, rng, use_of(tmp_path))
     for other in (use_of(tmp_path, {"camera": {"width_px": 640}}), use_of(tmp_path, content=b"another network")):
         assert stored_file(other) is None
-        with pytest.raises(InputError, match=r"mine\.onnx: p\(detected\): expected a fit .* run warpav detector fit"):
+        with pytest.raises(
+            InputError, match=r"mine\.onnx: detection probability: expected a fit .* run warpav detector"
+        ):
             DetectionProbability.find(other)
 
 

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from tests.driving_scene import ALL_CARS, ConstantDetector, on_device, packed_street, roof
 from warpav.detection.observe import observe
 from warpav.detection.probability import CONTRAST, FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
-from warpav.detection.probability_fit import Sightings, fit_probability, look, random_cameras, score
+from warpav.detection.probability_fit import DetectionSamples, fit_probability, random_cameras, sample_detections, score
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 
@@ -28,7 +28,7 @@ def true_logit(feature):
 def made_up(rng, count, first_seed=0):
     feature = rng.uniform([0, 0, 0, -1, 1, 0], [8, 1, 0.7, 1, 5, 0.6], (count, FEATURE_COUNT))
     is_detected = rng.random(count) < expit(true_logit(feature))
-    return Sightings(feature, is_detected, first_seed + np.arange(count) % 20)
+    return DetectionSamples(feature, is_detected, first_seed + np.arange(count) % 20)
 
 
 def test_known_curves_are_found_again(rng):
@@ -43,9 +43,9 @@ def test_known_curves_are_found_again(rng):
 
 def test_more_to_see_never_lowers_the_probability(rng):
     # outcomes that fall with size and with what is visible, which no fit may follow
-    sightings = made_up(rng, 1000)
-    falling = rng.random(1000) < expit(3.0 - sightings.feature[:, 0] - 2.0 * sightings.feature[:, 1])
-    model, _ = fit_probability(Sightings(sightings.feature, falling, sightings.seed), rng=rng)
+    samples = made_up(rng, 1000)
+    falling = rng.random(1000) < expit(3.0 - samples.feature[:, 0] - 2.0 * samples.feature[:, 1])
+    model, _ = fit_probability(DetectionSamples(samples.feature, falling, samples.seed), rng=rng)
     for f in (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST):
         assert np.diff(model.curve(f, np.linspace(-1.0, 9.0, 300))).min() >= -1e-9
 
@@ -65,16 +65,16 @@ def test_a_fit_repeats_itself():
     ],
 )
 def test_too_little_to_fit_is_refused(rng, count, chance, message):
-    sightings = made_up(rng, count)
+    samples = made_up(rng, count)
     with pytest.raises(ValueError, match=message):
-        fit_probability(Sightings(sightings.feature, rng.random(count) < chance, sightings.seed), rng=rng)
+        fit_probability(DetectionSamples(samples.feature, rng.random(count) < chance, samples.seed), rng=rng)
 
 
 def test_a_feature_that_never_changes_does_no_harm(rng):
-    sightings = made_up(rng, 600)
-    sightings.feature[:, 5] = 0.25
-    model, _ = fit_probability(sightings, rng=rng)
-    assert np.isfinite(model.of_features(sightings.feature)).all()
+    samples = made_up(rng, 600)
+    samples.feature[:, 5] = 0.25
+    model, _ = fit_probability(samples, rng=rng)
+    assert np.isfinite(model.of_features(samples.feature)).all()
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=15, max_size=80))
@@ -112,7 +112,7 @@ def test_what_is_seen_and_found_is_counted(device, rng):
     cameras = random_cameras(rng, roof(), MODEL, height_offset_m=0.2, count=6)
     scene = packed_street(device)
     limits = {"seed": 8, "confidence_min": 0.1, "iou_min": 0.5}
-    blind = look(renderer, scene, cameras, ConstantDetector.silent(6), **limits)
+    blind = sample_detections(renderer, scene, cameras, ConstantDetector.silent(6), **limits)
     assert 6 <= len(blind) <= 6 * ALL_CARS
     assert not blind.is_detected.any()
     assert (blind.seed == 8).all()
@@ -122,14 +122,14 @@ def test_what_is_seen_and_found_is_counted(device, rng):
     # a detector that finds exactly the second camera's objects
     views = on_device([camera.ego_from_camera for camera in cameras], device)
     frame = renderer.render(scene.raster, *views)
-    truth = observe(frame, scene, ConstantDetector.silent(6), ahead_view=range(6), confidence_min=0.1, iou_min=0.5)
+    truth = observe(frame, scene, ConstantDetector.silent(6), forward_view=range(6), confidence_min=0.1, iou_min=0.5)
     boxes = truth.truth_box_px[1][np.isfinite(truth.truth_box_px[1, :, 0])]
     answer = [[], boxes, [], [], [], []]
     keen = ConstantDetector(answer, [np.full(len(box), 0.9) for box in answer])
-    sharp = look(renderer, scene, cameras, keen, **limits)
+    sharp = sample_detections(renderer, scene, cameras, keen, **limits)
     assert sharp.is_detected.sum() == len(boxes) >= 1
     np.testing.assert_array_equal(sharp.feature, blind.feature)
-    assert len(Sightings.join([blind, sharp]).of_seeds([8])) == 2 * len(blind)
+    assert len(DetectionSamples.join([blind, sharp]).of_seeds([8])) == 2 * len(blind)
     assert len(blind.of_seeds([9])) == 0
 
 
@@ -168,8 +168,8 @@ def test_each_camera_is_looked_through_by_its_own_lens(device):
     [one] = random_cameras(np.random.default_rng(2), roof(), MODEL, height_offset_m=0.2, count=1)
     narrow = dataclasses.replace(one, model=MODEL.zoomed(0.4))
     limits = {"seed": 8, "confidence_min": 0.1, "iou_min": 0.5}
-    same = look(renderer, scene, [one, one], ConstantDetector.silent(2), **limits)
-    both = look(renderer, scene, [narrow, one], ConstantDetector.silent(2), **limits)
+    same = sample_detections(renderer, scene, [one, one], ConstantDetector.silent(2), **limits)
+    both = sample_detections(renderer, scene, [narrow, one], ConstantDetector.silent(2), **limits)
     count = len(same) // 2
     np.testing.assert_array_equal(both.feature[-count:], same.feature[-count:])
     assert both.feature[:, VISIBLE_SIZE].max() > same.feature[:, VISIBLE_SIZE].max() + 0.2

@@ -44,7 +44,7 @@ def _pictures(rng, count=4):
             labels.class_index[image, k] = k
             labels.visible_fraction[image, k] = 1.0
             labels.distance_m[image, k] = 10.0
-    return data.Pictures(images_rgb, labels)
+    return data.LabelledImages(images_rgb, labels)
 
 
 def _truth(box_px, class_index, ignored=None):
@@ -208,7 +208,7 @@ def test_a_detector_is_judged_by_road_user():
     labels.visible_fraction[0, :4] = [1.0, 0.6, 1.0, 1.0]
     found = [([4, 4, 34, 24], "van", 0.9), ([4, 30, 12, 54], "pedestrian", 0.8), ([21, 30, 28, 54], "pedestrian", 0.7)]
     detector = _Told(found, [([10, 10, 30, 30], "car", 0.6), ([10, 10, 20, 30], "pedestrian", 0.2)])
-    report = evaluate(detector, data.Pictures(np.zeros((2, SIDE_PX, SIDE_PX, 3), np.uint8), labels))
+    report = evaluate(detector, data.LabelledImages(np.zeros((2, SIDE_PX, SIDE_PX, 3), np.uint8), labels))
     assert report["images"] == 2
     vehicles, pedestrians = report["vehicle"], report["pedestrian"]
     assert (vehicles["objects"], pedestrians["objects"]) == (2, 1)
@@ -293,9 +293,9 @@ def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
     file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     assert OnnxDetector(file).names == CLASS_NAMES
     monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_001, 2, False, few))
-    with pytest.raises(InputError, match="expected pictures of 2 scenes from seed 1000001 on"):
+    with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):
         train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
-    read = data.load_pictures(tmp_path / "pictures" / "train")
+    read = data.load_images(tmp_path / "pictures" / "train")
     assert list(read) == [256, 384, 640]
     assert len(read[256].images_rgb) == 4
     assert read[256].images_rgb.any(axis=(1, 2, 3)).all()

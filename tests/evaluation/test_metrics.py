@@ -7,20 +7,14 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, block, car, roof, vehicle
+from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.metrics import (
-    PAIRED_METRICS,
-    GroupRecall,
-    ObjectOutcome,
-    RigObserver,
-    assign_to_nearest_cameras,
-    evaluate_rig,
-)
-from warpav.optimisation.losses import LossSettings
+from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
+from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -30,7 +24,7 @@ from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 96, math.pi / 2)
 WIDE = CameraModel(96, 96, 2.0)
-MISSED_ALONE = LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0)
+MISSED_ALONE = LossSettings(expected_miss_rate=1.0)
 
 
 def scene_of(*places, wall=None, name="case"):
@@ -65,7 +59,7 @@ def truth_boxes(rig, scene):
         renderer = Renderer([camera.model], occlusion=Occlusion.EXACT)
         views = views_of_rig(Rig.create([camera]), rotation_count=1, rotation_step_rad=0.0)
         frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
-        seen = observe(frame, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+        seen = observe(frame, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
         boxes.append(seen.truth_box_px[0])
     return np.array(boxes)
 
@@ -84,11 +78,11 @@ class ScriptedDetector:
 
 def objective_of(detector, camera_count=2, free=None):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free)
-    return RigObjective(
+    return rig_objective(
         mount,
         detector,
         camera_count=camera_count,
-        settings=LossSettings() if free is None else MISSED_ALONE,
+        settings=thesis_losses() if free is None else MISSED_ALONE,
         occlusion=Occlusion.EXACT,
         probability=DetectionProbability.blank(),
     )
@@ -207,7 +201,7 @@ def test_what_becomes_of_every_object():
     scene = scene_of(AHEAD, FAR_LEFT_AHEAD, BEHIND, LEFT_SIDE, wall=wall)
     box_px = truth_boxes(rig, scene)[0, 0]
     calls = [ConstantDetector([[box_px]], [[0.8]]), ConstantDetector.silent(1)]
-    look = observer_of(rig, calls).look(scene)
+    look = observer_of(rig, calls).observe(scene)
     assert look.outcomes == [
         ObjectOutcome.DETECTED,
         ObjectOutcome.MISSED,
@@ -215,7 +209,7 @@ def test_what_becomes_of_every_object():
         ObjectOutcome.OUT_OF_FRAME,
     ]
     np.testing.assert_allclose(look.confidence, [0.8, np.nan, np.nan, np.nan], rtol=1e-6)
-    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).look(scene_of()).outcomes == []
+    assert observer_of(rig, [ConstantDetector.silent(1)] * 2).observe(scene_of()).outcomes == []
 
 
 def observer_of(rig, calls):

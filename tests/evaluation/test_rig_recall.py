@@ -12,8 +12,8 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.evaluation.metrics import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig
 from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import views_of_rig
-from warpav.optimisation.objective import AssignedScene
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
@@ -173,7 +173,7 @@ def too_small_box(rig, scene):
     renderer = Renderer([MODEL], occlusion=Occlusion.EXACT)
     views = views_of_rig(camera, rotation_count=1, rotation_step_rad=0.0)
     frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
-    seen = observe(frame, scene, ConstantDetector.silent(1), ahead_view=[0], confidence_min=0.1, iou_min=0.5)
+    seen = observe(frame, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
     assert np.isnan(seen.truth_box_px).all()
     return seen.too_small_box_px[0, 0]
 

@@ -6,12 +6,12 @@ import math
 import pytest
 
 from tests.experiments.small_experiment import config
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rivals import gradient_renders
-from warpav.runs.problem import load_problem, optimiser_settings
+from warpav.runs.build import build
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
@@ -21,7 +21,7 @@ BUDGET = 60
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
     with RunDisplay() as display:
-        return load_problem(config(tmp_path_factory.mktemp("scenes") / "street"), display)
+        return build(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma", 
 
 @pytest.mark.parametrize(("name", "budget"), [*WITHOUT_BUDGET, *WITH_BUDGET])
 def test_budgets_are_kept_and_told(problem, rendered, name, budget):
-    equal = gradient_renders(optimiser_settings(problem.config), len(problem.train))
+    equal = gradient_renders(problem.config.optimiser, len(problem.train), iterations=2, batch_size=2)
     assert equal == 2 * 2 + 2 * 2  # two steps, and two looks at all scenes
     found = find_rig_of(Arm(name, name), problem, budget)
     assert found.renders == len(rendered)
@@ -99,10 +99,10 @@ def test_unknown_arms_are_named_with_their_neighbour():
     assert find_arm("sgd_ifr", own) is own["sgd_ifr"]
     assert find_arm("sobol", own).method == "sobol"
     with pytest.raises(
-        OptionError, match=r"--arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
+        InputError, match=r"arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
     ):
         find_arm("sgd_irf", own)
-    with pytest.raises(OptionError, match=r"got 'nuscene'; did you mean nuscenes\?"):
+    with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
     assert set(METHODS) < set(common_arms())
 
@@ -112,11 +112,11 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     for name in common_arms():
         if name not in ("cma", "cma_then_gradient"):
             find_arm(name, {}).check(settings, None)
-    with pytest.raises(InputError, match="arm gradient: --budget: expected at least 6 scene renders, got 5"):
+    with pytest.raises(InputError, match="arm gradient: `budget`: expected at least 6 scene renders, got 5"):
         Arm("gradient", "gradient").check(settings, 5)
-    with pytest.raises(InputError, match="arm random_batches: --budget: expected at least 2 scene renders, got 1"):
+    with pytest.raises(InputError, match="arm random_batches: `budget`: expected at least 2 scene renders, got 1"):
         Arm("random_batches", "random_batches").check(settings, 1)
-    with pytest.raises(InputError, match="arm greedy_cover: --budget: expected at least 5 scene renders, got 4"):
+    with pytest.raises(InputError, match="arm greedy_cover: `budget`: expected at least 5 scene renders, got 4"):
         Arm("greedy_cover", "greedy_cover").check(settings, 4)
     assert find_rig_of(Arm("greedy_cover", "greedy_cover"), problem, 5).renders == 5  # two cameras, eight directions
     Arm("sobol", "sobol").check(settings, 1)
@@ -131,7 +131,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
 def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     arm = common_arms()["thesis_gradient"]
     base = problem.config.model_copy(update={"method": "default"})
-    assert arm.judged_config(base).method == "default"
+    assert arm.evaluation_config(base).method == "default"
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run

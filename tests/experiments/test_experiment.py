@@ -7,13 +7,14 @@ import shutil
 import pytest
 
 from tests.experiments.small_experiment import ARMS, SMALL, config
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.experiments import arms as arms_module
 from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import arms_of, run_experiment
 from warpav.rig.rig import read_rig
-from warpav.runs.problem import begin_descent, load_problem
+from warpav.runs.build import build
+from warpav.runs.optimise import Optimisation
 from warpav.runs.progress import RunDisplay
 
 
@@ -31,7 +32,7 @@ def copied(tmp_path, finished):
 
 def run(out, scenes, *more, **options):
     with RunDisplay() as display:
-        return run_experiment(SMALL, config(scenes, *more), out=out, display=display, **options)
+        return run_experiment(SMALL, config(scenes, *more), out=out, progress=display, **options)
 
 
 def without_seconds(result):
@@ -69,8 +70,8 @@ def test_every_task_leaves_its_result(finished, scenes):
 
 def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     with RunDisplay() as display:
-        problem = load_problem(ARMS[0].judged_config(config(scenes, "run.seed=1")), display)
-    descent = begin_descent(problem).descent
+        problem = build(ARMS[0].evaluation_config(config(scenes, "run.seed=1"))).prepare(display)
+    descent = Optimisation.begin(problem).descent
     losses = [descent.step().loss for _ in range(2)]
     found = descent.finish()
     result = finished.results["sgd_ifr_doa"][1]
@@ -166,7 +167,7 @@ def test_an_arm_that_is_named_twice_runs_once():
         "sgd_ifr_doa",
     ]
     both = dataclasses.replace(SMALL, arms=(Arm("highest", "highest"), *ARMS))
-    with pytest.raises(OptionError, match=r"--arms: expected names out of highest, sgd_ifr_doa, .*, got ''") as refused:
+    with pytest.raises(InputError, match=r"arms: expected names out of highest, sgd_ifr_doa, .*, got ''") as refused:
         arms_of(both, "highest,")
     names = str(refused.value).partition("out of ")[2].partition(", got")[0].split(", ")
     assert len(names) == len(set(names))
@@ -179,14 +180,14 @@ def description(folder, **changes):
 
 def test_a_folder_of_something_else_is_refused(copied, scenes, tmp_path):
     description(copied, schema=7)
-    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 1, got 7.*choose another .* --out"):
+    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 1, got 7.*choose another .* `out`"):
         run(copied, scenes)
     description(copied, schema=1, experiment="table9")
     with pytest.raises(InputError, match="experiment: expected small, got 'table9'"):
         run(copied, scenes)
     (tmp_path / "diary").mkdir()
     (tmp_path / "diary" / "today.txt").touch()
-    with pytest.raises(InputError, match="diary: --out: expected a folder of this experiment"):
+    with pytest.raises(InputError, match="diary: out: expected a folder of this experiment"):
         run(tmp_path / "diary", scenes)
     with pytest.raises(InputError, match="expected a folder"):
         run(tmp_path / "diary" / "today.txt", scenes)

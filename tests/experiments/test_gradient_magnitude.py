@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SilentDetector, packed_street, roof
+from tests.optimisation.objectives import rig_objective
 from warpav.experiments.gradient_magnitude import (
     LOSS_OF,
+    THESIS_BATCH_SIZE,
+    THESIS_ITERATIONS,
     THESIS_RUNS,
     THESIS_SETTINGS,
     GradientMagnitude,
@@ -16,19 +19,20 @@ from warpav.experiments.gradient_magnitude import (
     pooled_magnitudes,
 )
 from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.losses import OBJECTIVES, LossSettings
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 
 YAW_RAD = np.array([0.1, 1.5, 3.2])
-QUICK = dataclasses.replace(THESIS_SETTINGS, iterations=4)
 
 
 def objective_of(device):
     mount = CameraMount(roof(), camera=CameraModel(64, 64, 0.5 * math.pi), height_offset_m=0.25, device=device)
-    settings = LossSettings(**(dict.fromkeys(OBJECTIVES, 1.0) | {"missed": 0.0}), epsilon=0.05, min_unblocked_area=1.0)
-    return RigObjective(mount, SilentDetector(), camera_count=3, settings=settings)
+    one_field = {name: 1.0 for name, loss in LOSSES.items() if loss.one_field}
+    settings = LossSettings(**one_field, epsilon=0.05, min_unblocked_area=1.0)
+    return rig_objective(mount, SilentDetector(), camera_count=3, settings=settings)
 
 
 def scenes_of(device):
@@ -54,7 +58,7 @@ class Remembering:
 def test_magnitudes_are_means_of_what_is_not_zero(device):
     objective, runs = Remembering(objective_of(device)), []
     magnitudes = measure_gradient_magnitudes(
-        objective, scenes_of(device), YAW_RAD, runs=2, settings=QUICK, finished=runs.append
+        objective, scenes_of(device), YAW_RAD, runs=2, iterations=4, finished=runs.append
     )
     assert runs == [0, 1]
     assert objective.batches == [1] * 8
@@ -83,8 +87,7 @@ def test_magnitudes_are_means_of_what_is_not_zero(device):
 def test_runs_differ_and_repeat(device):
     arguments = (objective_of(device), scenes_of(device), YAW_RAD)
     first, again, other = (
-        measure_gradient_magnitudes(*arguments, runs=1, settings=dataclasses.replace(QUICK, iterations=2), seed=seed)
-        for seed in (3, 3, 4)
+        measure_gradient_magnitudes(*arguments, runs=1, iterations=2, seed=seed) for seed in (3, 3, 4)
     )
     assert again == first
     assert other != first
@@ -93,7 +96,7 @@ def test_runs_differ_and_repeat(device):
 
 
 def test_the_thesis_measured_ten_runs_of_a_hundred_iterations():
-    assert (THESIS_RUNS, THESIS_SETTINGS.iterations, THESIS_SETTINGS.batch_size) == (10, 100, 1)
+    assert (THESIS_RUNS, THESIS_ITERATIONS, THESIS_BATCH_SIZE) == (10, 100, 1)
     assert THESIS_SETTINGS.learning_rate_position_m == THESIS_SETTINGS.learning_rate_yaw_rad == 0.25
 
 

@@ -14,12 +14,15 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments import method_figures
-from warpav.experiments.method_figures import covered_rad, draw_method_figure
+from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
-from warpav.runs.problem import load_problem
+from warpav.runs.build import build
 from warpav.runs.progress import RunDisplay
+from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.sources import find_rig, load_scenes
+from warpav.runs.scene_set import load_scenes
+from warpav.view.figures import rigs
+from warpav.view.figures.rigs import covered_rad
 from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 
 WIDE_STEPS = "optimiser.learning_rate_position_m=4"  # the surface is 2 m wide
@@ -32,11 +35,11 @@ def drawn(monkeypatch):
     """Matplotlib's figures of what was drawn, to read their texts."""
     figures = []
 
-    def save(figure, path, real=method_figures.save_figure):
+    def save(figure, path, real=rigs.save_figure):
         figures.append(figure)
         return real(figure, path)
 
-    monkeypatch.setattr(method_figures, "save_figure", save)
+    monkeypatch.setattr(rigs, "save_figure", save)
     return figures
 
 
@@ -56,7 +59,7 @@ def run(folder):
 
 def draw(number, path, config, run=None):
     with RunDisplay() as display:
-        return draw_method_figure(number, path, config, run=run, display=display)
+        return draw_method_figure(number, path, config, run=run, progress=display)
 
 
 def pixels(path):
@@ -106,12 +109,12 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
 def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
     started = []
 
-    def begin(problem, *given, real=method_figures.begin_descent):
-        beginning = real(problem, *given)
-        started.append(problem.objective.mount.rig(beginning.descent.start))
-        return beginning
+    def begin(placement, *given, real=method_figures.Optimisation.begin):
+        optimisation = real(placement, *given)
+        started.append(placement.objective.mount.rig(optimisation.descent.start))
+        return optimisation
 
-    monkeypatch.setattr(method_figures, "begin_descent", begin)
+    monkeypatch.setattr(method_figures.Optimisation, "begin", begin)
     config = small_experiment.config(
         folder, "run.iterations=1", f"rig.start={run.path / 'rig_initial.yaml'}", "run.seed=5"
     )
@@ -137,7 +140,7 @@ def test_a_run_of_one_step_shows_no_way(run, tmp_path):
 def found_of(config, rig_shown, scenes):
     """How many road users the evaluation says that a rig finds."""
     with RunDisplay() as display:
-        problem = load_problem(config, display)
+        problem = build(config).prepare(display)
     chosen = problem.train if scenes == "train" else problem.test
     metrics = evaluate_rig(rig_shown, chosen, problem.objective)
     return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"
@@ -186,8 +189,11 @@ def test_cameras_of_several_models_keep_their_places(folder):
         [plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]]
     )
     with RunDisplay() as display:
-        looker = method_figures._Looker(config, display)
-        (mixed,), (alone,) = looker.look(both, [scene], "mixed"), looker.look(Rig.create(plain), [scene], "alone")
+        observer = method_figures._Observer(config, display)
+        (mixed,), (alone,) = (
+            observer.observe(both, [scene], "mixed"),
+            observer.observe(Rig.create(plain), [scene], "alone"),
+        )
     assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
     for here, there in ((0, 0), (3, 1)):
         assert np.array_equal(mixed.panels[here].image_rgb, alone.panels[there].image_rgb)
@@ -245,7 +251,7 @@ def test_wrong_words_are_told_in_one_line(tmp_path, monkeypatch, capsys, words, 
 def test_the_highest_rig_takes_no_run(run, tmp_path, capsys):
     out = tmp_path / "12.png"
     assert main(["scenes", "figure", "12", "--out", str(out), "--run", str(run.path)]) == 2
-    assert "the highest rig needs no run" in capsys.readouterr().err
+    assert "the highest rig needs none" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -33,12 +33,11 @@ GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 
 
 @pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
+def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    monkeypatch.chdir(tmp_path)
     for function in (open_experiments.run_open, rescore.run_rescore):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
-    return tmp_path
+    return working_directory
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +114,7 @@ def test_the_experiments_have_the_arms_that_they_promise():
         for arm in experiment.arms:
             assert arm.search_config(config) != arm.search_config(quick)
     for arm in EXPERIMENTS["ablations"].arms[1:]:
-        assert arm.judged_config(config) == config
+        assert arm.evaluation_config(config) == config
         assert arm.search_config(config) != config
 
 
@@ -123,7 +122,7 @@ def test_the_counterpart_of_a_preset_has_its_cameras():
     arm = gradient_like("nuscenes")
     assert arm.overrides == ("rig.cameras=6", "camera.fov_deg=64.8")
     assert odd_fields("nuscenes") == "gradient_as_nuscenes: 6 cameras of 64.8 deg, but 89.3 in the preset"
-    assert gradient_like("argoverse2").judged_config(load_config("default")).rig.cameras == 9
+    assert gradient_like("argoverse2").evaluation_config(load_config("default")).rig.cameras == 9
     assert common_fov_deg("argoverse2") == 62.6
     assert odd_fields("argoverse2").endswith("but 49.4 in the preset")
 
@@ -145,8 +144,8 @@ def test_an_arm_under_other_constraints_is_told_apart(rng):
     results = {**made_results(rng), "thesis_gradient": [made_run("thesis_gradient", 0, 0.6, violation=0.125)]}
     found = goals(results)[0]
     assert found.reached is True
-    assert found.text.endswith("but thesis_gradient, which keeps to the thesis's rectangle")
-    assert found.numbers == "worst of 14 runs 0 m; thesis_gradient up to 0.125 m outside the mountable zone"
+    assert found.text.endswith("except thesis_gradient, which uses the thesis's bounding rectangle")
+    assert found.numbers == "worst of 14 runs 0 m; thesis_gradient up to 0.125 m outside the mount zone"
 
 
 def test_goals_that_are_not_reached_are_said_to_be(rng):
@@ -158,7 +157,7 @@ def test_goals_that_are_not_reached_are_said_to_be(rng):
     assert told[1].endswith("(0 of 3 runs; difference +0.0100 to +0.0100)")
     assert "0.7010 against highest 0.8000, random 0.7500, cma 0.7800" in told[3]
     assert "; paired difference to cma -0.0" in told[3]
-    assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("no rig can, for 110% of it is above 1")
+    assert goals(made_results(rng, preset=0.95))[11].numbers.endswith("impossible: 110% of it exceeds 1")
     assert told[11].startswith("not reached: recall at least 10% above nuscenes's")
 
 
@@ -270,7 +269,10 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
         assert rig["objectives"]["thesis"] > 0.0
     assert len({rig["objectives"]["configured"] for rig in written["rigs"]}) > 3
     assert (folder / "correlation.png").is_file()
-    assert "not measured: objective ranks 100 random rigs" in capsys.readouterr().out
+    assert (
+        "not measured: rank correlation of objective and held-out recall over 100 random rigs"
+        in capsys.readouterr().out
+    )
 
 
 def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
@@ -279,7 +281,7 @@ def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
     assert main(words) == 0
     assert {file: file.read_bytes() for file in (copied / "results").iterdir()} == before
     shown = capsys.readouterr().out
-    assert "the arms come in the same order by recall as before" in shown
+    assert "the arms keep their order by recall" in shown
     folder = copied / "rescored_176_176"
     for file, content in before.items():
         if file.suffix == ".json":
@@ -368,7 +370,7 @@ def test_orders_that_differ_are_said_to():
     after = {**before, "highest": [made_run("highest", 0, 0.95)]}
     order, ahead = same_order(before, after)
     assert (order.reached, ahead.reached) == (False, False)
-    assert order.numbers.startswith("highest 0.950 > gradient 0.900 > sobol 0.700; 1 of 3 pairs change places")
+    assert order.numbers.startswith("highest 0.950 > gradient 0.900 > sobol 0.700; 1 of 3 pairs swap ranks")
     assert "gradient and highest" in order.numbers
 
 
@@ -389,7 +391,7 @@ def test_results_become_a_page(copied, working_directory, capsys):
         assert [(run["arm"], run["seed"]) for run in published["runs"]][:2] == [("gradient", 0), ("gradient", 1)]
         assert all(len(run["recall_of_scene"]) == 2 for run in published["runs"])
         assert published["options"]["scenes.folder"] == "street"
-    with pytest.raises(InputError, match=r"results\.txt: --out: expected a Markdown file"):
+    with pytest.raises(InputError, match=r"results\.txt: out: expected a Markdown file"):
         write_results_page([copied], working_directory / "results.txt")
     with pytest.raises(InputError, match="expected experiments of different names, got open twice"):
         write_results_page([copied, copied], page)
@@ -398,19 +400,19 @@ def test_results_become_a_page(copied, working_directory, capsys):
 def test_bad_words_are_told_in_one_line(copied, scenes, capsys, working_directory):
     folder = str(copied)
     assert complaint(capsys, "experiment", "rescore", folder).startswith(
-        "experiment rescore: expected options to judge"
+        "experiment rescore: expected evaluation options"
     )
-    assert "losses.missed: expected an option by which rigs are judged" in complaint(
+    assert "losses.missed: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "losses.missed=2"
     )
-    assert "camera.fov_deg: expected an option by which" in complaint(
+    assert "camera.fov_deg: expected an evaluation option" in complaint(
         capsys, "experiment", "rescore", folder, "camera.fov_deg=60"
     )
-    assert "--name: expected lower-case letters" in complaint(
+    assert "(--name): expected lower-case letters" in complaint(
         capsys, "experiment", "rescore", folder, "camera.width_px=96", "--name", "../x"
     )
     assert complaint(capsys, "experiment", "rescore", folder, "device=cpu").startswith(
-        "--name: expected a name, as device=cpu makes none"
+        "command line (--name): expected a name, as device=cpu makes none"
     )
     assert "got none" in complaint(capsys, "experiment", "rescore", str(working_directory), "camera.width_px=96")
     assert "detector.model=gone.onnx" in complaint(capsys, "experiment", "rescore", folder, "detector.model=gone.onnx")

@@ -11,7 +11,9 @@ from warpav.experiments import arms, thesis_experiments
 from warpav.experiments.tables import Cell, compare_results, result_table
 from warpav.experiments.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_overrides
 from warpav.experiments.thesis_tables import WARNING, thesis_table
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
+
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 METRICS = (
     "map50_average",
@@ -22,13 +24,6 @@ METRICS = (
     "detection_confidence",
     "objective",
 )
-
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def result(number, **more):
@@ -94,7 +89,7 @@ def test_losses_are_read_as_the_thesis_writes_them():
     weights = dict(override.removeprefix("losses.").split("=") for override in loss_overrides("IFR+10*DOA"))
     assert weights.pop("in_frame_rotation") == "1.0"
     assert weights.pop("detected_area") == "10.0"
-    assert set(weights) == {*OBJECTIVES, DETECTOR_GRADIENT} - {"in_frame_rotation", "detected_area"}
+    assert set(weights) == {*LOSSES} - {"in_frame_rotation", "detected_area"}
     assert set(weights.values()) == {"0.0"}
     assert loss_overrides("IFR+DOA*") == loss_overrides("DOA+IFR")
     with pytest.raises(ValueError, match=r"got 'CD' in 'IFR\+CD'"):
@@ -226,13 +221,13 @@ def test_bad_words_are_told_in_one_line(working_directory, scenes, capsys):
         return complaint(capsys, "experiment", *words)
 
     assert line("table2", *given, "--arms", "sgd_irf").endswith("got 'sgd_irf'; did you mean sgd_ifr?")
-    assert line("table2", *given, "--budget", "0") == "--budget: expected at least 1, got 0"
-    assert line("table2", *given, "--runs", "0") == "--runs: expected at least 1, got 0"
+    assert line("table2", *given, "--budget", "0") == "command line (--budget): expected at least 1, got 0"
+    assert line("table2", *given, "--runs", "0") == "command line (--runs): expected at least 1, got 0"
     assert line("table2", *given, "--budget", "5").startswith(
         "arm sgd_ifr: --budget: expected at least 6 scene renders"
     )
     assert line("table1", *given[:3], "--arms", "cma").startswith(
-        "--arms: expected nothing, as table1 measures gradients"
+        "command line (--arms): expected nothing, as table1 measures gradients"
     )
     assert "losses.detected_area: expected an option that the arms of table2 leave alone" in line(
         "table2", "losses.detected_area=3"

@@ -11,7 +11,7 @@ from warp.autograd import gradcheck
 from tests.architecture.kernel_style import read_modules
 from warpav_kernels.detection import detection_probability
 from warpav_kernels.experiments import benchmark
-from warpav_kernels.placement import constraint_losses, lagrangian, missed_loss, mount_pose, placement_losses
+from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose, placement_losses
 from warpav_kernels.raster import linearise, measure
 
 VIEWS, CAMERAS, VEHICLES, ROTATIONS = 4, 2, 3, 2
@@ -95,7 +95,7 @@ def in_frame_rotation_loss(new):
     bearing = new([[0.9, 0.5], [0.0, 0.0], [2.9, 2.4]], wp.vec2)
     bearing.requires_grad = False
     sight = new.integers([placement_losses.IN_FRAME, placement_losses.NEVER_SEEN, placement_losses.SEEN_OUT_OF_FRAME])
-    return CAMERAS, [pose, new.integers(ASSIGNED), bearing, sight, 0.3], [new(np.zeros((2, VEHICLES)))]
+    return CAMERAS, [pose, new.integers(ASSIGNED), bearing, sight, 0.3], [new(np.zeros(VEHICLES))]
 
 
 def measures(new):
@@ -109,28 +109,28 @@ def sum_area_around(new):
 
 def detected_area_loss(new):
     inputs = [measures(new), new(size=VEHICLES, low=4.0, high=6.0), new.integers(ASSIGNED), ROTATIONS, 0.8, 0.1]
-    return VEHICLES, inputs, [new(np.zeros((2, VEHICLES)))]
+    return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
 
 
 def object_visibility_loss(new):
     inputs = [measures(new), new(size=VEHICLES, low=4.0, high=6.0), new.integers(ASSIGNED), ROTATIONS, 0.8]
-    return VEHICLES, inputs, [new(np.zeros((4, VEHICLES)))]
+    return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
 
 
 def surface_blockage_loss(new):
     unblocked = new(size=(CAMERAS * ROTATIONS, VEHICLES, 1), low=0.1, high=0.4)
     inputs = [measures(new), unblocked, new.integers(ASSIGNED), new.integers([0, -1, 1]), ROTATIONS, 1.0]
-    return VEHICLES, inputs, [new(np.zeros((4, VEHICLES)))]
+    return VEHICLES, inputs, [new(np.zeros(VEHICLES))]
 
 
 def angular_coverage_loss(new):
     # of three ranges of 1.5 rad one ends before the next, two overlap
     pose = new(np.c_[np.zeros((3, 2)), [3.0, 0.2, -1.0], np.zeros((3, 4))])
-    return 1, [pose, new.integers([2, 0, 1]), new.integers([1, 0, 0]), 1.5], [new(np.zeros(5))]
+    return 1, [pose, new.integers([2, 0, 1]), new.integers([1, 0, 0]), 1.5], [new(np.zeros(1))]
 
 
 def mean_vehicle_loss(new):
-    return 2, [new(size=(2, VEHICLES)), 2], [new(np.zeros(2))]
+    return 1, [new(size=VEHICLES), 2], [new(np.zeros(1))]
 
 
 def lagrangian_of_losses(new):
@@ -217,7 +217,7 @@ def box_share(new):
 
 
 def missed(new):
-    return 1, [new(size=VEHICLES, low=-2.0, high=0.0), 1], [new(np.zeros(2))]
+    return 1, [new(size=VEHICLES, low=-2.0, high=0.0)], [new(np.zeros(1))]
 
 
 CASES = {
@@ -240,11 +240,11 @@ CASES = {
     placement_losses.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
     detection_probability.detection_probability_kernel: probability_of_detection,
-    missed_loss.sum_over_panorama_kernel: sum_over_panorama,
-    missed_loss.camera_probability_kernel: camera_probability,
-    missed_loss.box_share_kernel: box_share,
-    missed_loss.log_missed_kernel: log_missed,
-    missed_loss.missed_loss_kernel: missed,
+    expected_misses.sum_over_panorama_kernel: sum_over_panorama,
+    expected_misses.camera_probability_kernel: camera_probability,
+    expected_misses.box_share_kernel: box_share,
+    expected_misses.log_missed_kernel: log_missed,
+    expected_misses.expected_misses_kernel: missed,
     lagrangian.lagrangian_kernel: lagrangian_of_losses,
     lagrangian.damped_lagrangian_kernel: damped_lagrangian,
     benchmark.place_level_cameras_kernel: place_level_cameras,

@@ -18,14 +18,16 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from tests.optimisation.objectives import rig_objective
 from warpav.detection.detector import Detections
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses import LossSettings, Reference
+from warpav.optimisation.losses.options import Reference
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.optimisation.search import BudgetedValue, SearchSpace
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh, merge
@@ -93,14 +95,13 @@ class World:
     def objective(self):
         """Each vehicle's share that is not found, mean over vehicles."""
         mount = CameraMount(self.surface, camera=MODEL, height_offset_m=HEIGHT_OFFSET_M)
-        settings = LossSettings(
-            in_frame_rotation=0.0, detected_area=1.0, min_detected_area=1.0, reference=Reference.ALONE
-        )
-        return RigObjective(
+        settings = LossSettings(detected_area=1.0, min_detected_area=1.0)
+        return rig_objective(
             mount,
             PaintDetector(),
             camera_count=self.camera_count,
             settings=settings,
+            reference=Reference.ALONE,
             iou_min=0.2,
             occlusion=Occlusion.EXACT,
             supersampling=self.supersampling,
@@ -109,11 +110,12 @@ class World:
     @functools.cached_property
     def expected(self):
         """The default method's: the share of vehicles that the rig is expected to miss, inequalities for places."""
-        return RigObjective(
+        return rig_objective(
             self.objective.mount,
             PaintDetector(),
             camera_count=self.camera_count,
-            settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0, multiplier_damping=10.0),
+            settings=LossSettings(expected_miss_rate=1.0),
+            multiplier_damping=10.0,
             constraints=ZoneAndSpacing(self.surface, camera_count=self.camera_count),
             occlusion=Occlusion.EXACT,
             supersampling=self.supersampling,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimisation.test_gradient import MODEL
+from tests.optimisation.test_descent import MODEL
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.constraints import BoundsAndSpacing

@@ -8,14 +8,15 @@ import warp as wp
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.driving_scene import flat_surface
+from tests.driving_scene import ConstantDetector, flat_surface
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
-from tests.optimisation.test_losses import constraint_losses, differences, placement_losses
+from tests.optimisation.objectives import OneScene, rig_objective
+from tests.optimisation.test_losses import THESIS_LOSSES, constraint_losses, differences, placement_losses
 from tests.oracle import closed_forms, thesis
 from tests.raster.bodies import FAR_AWAY, ball, cuboid, edges_of, scene_of
-from warpav.optimisation.losses import OBJECTIVES, LossSettings
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.scene_step import AssignedScene, SceneStep
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import AMODAL_AREA, MEASURE_COUNT
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -39,20 +40,10 @@ def losses_in(scene, assigned, pose, device, name, *, box_px=None, supersampling
         device=device,
         foreground_layer=True,
     )
-    moved = wp.array(pose, dtype=float, device=device, requires_grad=True)
-    step = SceneStep(
-        mount,
-        renderer,
-        AssignedScene(DeviceScene.pack(scene, device=device), np.array(assigned, np.int32)),
-        pose=moved,
-        seed=wp.array(np.array([name == each for each in OBJECTIVES], np.float32), dtype=float, device=device),
-        ahead_view=[camera * mount.rotation_count for camera in range(len(pose))],
-        settings=LossSettings(**{name: 1.0}, **options),
-    )
-    step.look()
-    step.set_boxes(np.zeros((len(pose), len(assigned), 4)) if box_px is None else box_px)
-    loss = step.learn().value.numpy()[OBJECTIVES.index(name)]
-    gradient = moved.grad.numpy()
+    scene = AssignedScene(DeviceScene.pack(scene, device=device), np.array(assigned, np.int32))
+    one = OneScene(mount, renderer, scene, len(pose), LossSettings(**{name: 1.0}).model_copy(update=options))
+    box_px = np.zeros((len(pose), len(assigned), 4)) if box_px is None else box_px
+    [loss], gradient = one.at(pose, box_px)
     return loss, gradient[:, MOVED]
 
 
@@ -187,7 +178,7 @@ def test_object_visibility_is_the_detected_area_of_a_perfect_detector(device, rn
     options = {"min_detected_area": 0.9, "object_visibility": 1.0}
     loss, _ = placement_losses(value, assigned, np.zeros((2, 7)), device, **options)
     assert loss[1] > 0.1
-    assert loss[OBJECTIVES.index("object_visibility")] == pytest.approx(loss[1], rel=1e-4)  # epsilon is in one only
+    assert loss[THESIS_LOSSES.index("object_visibility")] == pytest.approx(loss[1], rel=1e-4)  # epsilon is in one only
 
 
 # --- surface blockage ------------------------------------------------------------------------------------------------
@@ -260,7 +251,7 @@ def test_surface_blockage_matches_the_oracle_on_masks(device, rng, min_visibilit
         )
         items = [(alone[k], ego) for k in np.flatnonzero(assigned >= 0)]
         expected = thesis.surface_blockage_loss(items, min_visibility)
-        assert loss[OBJECTIVES.index("surface_blockage")] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+        assert loss[THESIS_LOSSES.index("surface_blockage")] == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
 # --- angular coverage ------------------------------------------------------------------------------------------------
@@ -277,11 +268,11 @@ def angular_coverage(yaw_rad, device, fov_rad=0.5 * math.pi):
         pose,
         device,
         model=CameraModel(32, 8, fov_rad),
-        weight=[name == "angular_coverage" for name in OBJECTIVES],
+        weight=[name == "angular_coverage" for name in THESIS_LOSSES],
         angular_coverage=1.0,
     )
     assert not gradient[:, [i for i in range(7) if i != YAW_RAD]].any()
-    return loss[OBJECTIVES.index("angular_coverage")], gradient[:, YAW_RAD]
+    return loss[THESIS_LOSSES.index("angular_coverage")], gradient[:, YAW_RAD]
 
 
 @pytest.mark.equation(20, 21, 22, 23)
@@ -336,19 +327,14 @@ def test_angular_coverage_matches_the_text_step_by_step(data):
 
 @pytest.mark.equation(1)
 def test_constraints_are_scaled_like_the_largest_objective():
-    scales = dict(zip(OBJECTIVES, (1.0, 2.0, 7.0, 3.0, 0.0, 0.5), strict=True))
-    settings = LossSettings(**scales)
-    assert settings.placement_scale == (1.0, 2.0, 7.0, 3.0, 0.0, 0.5)
-    assert settings.constraint_scale == 7.0
-    assert settings.objective_count == 5
-    assert "angular_coverage" not in settings.measured_objectives
-    assert LossSettings().measured_objectives == ("in_frame_rotation", "detected_area")
+    scales = {"in_frame_rotation": 1.0, "detected_area": 2.0, "surface_blockage": 7.0, "object_visibility": 3.0}
+    mount = CameraMount(SURFACE, camera=MODEL, height_offset_m=0.25)
+    objective = rig_objective(mount, ConstantDetector.silent(2), camera_count=2, settings=LossSettings(**scales))
+    assert {loss.name: weight for weight, loss in objective.losses} == scales
+    assert objective.constraint_scale == 7.0
 
 
 def test_the_unblocked_areas_have_to_be_there(device):
-    value = np.zeros((4, 1, MEASURE_COUNT))
-    with pytest.raises(ValueError, match="needs the unblocked areas"):
-        placement_losses(value, [0], np.zeros((1, 7)), device, surface_blockage=1.0)
     scene = DeviceScene.pack(scene_of([CAR], ego=FAR_AWAY), device=device)
     renderer = Renderer([MODEL], device=device)
     frame = renderer.render(

@@ -93,10 +93,10 @@ def test_cameras_on_masts_part_by_their_own_heights():
     constraints = BoundsAndSpacing(slope, min_spacing_m=0.5)
     place = np.array([[0.8, 1.0], [1.2, 1.0]])
     np.testing.assert_array_equal(constraints.project(place), place)
-    rise_m = np.array([0.4, 0.0])  # as high as the other one
-    parted = constraints.project(place, rise_m)
+    height_delta_m = np.array([0.4, 0.0])  # as high as the other one
+    parted = constraints.project(place, height_delta_m)
     assert np.linalg.norm(parted[1] - parted[0]) > 0.45
-    assert min_camera_distance_m(np.c_[parted, slope.height_at_m(parted) + rise_m]) >= 0.5
+    assert min_camera_distance_m(np.c_[parted, slope.height_at_m(parted) + height_delta_m]) >= 0.5
 
 
 @pytest.mark.parametrize("camera_count", [2, 9])

@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, flat_surface, roof
 from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
-from tests.optimisation.test_gradient import START, Slope, street_scenes
+from tests.optimisation.objectives import rig_objective
+from tests.optimisation.test_descent import START, Slope, street_scenes
 from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.gradient import Descent, OptimiserSettings
-from warpav.optimisation.losses import LossSettings
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, CameraMount, FreeRanges
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, CameraMount, FreeRanges
 from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
@@ -65,7 +66,7 @@ def test_nothing_is_free_unless_asked_for():
     ("name", "number", "low", "high"),
     [
         ("pitch_rad", PITCH_RAD, math.radians(-20.0), math.radians(20.0)),
-        ("height_m", RISE_M, -0.2, 0.35),
+        ("height_m", HEIGHT_DELTA_M, -0.2, 0.35),
         ("fov_rad", LOG_ZOOM, -math.log(math.tan(math.radians(55.0))), -math.log(math.tan(math.radians(30.0)))),
     ],
 )
@@ -100,7 +101,7 @@ def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
     np.testing.assert_allclose(kept[0], pose[0], atol=1e-6)
     assert_within(mount_of(), kept)
     fixed = mount_of(free=None).start_pose_of_rig(rig)
-    np.testing.assert_array_equal(fixed[:, [RISE_M, LOG_ZOOM]], 0.0)
+    np.testing.assert_array_equal(fixed[:, [HEIGHT_DELTA_M, LOG_ZOOM]], 0.0)
     np.testing.assert_allclose(fixed[:, :5], pose[:, :5], atol=1e-6)
 
 
@@ -164,18 +165,16 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
 
     objective.evaluate = steep
     start = START.copy()
-    start[:, [PITCH_RAD, RISE_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
-    steps = OptimiserSettings(
-        iterations=4,
-        batch_size=1,
-        learning_rate_position_m=0.01,
-        learning_rate_pitch_rad=rate,
-        learning_rate_height_m=rate,
-        learning_rate_zoom=rate,
-        keep="best",
-        check_every=2,
+    start[:, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]] = np.reshape(first, (2, 3))
+    steps = OptimiserSettings(keep="best", check_every=2).model_copy(
+        update={
+            "learning_rate_position_m": 0.01,
+            "learning_rate_pitch_deg": math.degrees(rate),
+            "learning_rate_height_m": rate,
+            "learning_rate_zoom": rate,
+        }
     )
-    descent = Descent(objective, street_scenes(), steps, start, np.random.default_rng(0))
+    descent = Descent(objective, street_scenes(), steps, start, np.random.default_rng(0), 4, 1)
     records = [descent.step() for _ in range(4)]
     assert_within(objective.mount, descent.finish().mount_pose)
     assert set(records[0].free) == {"pitch_deg", "height_m", "fov_deg"}
@@ -184,7 +183,7 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
             assert 60.0 - 1e-4 <= value <= 110.0 + 1e-4
         for value in record.free["height_m"]:
             assert 0.05 <= value <= 0.6
-    moved = descent.state()["pose_value"] != objective.mount.within(start).astype(np.float32)
+    moved = descent.mount_pose != objective.mount.within(start).astype(np.float32)
     assert not moved[:, 4].any()  # the roll
 
 
@@ -198,15 +197,14 @@ def test_searches_try_all_that_is_free_and_nothing_else(seed):
         assert_within(mount, space.pose_of(unit))
     random = space.random(rng)
     assert_within(mount, random.astype(np.float32))
-    assert (np.ptp(random[:, [PITCH_RAD, RISE_M, LOG_ZOOM]], axis=0) > 0.0).all()
+    assert (np.ptp(random[:, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]], axis=0) > 0.0).all()
     np.testing.assert_allclose(space.pose_of(space.unit_of(random))[:, 3:], random[:, 3:], atol=1e-6)
 
 
 def test_records_hold_only_what_is_free():
     objective = Slope()
     objective.mount = mount_of(FreeRanges(pitch_rad=FREE.pitch_rad))
-    steps = OptimiserSettings(iterations=1, batch_size=1)
-    record = Descent(objective, street_scenes(), steps, START, np.random.default_rng(0)).step()
+    record = Descent(objective, street_scenes(), OptimiserSettings(), START, np.random.default_rng(0), 1, 1).step()
     assert record.free == {"pitch_deg": [0.0, 0.0]}
     assert set(record.gradient_norm) == {"position", "rotation"}
 
@@ -219,11 +217,11 @@ def fenced_objective(free):
     surface = flat_surface([-0.5, -0.5], [0.5, 0.5], height_m=1.5)
     fence = _block([0.2, 30.0, 2.0], [5.0, 0.0, 1.0])
     scene = _scene("fence", [fence], _body(surface), [_vehicle(0, [2.4, 4.0, 2.6], [14.0, 0.0, 1.3])])
-    objective = RigObjective(
+    objective = rig_objective(
         mount_of(free, surface),
         ConstantDetector.silent(1),
         camera_count=1,
-        settings=LossSettings(in_frame_rotation=0.0, detected_area=0.0, missed=1.0),
+        settings=LossSettings(expected_miss_rate=1.0),
         occlusion=Occlusion.EXACT,
         supersampling=2,
         # more of it, less of it hidden, less of it cut off, farther from the border
@@ -239,10 +237,8 @@ def fenced_objective(free):
 
 def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
     steps = OptimiserSettings(
-        iterations=60,
-        batch_size=1,
         learning_rate_position_m=0.01,
-        learning_rate_yaw_rad=0.01,
+        learning_rate_yaw_deg=math.degrees(0.01),
         schedule="cosine",
         keep="best",
         check_every=5,
@@ -252,13 +248,13 @@ def test_a_descent_finds_the_best_pitch_height_and_field_of_view():
     found = {}
     for name, free in (("free", FREE), ("fixed", None)):
         objective, scenes = fenced_objective(free)
-        descent = Descent(objective, scenes, steps, start, np.random.default_rng(0))
-        for _ in range(steps.iterations):
+        descent = Descent(objective, scenes, steps, start, np.random.default_rng(0), 60, 1)
+        for _ in range(60):
             descent.step()
         found[name] = descent.finish()
     objective, scenes = fenced_objective(FREE)
     best, low, high = found["free"].mount_pose, objective.mount.low, objective.mount.high
-    assert best[0, RISE_M] > high[RISE_M] - 0.02
+    assert best[0, HEIGHT_DELTA_M] > high[HEIGHT_DELTA_M] - 0.02
     assert best[0, LOG_ZOOM] > high[LOG_ZOOM] - 0.02
     pitches = np.linspace(low[PITCH_RAD], high[PITCH_RAD], 41)
     values = []

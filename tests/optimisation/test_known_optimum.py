@@ -3,14 +3,15 @@
 import functools
 import importlib.util
 import itertools
+import math
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
-from warpav.optimisation.gradient import Descent, OptimiserSettings
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.rivals import (
     GradientStage,
     cma_es,
@@ -22,17 +23,20 @@ from warpav.optimisation.rivals import (
     sobol_search,
 )
 from warpav.optimisation.search import SearchSpace, run_search
-from warpav.optimisation.starts import look_at_starts
+from warpav.optimisation.settings import OptimiserSettings
+from warpav.optimisation.starts import evaluate_starts
 
 WORLDS = [behind_a_wall, bump, square]
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")
 STEPS = OptimiserSettings(
-    batch_size=1,
     learning_rate_position_m=0.04,
-    learning_rate_yaw_rad=0.06,
+    learning_rate_yaw_deg=math.degrees(0.06),
     schedule="cosine",
     keep="best",
     check_every=5,
+    weight_decay=1e-3,
+    panorama_until=0.3,
+    starts=1,
 )
 
 
@@ -100,10 +104,8 @@ def test_no_rig_of_all_that_were_tried_is_expected_to_miss_less(make):
 def default_method(world, seed, *, starts, descents, iterations):
     """The rig that the default method finds: many starts, their mixture, descents with a panorama early in each."""
     settings = OptimiserSettings(
-        iterations=iterations,
-        batch_size=1,
         learning_rate_position_m=0.04,
-        learning_rate_yaw_rad=0.04,
+        learning_rate_yaw_deg=math.degrees(0.04),
         schedule="cosine",
         weight_decay=0.0,
         multiplier_learning_rate=1.0,
@@ -115,9 +117,9 @@ def default_method(world, seed, *, starts, descents, iterations):
     )
     objective, rng = world.expected, np.random.default_rng(seed)
     space = SearchSpace.over(objective.mount, world.camera_count, constraints=objective.constraints)
-    looked = look_at_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
+    looked = evaluate_starts(objective, world.scenes, space, starts, rng, known=space.random(rng))
     first, *others = [each.mount_pose for each in looked[:descents]]
-    descent = Descent(objective, world.scenes, settings, first, rng, further_starts=others)
+    descent = Descent(objective, world.scenes, settings, first, rng, iterations, 1, further_starts=others)
     for _ in range(iterations):
         descent.step()
     result = descent.finish()
@@ -192,7 +194,7 @@ def test_regret_of_rivals_is_small_with_one_camera(make, method, most):
     # median of 3 seeds, 400 looks. Seen: CMA-ES .000, CMA-ES then gradient .002, evolution .025, Sobol .09
     world = make()
     if method is cma_then_gradient:
-        method = functools.partial(method, stage=GradientStage(world.objective, world.scenes, STEPS))
+        method = functools.partial(method, stage=GradientStage(world.objective, world.scenes, STEPS, batch_size=1))
     regrets = [regret(world, method, 400, seed) for seed in range(3)]
     assert min(regrets) >= -0.005
     assert np.median(regrets) <= most
@@ -207,7 +209,7 @@ def test_highest_is_nearly_best_on_a_bump_and_bad_behind_a_wall():
 @needs_cma
 def test_the_gradient_improves_on_what_cma_found_in_the_square():
     world = square()
-    stage = GradientStage(world.objective, world.scenes, STEPS)
+    stage = GradientStage(world.objective, world.scenes, STEPS, batch_size=1)
     both = [regret(world, functools.partial(cma_then_gradient, stage=stage), 300, seed) for seed in range(3)]
     alone = [regret(world, cma_es, 300, seed) for seed in range(3)]
     gradient = [regret(world, functools.partial(gradient_search, stage=stage), 300, seed) for seed in range(3)]

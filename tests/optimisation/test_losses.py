@@ -1,8 +1,8 @@
 """Every loss against the printed formula, and its gradient against finite differences of that formula."""
 
-import dataclasses
 import functools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +10,19 @@ import warp as wp
 
 from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
+from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.losses import OBJECTIVES, LossSettings, Reference, lagrangian_of, placement_losses_of
+from warpav.optimisation.losses.build import losses_of
+from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.raster.camera import CameraModel
 
 WIDTH, HEIGHT = 32, 8
+THESIS_LOSSES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")
 MODEL = CameraModel(WIDTH, HEIGHT, math.pi / 2)
 SURFACE = flat_surface([-2.0, -1.0], [2.0, 1.0])
 
@@ -123,6 +128,7 @@ def placement_losses(
     jac_rotation=None,
     unblocked=None,
     weight=(1.0, 0.0),
+    reference=Reference.NON_OCCLUDED,
     **settings,
 ):
     """Losses for measures [view, vehicle, measure], and the gradient of their weighted sum to the pose.
@@ -151,19 +157,27 @@ def placement_losses(
         )
 
     measures = measured(value, jac_translation, jac_rotation)
+    frame = SimpleNamespace(device=measures.value.device, view_count=len(value))
+    scene = SimpleNamespace(vehicle_count=len(assigned))
+    on_device = wp.array(assigned, dtype=wp.int32, device=device)
+    nothing = wp.zeros((len(array), len(assigned)), dtype=float, device=device)
+    on_tape = SceneOnTape(
+        mount, frame, scene, views, measures, assigned, on_device, nothing, nothing, nothing, [], nothing
+    )
+    if unblocked is not None:
+        on_tape.__dict__["unblocked"] = measured(*(numbers[:, :, None] for numbers in unblocked))
+    losses = {}
     with tape:
-        loss = placement_losses_of(
-            mount,
-            views,
-            measures,
-            wp.array(assigned, dtype=wp.int32, device=device),
-            assigned_count=int((assigned >= 0).sum()),
-            settings=LossSettings(**settings),
-            unblocked=None if unblocked is None else measured(*(numbers[:, :, None] for numbers in unblocked)),
-        )
-    weight = np.pad(np.array(weight, np.float32), (0, len(OBJECTIVES) - len(weight)))
-    tape.backward(grads={loss: wp.array(weight, dtype=float, device=device)})
-    return loss.numpy(), array.grad.numpy()
+        for _, loss in losses_of(LossOptions(thesis_losses(**settings), reference)):
+            losses[loss.name] = loss.on_tape(on_tape)
+    weight = dict(zip(THESIS_LOSSES, weight, strict=False))
+    tape.backward(
+        grads={
+            loss: wp.array([float(weight.get(name, 0.0))], dtype=float, device=device) for name, loss in losses.items()
+        }
+    )
+    values = [losses[name].numpy()[0] if name in losses else 0.0 for name in THESIS_LOSSES]
+    return np.array(values, np.float32), array.grad.numpy()
 
 
 def measures_of(silhouettes):
@@ -420,21 +434,22 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
         surface_blockage=1.0,
         object_visibility=1.0,
     )
-    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(loss, [1.0, 1.0, 1.0, 1.0, 0.0])
     assert not gradient.any()
 
 
 # --- the Lagrangian --------------------------------------------------------------------------------------------------
 
 
-def lagrangian(objective, constraint, multiplier, settings, device, *, are_inequalities=False):
+def lagrangian(objective, constraint, multiplier, weights, device, *, damping=0.0, are_inequalities=False):
     arrays = [
         wp.array(np.array(numbers, np.float32), dtype=float, device=device, requires_grad=True)
         for numbers in (objective, constraint, multiplier)
     ]
     tape = wp.Tape()
     with tape:
-        total = lagrangian_of(*arrays, settings, are_inequalities=are_inequalities)
+        whole = Lagrangian(weights, len(constraint), damping=damping, are_inequalities=are_inequalities, device=device)
+        total = whole.on_tape(*arrays)
     tape.backward(total)
     return float(total.numpy()[0]), [array.grad.numpy() for array in arrays]
 
@@ -442,7 +457,6 @@ def lagrangian(objective, constraint, multiplier, settings, device, *, are_inequ
 @pytest.mark.equation(1)
 @pytest.mark.parametrize("scales", [(1.0, 10.0), (2.0, 0.0), (0.0, 3.0)])
 def test_lagrangian_matches_oracle(device, rng, scales):
-    settings = LossSettings(in_frame_rotation=scales[0], detected_area=scales[1])
     # the constraints come with every objective that takes part, scaled like the largest of them
     taking_part = [j for j in range(2) if scales[j] > 0.0]
     for _ in range(5):
@@ -452,25 +466,24 @@ def test_lagrangian_matches_oracle(device, rng, scales):
             o, c, m = numbers.reshape(3, 2)
             return thesis.lagrangian(o[taking_part], np.array(scales)[taking_part], m, c, [max(scales)] * 2)
 
-        value, gradients = lagrangian(objective, constraint, multiplier, settings, device)
+        value, gradients = lagrangian(objective, constraint, multiplier, scales, device)
         numbers = np.r_[objective, constraint, multiplier]
         assert value == pytest.approx(total(numbers), rel=1e-5)
         np.testing.assert_allclose(np.concatenate(gradients), differences(total, numbers, 1e-5), rtol=1e-4, atol=1e-4)
 
 
 def test_damping_adds_half_the_squared_constraint(device):
-    plain = LossSettings(in_frame_rotation=1.0, detected_area=0.0)
-    damped = dataclasses.replace(plain, multiplier_damping=4.0)
-    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], plain, device)
-    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], damped, device)
+    without, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], [1.0, 0.0], device)
+    with_damping, _ = lagrangian([0.5, 0.0], [0.3, 0.2], [1.0, 2.0], [1.0, 0.0], device, damping=4.0)
     assert with_damping - without == pytest.approx(0.5 * 4.0 * (0.3**2 + 0.2**2), rel=1e-5)
 
 
-INEQUALITIES = LossSettings(in_frame_rotation=1.0, detected_area=3.0, multiplier_damping=4.0)
+INEQUALITIES = (1.0, 3.0)
+DAMPING = 4.0
 
 
 def test_damped_lagrangian_matches_its_formula(device, rng):
-    scale, damping = np.array([1.0, 3.0]), INEQUALITIES.multiplier_damping
+    scale, damping = np.array([1.0, 3.0]), DAMPING
     for _ in range(20):
         objective, excess, multiplier = rng.uniform(0.0, 2.0, 2), rng.uniform(-1.0, 1.0, 5), rng.uniform(0.0, 3.0, 5)
         multiplier[0] = 0.0
@@ -480,16 +493,17 @@ def test_damped_lagrangian_matches_its_formula(device, rng):
             # the same with one square for each inequality, as Rockafellar writes it
             return scale @ o + ((np.maximum(m + damping * g, 0.0) ** 2 - m**2) / (2.0 * damping)).sum()
 
-        value, gradients = lagrangian(objective, excess, multiplier, INEQUALITIES, device, are_inequalities=True)
+        value, gradients = lagrangian(
+            objective, excess, multiplier, INEQUALITIES, device, damping=DAMPING, are_inequalities=True
+        )
         numbers = np.r_[objective, excess, multiplier]
         assert value == pytest.approx(total(numbers), abs=1e-5)
         np.testing.assert_allclose(np.concatenate(gradients), differences(total, numbers, 1e-6), atol=1e-5)
 
 
 def test_inequalities_without_damping_count_as_they_are(device):
-    plain = dataclasses.replace(INEQUALITIES, multiplier_damping=0.0)
     value, (_, to_excess, to_multiplier) = lagrangian(
-        [0.5, 0.0], [0.3, -0.2], [2.0, 1.0], plain, device, are_inequalities=True
+        [0.5, 0.0], [0.3, -0.2], [2.0, 1.0], INEQUALITIES, device, are_inequalities=True
     )
     assert value == pytest.approx(0.5 + 2.0 * 0.3 - 1.0 * 0.2)
     np.testing.assert_allclose(to_excess, [2.0, 1.0])
@@ -498,7 +512,7 @@ def test_inequalities_without_damping_count_as_they_are(device):
 
 def test_room_to_spare_without_multiplier_costs_nothing(device):
     value, (_, to_excess, to_multiplier) = lagrangian(
-        [0.5, 0.0], [-0.3, -1e-6], [0.0, 0.0], INEQUALITIES, device, are_inequalities=True
+        [0.5, 0.0], [-0.3, -1e-6], [0.0, 0.0], INEQUALITIES, device, damping=DAMPING, are_inequalities=True
     )
     assert value == 0.5
     assert not to_excess.any()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
+from tests.optimisation.objectives import rig_objective
 from warpav.detection.probability import (
     CONTRAST,
     FEATURE_COUNT,
@@ -14,14 +15,15 @@ from warpav.detection.probability import (
     Appearance,
     DetectionProbability,
 )
-from warpav.optimisation.losses import LossSettings
-from warpav.optimisation.missed import Stage
-from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, RISE_M, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
+from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 
+END, PANORAMA = LossSchedule(), LossSchedule(1.0)
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.05, 0.0, 0.0, 0.0]], np.float32)
 KNOTS = 7
@@ -47,8 +49,8 @@ def probability_model(rng):
 
 
 def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
-    scales = {"in_frame_rotation": 0.0, "detected_area": 0.0, "missed": 1.0, **settings}
-    return RigObjective(
+    scales = {"expected_miss_rate": 1.0, **settings}
+    return rig_objective(
         CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
         detector or ConstantDetector.silent(cameras),
         camera_count=cameras,
@@ -80,11 +82,11 @@ def test_value_is_the_mean_of_products_over_all_objects_of_all_scenes(device, rn
     objective, scenes = objective_of(device, model=model), scenes_of(device, 10, 4)
     missed = [np.prod(1.0 - probabilities(objective, POSE, each.scene, model), axis=0) for each in scenes]
     result = objective.evaluate(POSE, scenes)
-    assert result.terms["missed"] == pytest.approx(np.concatenate(missed).mean(), rel=1e-5)
-    assert result.objective == pytest.approx(result.terms["missed"], rel=1e-6)
-    assert set(result.terms) == {"missed", "out_of_bounds", "camera_spacing"}
+    assert result.terms["expected_miss_rate"] == pytest.approx(np.concatenate(missed).mean(), rel=1e-5)
+    assert result.objective == pytest.approx(result.terms["expected_miss_rate"], rel=1e-6)
+    assert set(result.terms) == {"expected_miss_rate", "out_of_bounds", "camera_spacing"}
     # whatever the scale, and whoever answers for a vehicle
-    double = objective_of(device, model=model, missed=2.0)
+    double = objective_of(device, model=model, expected_miss_rate=2.0)
     assigned = [AssignedScene(each.scene, np.zeros_like(each.assigned_camera)) for each in scenes]
     assert double.evaluate(POSE, assigned).objective == pytest.approx(2.0 * result.objective, rel=1e-6)
 
@@ -98,8 +100,10 @@ def test_the_detector_corrects_the_probabilities(device, rng):
     observation, _, _ = objective.observe_rig(objective.mount.rig(POSE), scene)
     found = (observation.match >= 0).astype(float)
     p = 0.5 * probabilities(objective, POSE, scene.scene, model) + 0.5 * found
-    assert objective.evaluate(POSE, [scene]).terms["missed"] == pytest.approx(np.prod(1.0 - p, axis=0).mean(), rel=1e-5)
-    without = objective.evaluate(POSE, [scene], stage=Stage()).terms["missed"]
+    assert objective.evaluate(POSE, [scene]).terms["expected_miss_rate"] == pytest.approx(
+        np.prod(1.0 - p, axis=0).mean(), rel=1e-5
+    )
+    without = objective.evaluate(POSE, [scene], schedule=LossSchedule()).terms["expected_miss_rate"]
     assert without == pytest.approx(
         np.prod(1.0 - probabilities(objective, POSE, scene.scene, model), axis=0).mean(), rel=1e-5
     )
@@ -122,7 +126,7 @@ def test_the_surest_camera_alone_may_count(device, rng):
     p = probabilities(objective, pose, scene.scene, model)
     assert ((p > 0.0).sum(axis=0) > 1).any()
     result = objective.evaluate(pose, [scene], gradient=True)
-    assert result.terms["missed"] == pytest.approx((1.0 - p.max(axis=0)).mean(), rel=1e-5)
+    assert result.terms["expected_miss_rate"] == pytest.approx((1.0 - p.max(axis=0)).mean(), rel=1e-5)
     # a camera that is the surest of none has no gradient
     same = np.repeat(POSE[:1], 2, axis=0)
     gradient = objective.evaluate(same, [scene], gradient=True).gradient
@@ -140,19 +144,19 @@ def test_a_share_of_the_box_may_stand_for_the_probability(device, rng, name):
     share = np.minimum(feature[:, :, IN_FRAME_SHARE] * (hiding if name == "visible_share" else 1.0), 0.9999)
     assert share.max() > 0.5
     result = objective.evaluate(POSE, [scene], gradient=True)
-    assert result.terms["missed"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)
+    assert result.terms["expected_miss_rate"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)
     assert np.abs(result.gradient).max() > 1e-4
 
 
 # Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.
-def mean_gradients(rng, stage, device, *, numbers, spread, pose=POSE, free=None):
+def mean_gradients(rng, schedule, device, *, numbers, spread, pose=POSE, free=None):
     """Our gradient and that of finer renders to some numbers with their steps, mean over jittered poses."""
     scenes = scenes_of(device, 10)
     objective, fine = (objective_of(device, supersampling=n, free=free) for n in (2, TRUTH_SAMPLES))
     ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
     for _ in range(JITTERS):
         at = pose + rng.uniform(-1.0, 1.0, pose.shape).astype(np.float32) * spread
-        gradient = objective.evaluate(at, scenes, gradient=True, stage=stage).gradient
+        gradient = objective.evaluate(at, scenes, gradient=True, schedule=schedule).gradient
         ours += gradient[:, [number for number, _ in numbers]] / JITTERS
         for camera in range(2):
             for column, (number, step) in enumerate(numbers):
@@ -160,16 +164,16 @@ def mean_gradients(rng, stage, device, *, numbers, spread, pose=POSE, free=None)
                 for sign in (1.0, -1.0):
                     moved = at.copy()
                     moved[camera, number] += sign * step
-                    values.append(fine.evaluate(moved, scenes, stage=stage).terms["missed"])
+                    values.append(fine.evaluate(moved, scenes, schedule=schedule).terms["expected_miss_rate"])
                 truth[camera, column] += (values[0] - values[1]) / (2.0 * step) / JITTERS
     return ours, truth
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", [Stage(), Stage(1.0), Stage(0.5)], ids=["end", "panorama", "between"])
-def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
+@pytest.mark.parametrize("schedule", [END, PANORAMA, LossSchedule(0.5)], ids=["end", "panorama", "between"])
+def test_gradient_matches_differences_of_finer_renders(device, rng, schedule):
     numbers, spread = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006)), [0.05, 0.05, 0.01, 0.01, 0.0, 0.0, 0.0]
-    ours, truth = mean_gradients(rng, stage, device, numbers=numbers, spread=spread)
+    ours, truth = mean_gradients(rng, schedule, device, numbers=numbers, spread=spread)
     ours, truth = ours * [1.0, 1.0, 0.2], truth * [1.0, 1.0, 0.2]
     # seen .994, .999, .998
     assert (ours * truth).sum() > 0.99 * np.linalg.norm(ours) * np.linalg.norm(truth)
@@ -177,11 +181,14 @@ def test_gradient_matches_differences_of_finer_renders(device, rng, stage):
 
 # Cameras that look up, so that the lower border of the image cuts cars; near the roof, which hides some from low ones.
 @pytest.mark.slow
-@pytest.mark.parametrize(("stage", "rise_m"), [(Stage(), -0.1), (Stage(1.0), -0.05)], ids=["end", "panorama"])
-def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, stage, rise_m):
-    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, rise_m, 0.3], np.float32)
-    numbers, spread = ((PITCH_RAD, 0.01), (RISE_M, 0.02), (LOG_ZOOM, 0.03)), [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1]
-    ours, truth = mean_gradients(rng, stage, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
+@pytest.mark.parametrize(("schedule", "height_delta_m"), [(END, -0.1), (PANORAMA, -0.05)], ids=["end", "panorama"])
+def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, schedule, height_delta_m):
+    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, height_delta_m, 0.3], np.float32)
+    numbers, spread = (
+        ((PITCH_RAD, 0.01), (HEIGHT_DELTA_M, 0.02), (LOG_ZOOM, 0.03)),
+        [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1],
+    )
+    ours, truth = mean_gradients(rng, schedule, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
     error = np.linalg.norm(ours - truth, axis=0) / np.linalg.norm(truth, axis=0)
     # seen .04, .11, .03 at the end, .002, .04, .003 over the panorama
     assert (error < [0.1, 0.25, 0.1]).all()
@@ -194,26 +201,26 @@ def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):
     middle = np.asarray(scene.scene.upright_box.centre_ego_m.numpy()[0][:2], float)
     place = np.array([1.0, 0.0])
     bearing = math.atan2(*(middle - place)[::-1])
-    pose = np.array([[*place, bearing + math.radians(75.0), 0.0, 0.0]], np.float32)
-    end = objective.evaluate(pose, [scene], gradient=True, stage=Stage())
-    assert end.terms["missed"] == pytest.approx(1.0, abs=1e-3)
+    pose = np.array([[*place, bearing + math.radians(75.0), 0.0, 0.0, 0.0, 0.0]], np.float32)
+    end = objective.evaluate(pose, [scene], gradient=True, schedule=LossSchedule())
+    assert end.terms["expected_miss_rate"] == pytest.approx(1.0, abs=1e-3)
     assert np.abs(end.gradient).max() < 1e-3
-    early = objective.evaluate(pose, [scene], gradient=True, stage=Stage(1.0))
-    assert early.terms["missed"] < 1.0
+    early = objective.evaluate(pose, [scene], gradient=True, schedule=LossSchedule(1.0))
+    assert early.terms["expected_miss_rate"] < 1.0
     assert early.gradient[0, YAW_RAD] > 0.02  # a turn to the right finds it
     turned = pose.copy()
     turned[0, YAW_RAD] = bearing
-    seen = objective.evaluate(turned, [scene], stage=Stage())
-    assert seen.terms["missed"] < 0.5
+    seen = objective.evaluate(turned, [scene], schedule=LossSchedule())
+    assert seen.terms["expected_miss_rate"] < 0.5
 
 
 def test_repeats_bit_by_bit_and_gradient_is_optional(device):
     objective, scenes = objective_of(device), scenes_of(device, 10, 4, 7)
-    for stage in (Stage(), Stage(0.7)):
-        first = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
-        again = objective.evaluate(POSE, scenes, gradient=True, stage=stage)
+    for schedule in (LossSchedule(), LossSchedule(0.7)):
+        first = objective.evaluate(POSE, scenes, gradient=True, schedule=schedule)
+        again = objective.evaluate(POSE, scenes, gradient=True, schedule=schedule)
         np.testing.assert_array_equal(again.gradient, first.gradient)
-        assert objective.evaluate(POSE, scenes, stage=stage).terms == first.terms == again.terms
+        assert objective.evaluate(POSE, scenes, schedule=schedule).terms == first.terms == again.terms
 
 
 @pytest.mark.parametrize("free", [None, FREE], ids=["fixed", "free"])
@@ -228,48 +235,48 @@ def test_a_rig_from_elsewhere_has_the_same_value(device, free):
 def test_what_is_free_changes_nothing_while_it_is_as_configured(device):
     scenes = scenes_of(device, 10, 4)
     fixed, free = objective_of(device), objective_of(device, free=FREE)
-    one, other = (each.evaluate(POSE, scenes, gradient=True, stage=Stage()) for each in (fixed, free))
+    one, other = (each.evaluate(POSE, scenes, gradient=True, schedule=LossSchedule()) for each in (fixed, free))
     assert one.terms == other.terms
     np.testing.assert_array_equal(one.gradient, other.gradient)
 
 
 def test_the_losses_of_the_thesis_refuse_a_free_field_of_view():
-    with pytest.raises(ValueError, match="need one field of view for all cameras"):
+    with pytest.raises(ValueError, match="takes one field of view for all cameras"):
         objective_of(free=FREE, in_frame_rotation=1.0)
     pitch_alone = FreeRanges(pitch_rad=(-0.1, 0.1))
-    assert objective_of(free=pitch_alone, in_frame_rotation=1.0).settings.needs_panorama
+    assert objective_of(free=pitch_alone, in_frame_rotation=1.0).needs_panorama
 
 
 def test_a_scene_without_road_users_misses_none(device):
     objective, scenes = objective_of(device), scenes_of(device, 10, 0)
     both = objective.evaluate(POSE, scenes, gradient=True)
     alone = objective.evaluate(POSE, scenes[:1], gradient=True)
-    assert both.terms["missed"] == pytest.approx(alone.terms["missed"])
+    assert both.terms["expected_miss_rate"] == pytest.approx(alone.terms["expected_miss_rate"])
     np.testing.assert_allclose(both.gradient, alone.gradient, rtol=1e-5, atol=1e-7)
-    assert objective.evaluate(POSE, scenes[1:]).terms["missed"] == 0.0
+    assert objective.evaluate(POSE, scenes[1:]).terms["expected_miss_rate"] == 0.0
 
 
 def test_a_model_is_needed():
-    with pytest.raises(ValueError, match="needs the probability of detection"):
-        RigObjective(
+    with pytest.raises(ValueError, match="needs the model of detection probability"):
+        rig_objective(
             CameraMount(roof(), camera=MODEL, height_offset_m=0.25),
             ConstantDetector.silent(2),
             camera_count=2,
-            settings=LossSettings(missed=1.0),
+            settings=LossSettings(expected_miss_rate=1.0),
         )
 
 
 def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
     scenes = scenes_of("cpu", 10, 4)
     change = np.zeros((3, *POSE.shape), np.float32)
-    change[:, :, [PITCH_RAD, RISE_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
+    change[:, :, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]] = rng.uniform(-0.15, 0.15, (3, 2, 3))
 
     def results():
         objective = objective_of(free=FREE)
         return [
-            objective.evaluate(POSE + each, scenes, gradient=True, stage=stage)
+            objective.evaluate(POSE + each, scenes, gradient=True, schedule=schedule)
             for each in change
-            for stage in (Stage(), Stage(0.6))
+            for schedule in (LossSchedule(), LossSchedule(0.6))
         ]
 
     launched = results()

@@ -8,12 +8,12 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, SilentDetector, packed_street, roof
+from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.detection.observe import Observation
-from warpav.optimisation.losses import LossSettings
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
-from warpav.optimisation.objective import AssignedScene, RigObjective
 from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -42,11 +42,11 @@ def assigned_scenes(device):
 
 def objective_of(detector, device, *, supersampling=1, occlusion=Occlusion.PAIRWISE, **settings):
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device)
-    return RigObjective(
+    return rig_objective(
         mount,
         detector,
         camera_count=3,
-        settings=LossSettings(**settings),
+        settings=thesis_losses(**settings),
         iou_min=0.3,  # a step must not undo a match
         occlusion=occlusion,
         supersampling=supersampling,
@@ -130,7 +130,7 @@ def test_gradient_of_a_cut_loss_matches_differences_of_a_supersampled_one(device
     settings |= {"min_detected_area": 1.0, "min_unblocked_area": 1.0}
     scenes = assigned_scenes(device)[1:]
     result = objective_of(SilentDetector(), device, **settings).evaluate(pose, scenes, gradient=True)
-    assert set(result.terms) == {"in_frame_rotation", name, "out_of_bounds", "camera_spacing"}
+    assert set(result.terms) == {name, "out_of_bounds", "camera_spacing"}
     assert result.objective == result.terms[name]
     assert 0.05 < result.terms[name] < 0.95
     fine = objective_of(SilentDetector(), device, supersampling=4, **settings)

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimisation.test_gradient import SETTINGS, street_objective, street_scenes
+from tests.optimisation.test_descent import SETTINGS, changed, street_objective, street_scenes
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.rivals import (
     GradientStage,
@@ -438,7 +438,7 @@ def test_renders_are_counted_as_they_are_made(method, renders):
     budget = street_budget(objective, scenes, renders)
     options = {}
     if method in (gradient_search, cma_then_gradient):
-        options["stage"] = GradientStage(objective, scenes, SETTINGS)
+        options["stage"] = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     if method is greedy_cover:
         options |= {"sights": detections_of(objective, scenes), "yaw_count": 4}
     result = run_search(functools.partial(method, **options), budget, np.random.default_rng(0))
@@ -452,7 +452,7 @@ def test_renders_are_counted_as_they_are_made(method, renders):
 @pytest.mark.parametrize("keep", ["best", "last"])
 @pytest.mark.parametrize("renders", [7, 8, 30, 31, 60])
 def test_gradient_stage_takes_all_the_steps_that_the_budget_pays_for(keep, renders):
-    stage = GradientStage(None, street_scenes(), dataclasses.replace(SETTINGS, keep=keep))
+    stage = GradientStage(None, street_scenes(), changed(keep=keep), batch_size=2)
     count = stage.iterations(renders)
     assert (count == 0) == (renders < 2 + 2 * 3)
     looks = 1 + (1 + (count - 1) // 5 if keep == "best" else 1)
@@ -464,7 +464,7 @@ def test_gradient_stage_takes_all_the_steps_that_the_budget_pays_for(keep, rende
 @needs_cma
 def test_the_gradient_goes_on_from_where_cma_stopped():
     objective, scenes = street_objective(), street_scenes()
-    stage = GradientStage(objective, scenes, SETTINGS)
+    stage = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     budget = street_budget(objective, scenes, 120)
     result = run_search(functools.partial(cma_then_gradient, stage=stage), budget, np.random.default_rng(0))
     by_cma = [each for each in result.history if each.renders <= 60]
@@ -481,12 +481,12 @@ def test_a_descent_that_fails_keeps_its_best(monkeypatch):
     steps = []
 
     def step(self):
-        steps.append(self._look())
+        steps.append(self._check(self.mount_pose))
         if len(steps) == 3:
             raise InputError("no longer finite")
 
     monkeypatch.setattr(Descent, "step", step)
-    stage = GradientStage(objective, scenes, SETTINGS)
+    stage = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     result = run_search(
         functools.partial(gradient_search, stage=stage), street_budget(objective, scenes, 60), np.random.default_rng(0)
     )

@@ -5,16 +5,16 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import packed_street, roof
-from warpav.optimisation.losses import LossSettings, Reference
+from tests.optimisation.objectives import OneScene, thesis_losses
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.options import Reference
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.scene_step import AssignedScene, SceneStep
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0, 0.0, 0.0]], np.float32)
-SEED = np.array([1.0, 10.0, 3.0, 2.0, 1.5, 0.0], np.float32)
 
 
 class Steps:
@@ -29,36 +29,30 @@ class Steps:
             thread_count=1,
             foreground_layer=True,
         )
-        self.pose = wp.zeros(POSE.shape, dtype=float, device=device, requires_grad=True)
         scene = packed_street(device, car_count, 1)
-        self.step = SceneStep(
+        self.one = OneScene(
             mount,
             self.renderer,
             AssignedScene(scene, (np.arange(car_count) % 2).astype(np.int32)),
-            pose=self.pose,
-            seed=wp.array(SEED, dtype=float, device=device),
-            ahead_view=[0, mount.rotation_count],
-            settings=LossSettings(
+            2,
+            thesis_losses(
                 epsilon=0.05,
-                reference=Reference.ALONE,
-                surface_blockage=1.0,
-                object_visibility=1.0,
-                angular_coverage=1.0,
+                surface_blockage=3.0,
+                object_visibility=2.0,
+                angular_coverage=1.5,
                 min_unblocked_area=1.0,
             ),
+            reference=Reference.ALONE,
             recorded=recorded,
         )
+        self.step = self.one.step
         self.box_px = np.tile(np.float32([20.0, 30.0, 100.0, 90.0]), (2, car_count, 1))
 
     def at(self, pose):
         """Image, losses and gradient there."""
-        self.pose.assign(pose)
-        self.pose.grad.zero_()
-        self.step.look()
-        self.step.set_boxes(self.box_px)
-        loss = self.step.learn().value.numpy().copy()
-        np.testing.assert_array_equal(self.step.judge().value.numpy(), loss)
-        return self.step.image.numpy().copy(), loss, self.pose.grad.numpy().copy()
+        loss, gradient = self.one.at(pose, self.box_px)
+        np.testing.assert_array_equal(self.step.loss().value.numpy(), loss)
+        return self.step.image.numpy().copy(), loss, gradient
 
 
 @pytest.mark.parametrize("occlusion", list(Occlusion))
@@ -114,11 +108,8 @@ def test_a_first_launch_after_replays_measures_its_own_scene(device, car_counts)
         other = Steps(device, recorded=recorded, car_count=car_counts[1], renderer=one.renderer)
         for _ in range(3):
             for steps in (one, other):
-                steps.pose.assign(POSE)
-                steps.step.look()
-                steps.step.set_boxes(steps.box_px)
-                steps.step.learn()
-        one.step.look()
-        losses.append(one.step.judge().value.numpy().copy())  # its first call
+                steps.one.at(POSE, steps.box_px)
+        one.step.observe()
+        losses.append(one.step.loss().value.numpy().copy())  # its first call
         assert losses[-1][0] > 0.1
     np.testing.assert_array_equal(*losses)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import packed_street
-from warpav.optimisation.objective import AssignedScene
-from warpav.optimisation.segregation import BatchChooser, areas_around, assign_vehicles, choose_orientations
+from warpav.optimisation.assignment import AssignedScene, assign_vehicles
+from warpav.optimisation.segregation import BatchChooser, areas_around, choose_orientations
 from warpav.raster.camera import CameraModel
 
 MODEL = CameraModel(48, 48, math.pi / 2)

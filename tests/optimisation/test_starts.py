@@ -15,7 +15,7 @@ from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation
 from warpav.optimisation.search import SearchSpace
-from warpav.optimisation.starts import HIGHEST_TURNS, exchange_cameras, first_rigs, look_at_starts
+from warpav.optimisation.starts import HIGHEST_TURNS, evaluate_starts, exchange_cameras, first_rigs
 from warpav.raster.camera import CameraModel
 
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
@@ -59,8 +59,8 @@ class Chances:
         away_m = np.linalg.norm(mount_pose[:, None, [X_M, Y_M]] - self.place_m, axis=-1)
         return np.exp(-((away_m / 0.5) ** 2))
 
-    def evaluate(self, mount_pose, scenes, *, chances):
-        assert chances
+    def evaluate(self, mount_pose, scenes, *, detection_probability):
+        assert detection_probability
         assert scenes == ["a scene"]
         assert SPACE.violation_m(mount_pose) == 0.0
         self.looked.append(mount_pose)
@@ -71,7 +71,7 @@ class Chances:
 
 def look(objective, count, seed=2, known=None):
     known = SPACE.random(np.random.default_rng(3)) if known is None else known
-    return look_at_starts(objective, ["a scene"], SPACE, count, np.random.default_rng(seed), known=known)
+    return evaluate_starts(objective, ["a scene"], SPACE, count, np.random.default_rng(seed), known=known)
 
 
 def test_all_are_looked_at_and_the_best_come_first():
@@ -108,7 +108,7 @@ def test_cameras_stand_in_the_order_of_the_directions():
     known = space.feasible(space.random(np.random.default_rng(0)))
     known[:, YAW_RAD] = np.radians([-120.0, 5.0, 118.0])
     objective = Chances()
-    look_at_starts(objective, ["a scene"], space, 1, np.random.default_rng(0), known=known)
+    evaluate_starts(objective, ["a scene"], space, 1, np.random.default_rng(0), known=known)
     np.testing.assert_allclose(np.degrees(objective.looked[0][:, YAW_RAD]), [5.0, 118.0, -120.0], atol=1e-4)
 
 

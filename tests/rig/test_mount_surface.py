@@ -154,8 +154,8 @@ def test_single_triangle_smaller_than_a_cell_makes_a_surface():
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
-        (plate(0.0, 0.5, 0.0, 1.0, lambda x, y: 2.0 * x), "faces that look upwards .* none among 2; check that z"),
-        (quad([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]]), "faces that look upwards"),
+        (plate(0.0, 0.5, 0.0, 1.0, lambda x, y: 2.0 * x), "faces that point upwards .* none among 2; check that z"),
+        (quad([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]]), "faces that point upwards"),
         (plate(-2000.0, 2500.0, -900.0, 900.0), r"vehicle in metres, got 4500 x 1800"),
     ],
 )

@@ -1,5 +1,8 @@
 import math
 import os
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -150,14 +153,14 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match=r"rig\.yaml: expected a place to write .*No space left"):
+    with pytest.raises(InputError, match=r"rig\.yaml: expected a writable path .*No space left"):
         write_rig(Rig.create([camera("new")]), file)
     assert read_rig(file).cameras[0].name == "old"
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_writing_rejects_a_missing_folder(tmp_path):
-    with pytest.raises(InputError, match="expected a place to write the rig to, got: No such file"):
+    with pytest.raises(InputError, match="expected a writable path for the rig, got: No such file"):
         write_rig(Rig.create([camera()]), tmp_path / "missing" / "rig.yaml")
 
 
@@ -197,7 +200,7 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         (
             "fov_deg: 90",
             "fov_deg: 90\n    lens: fisheye\n    distortion: [0.1, 0.0]",
-            r":3: cameras\[0\]: expected numbers that make a camera, got: a fisheye lens has 0 or 4 .*, got 2",
+            r":3: cameras\[0\]: expected valid camera parameters, got: a fisheye lens has 0 or 4 .*, got 2",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    focal_px: [400, 400]", r":3: cameras\[0\]: .* got: fov_rad .* contradicts"),
         ("fov_deg: 90", "fov_deg: 90\n    centre_px: [3, 4]", r":3: cameras\[0\]: .* got: centre_px needs focal_px"),
@@ -264,3 +267,24 @@ def test_reading_rejects_a_file_that_is_no_text(tmp_path, content):
 def test_rig_rejects_cameras_that_cannot_be_used(cameras, message):
     with pytest.raises(InputError, match=message):
         Rig.create(cameras, name="my rig")
+
+
+def test_a_notebook_shows_the_cameras_as_a_table():
+    left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
+    page = Rig.create([camera(), left])._repr_html_()
+    assert "Rig of 2 cameras" in page
+    rows = [
+        re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page.partition("tbody")[2])
+    ]
+    assert rows[1] == ["left", "0.500", "0.910", "1.234", "90.0", "-5.0", "0.0", "90.0", "640 x 480", "pinhole"]
+    assert [row[0] for row in rows] == ["front", "left"]
+    assert page.count("<th>") == len(rows[0])
+
+
+def test_showing_a_rig_as_a_table_imports_nothing_heavy():
+    code = (
+        "import sys; from warpav.rig.rig import Rig; Rig(())._repr_html_(); "
+        "print([name for name in ('warp', 'pyvista', 'matplotlib', 'pandas') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

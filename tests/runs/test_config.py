@@ -1,11 +1,13 @@
 """The configuration: strict reading, messages with their place, round trips, the shipped files."""
 
 import math
+from pathlib import Path
 
 import pytest
 
 from warpav.core.errors import InputError, OptionError
 from warpav.optimisation.mount import FreeRanges
+from warpav.optimisation.settings import LossSettings
 from warpav.runs.config import (
     Config,
     config_names,
@@ -13,9 +15,10 @@ from warpav.runs.config import (
     dump_config,
     load_config,
     option_values,
+    overrides_from,
     placed_config,
 )
-from warpav.runs.sources import camera_model, free_ranges
+from warpav.runs.mounts import camera_model, free_ranges
 
 
 @pytest.fixture
@@ -50,6 +53,61 @@ def test_shipped_configurations_load_by_name_and_round_trip(name, tmp_path):
     file = tmp_path / "resolved.yaml"
     file.write_text(dump_config(config))
     assert load_config(file) == config
+
+
+RESOLVED = Path(__file__).parent / "resolved"
+"""What the shipped configurations meant before defaults came from quick, by the present names."""
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_shipped_configurations_mean_what_they_meant(name):
+    assert dump_config(load_config(name)) == (RESOLVED / f"{name}.yaml").read_text()
+
+
+def test_the_defaults_are_those_of_quick():
+    assert Config() == load_config() == load_config("quick") == Config.load("quick")
+
+
+def test_what_a_file_leaves_out_comes_from_quick(yaml_file):
+    name = yaml_file("rig: {cameras: 6}\n")
+    assert overrides_from(load_config("quick"), load_config(name)) == ["rig.cameras=6"]
+
+
+def test_the_thesis_comes_by_its_method_alone(yaml_file):
+    thesis = load_config("thesis")
+    assert load_config(yaml_file("method: thesis\n")) == thesis == Config(method="thesis")
+    assert load_config(None, ["method=thesis"]) == thesis
+    own = load_config(yaml_file("method: thesis\noptimiser: {keep: best}\nrig: {cameras: 6}\n"))
+    assert overrides_from(thesis, own) == ["rig.cameras=6", "optimiser.keep=best"]
+    # what a file says stays, also where the method changes
+    assert load_config("quick", ["method=thesis"]).optimiser.learning_rate_position_m == 0.02
+    assert load_config("quick", ["method=thesis"]).losses.in_frame_rotation == 1.0
+
+
+def test_a_file_stands_on_the_file_that_it_extends(yaml_file, tmp_path):
+    (tmp_path / "base.yaml").write_text("extends: default\nrig: {cameras: 5, min_spacing_m: 30 cm}\n")
+    name = yaml_file("extends: base.yaml\nrig: {cameras: 6}\n")
+    found = overrides_from(load_config("default"), load_config(name, ["run.seed=4"]))
+    assert found == ["run.seed=4", "rig.cameras=6", "rig.min_spacing_m=0.3"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("extends: none.yaml\n", r"mine\.yaml:1: extends: none\.yaml: config: expected a YAML file or a shipped name"),
+        ("rig: {cameras: 6}\nextends: [quick]\n", r"mine\.yaml:2: extends: expected a YAML file or a shipped name"),
+        ("extends: mine.yaml\n", r"mine\.yaml:1: extends: expected a file that does not extend this one, got mine"),
+    ],
+)
+def test_what_cannot_be_extended_is_named(yaml_file, text, message):
+    with pytest.raises(InputError, match=message):
+        load_config(yaml_file(text))
+
+
+def test_a_mistake_in_a_file_below_is_placed_there(yaml_file, tmp_path):
+    (tmp_path / "base.yaml").write_text("run: {seed: 1}\nrig:\n  cameras: 99\n")
+    with pytest.raises(InputError, match=r"base\.yaml:3: rig\.cameras: expected a whole number from 2 to 16, got 99"):
+        load_config(yaml_file("extends: base.yaml\n"))
 
 
 def test_quick_configuration_is_the_promised_job():
@@ -222,8 +280,8 @@ FILE_MISTAKES = [
     ),
     ("losses: {in_frame_rotation: -1}\n", "mine.yaml:1: losses.in_frame_rotation: expected a number from 0, got -1;"),
     (
-        "losses: {in_frame_rotation: 0, missed: 0}\n",
-        "mine.yaml:1: losses.missed: expected at least one weight above 0, got only zeros",
+        "losses: {in_frame_rotation: 0, expected_miss_rate: 0}\n",
+        "mine.yaml:1: losses.expected_miss_rate: expected at least one weight above 0, got only zeros",
     ),
     ("run: {batch_size: 31}\n", "mine.yaml:1: run.batch_size: expected at most the 30 training scene(s), got 31"),
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
@@ -360,3 +418,42 @@ def test_what_turns_out_wrong_later_is_told_with_its_place(yaml_file, option, pl
     with pytest.raises(InputError) as caught, placed_config(file, overrides):
         raise OptionError(option, "expected more, got less")
     assert str(caught.value) == f"{place}: {option}: expected more, got less"
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "warning"),
+    [
+        ("losses: {missed: 2}\n", [], r"mine.yaml:1: losses.missed is called losses.expected_miss_rate now; the old"),
+        (
+            "",
+            ["losses.missed=2"],
+            r"command line \(losses.missed=2\): losses.missed is called losses.expected_miss_rate",
+        ),
+        ("losses:\n  expected_miss_rate: 3\n", ["losses.missed=2"], r"losses.missed is called"),
+    ],
+)
+def test_an_option_that_was_renamed_works_with_one_line_of_warning(yaml_file, text, overrides, warning):
+    with pytest.warns(FutureWarning, match=warning) as warnings:
+        config = load_config(yaml_file(text), overrides)
+    assert len(warnings) == 1
+    assert config.losses.weights["expected_miss_rate"] == 2.0
+    assert config == load_config(yaml_file(""), ["losses.expected_miss_rate=2"])
+
+
+def test_a_mistake_under_an_old_name_is_found_where_it_stands(yaml_file):
+    with (
+        pytest.warns(FutureWarning),
+        pytest.raises(InputError, match=r"mine.yaml:2: losses.expected_miss_rate: expected"),
+    ):
+        load_config(yaml_file("losses:\n  missed: -1\n"))
+    with pytest.raises(InputError, match="expected one of missed and expected_miss_rate, its new name, got both"):
+        load_config(yaml_file("losses: {missed: 1, expected_miss_rate: 1}\n"))
+
+
+def test_sections_made_in_python_take_old_names_too():
+    with pytest.warns(FutureWarning, match="missed is called expected_miss_rate now") as warnings:
+        whole = Config(losses={"missed": 2.0})
+    assert len(warnings) == 1
+    with pytest.warns(FutureWarning, match="missed is called expected_miss_rate now"):
+        part = LossSettings(missed=2.0)
+    assert whole.losses == part == LossSettings(expected_miss_rate=2.0)

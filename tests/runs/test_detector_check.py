@@ -7,7 +7,7 @@ import pytest
 from warpav.cli.app import main
 from warpav.runs import detector_check
 from warpav.runs.config import load_config
-from warpav.runs.sources import detector_use, load_detector
+from warpav.runs.networks import detector_use, load_detector
 
 pytest.importorskip("onnx")
 
@@ -69,7 +69,7 @@ def test_overrides_name_the_file_s_meaning(folder, capsys):
     words = ["detector.format=ultralytics-end2end", "detector.labels=[car,person]", "detector.classes.cyclist=[person]"]
     assert main(["detector", "check", "unnamed.onnx", *words]) == 0
     text = capsys.readouterr().out
-    assert "format      ultralytics-end2end: detector.format says so" in text
+    assert "format      ultralytics-end2end: set by detector.format" in text
     assert "labels      2 from detector.labels: car, person" in text
     assert "cyclist     person" in text
     assert "pedestrian  no label" in text
@@ -100,14 +100,14 @@ def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
         (["mine.onnx", "scenes.targets=[vehicle,cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "scenes.targets=[cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "detector.input_px=320"], "fixes its input at 64 x 64 pixels"),
-        (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected a picture, got none"),
+        (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected an image, got none"),
         (
             ["mine.onnx", "--image", "text.png"],
-            "text.png: --image: expected a picture such as PNG or JPEG, got",
+            "text.png: --image: expected an image such as PNG or JPEG, got",
         ),
         (
             ["mine.onnx", "--image", "empty.jpg"],
-            "empty.jpg: --image: expected a picture such as PNG or JPEG, got",
+            "empty.jpg: --image: expected an image such as PNG or JPEG, got",
         ),
         (["mine.onnx", "--out", "boxes.png"], "command line (--out): expected --image beside it"),
         (

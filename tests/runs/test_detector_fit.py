@@ -12,7 +12,7 @@ from warpav.detection.probability import DetectionProbability
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
-from warpav.runs.sources import detector_use
+from warpav.runs.networks import detector_use
 
 
 @pytest.fixture(autouse=True)

@@ -15,11 +15,10 @@ SIDES_PX = {64: 2, 96: 1}
 
 
 @pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
+def working_directory(working_directory):
     """A working directory of its own, with a file in it."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    return tmp_path
+    (working_directory / "file").touch()
+    return working_directory
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +87,7 @@ def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_direct
         "reconstructed": ["64", "96"],
     }
     assert report["direct"]["64"]["images"] == 2
-    pictures = data.load_pictures(working_directory / "out/pictures/test")
+    pictures = data.load_images(working_directory / "out/pictures/test")
     labels = pictures[64].labels
     is_vehicle = (labels.class_index >= 0) & (labels.class_index < 4) & ~labels.ignored
     assert report["direct"]["64"].get("vehicle", {"objects": 0})["objects"] == is_vehicle.sum()
@@ -102,14 +101,14 @@ def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_direct
 
 def test_damaged_pictures_are_named(capsys, working_directory):
     folder = working_directory / "out/pictures/test"
-    data.write_pictures(data.SUBSETS["test"], folder, processes=1)
+    data.write_images(data.SUBSETS["test"], folder, processes=1)
     for side_px in SIDES_PX:
         (folder / f"labels_{side_px}.npz").write_text("no labels")
     line = refused(capsys, "evaluate", "--out", "out")
     assert "labels_64.npz: expected labels and images that warpav wrote" in line
     assert line.endswith("remove the folder, and they are made again")
     # labels and images that do not belong together
-    data.write_pictures(data.SUBSETS["test"], working_directory / "other", processes=1)
+    data.write_images(data.SUBSETS["test"], working_directory / "other", processes=1)
     np.save(working_directory / "other/images_64.npy", np.zeros((3, 64, 64, 3), np.uint8))
     with pytest.raises(InputError, match=r"images of shape \(3, 64, 64, 3\) for 2 labels"):
-        data.load_pictures(working_directory / "other")
+        data.load_images(working_directory / "other")

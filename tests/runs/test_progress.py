@@ -7,8 +7,8 @@ import time
 import pytest
 from rich.console import Console
 
-from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows, show_verdict
-from warpav.runs.run_folder import ARM_ROWS
+from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows
+from warpav.runs.verdict import ARM_ROWS, show_verdict
 
 
 @dataclasses.dataclass

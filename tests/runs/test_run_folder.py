@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
+from warpav.core.files import write_json
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.runs.config import load_config
-from warpav.runs.run_folder import RunFolder, check_new_run, write_json
+from warpav.runs.run_folder import RunFolder, check_new_run
 
 
 @dataclasses.dataclass
@@ -162,7 +163,7 @@ def test_a_line_that_is_no_iteration_is_named(folder, line, message):
         folder.events()
 
 
-def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
+def test_rigs_come_back_and_the_rig_of_the_run_is_one_file(folder):
     with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; the run has none yet"):
         folder.rig()
     folder.write_rig("initial", _rig(1.0))
@@ -174,7 +175,7 @@ def test_rigs_come_back_and_the_result_is_what_the_configuration_keeps(folder):
     last = RunFolder.create(load_config("quick", ["optimiser.keep=last"]), name="last")
     last.write_rig("best", _rig(3.0))
     last.write_rig("final", _rig(2.0))
-    assert last.rig().cameras[0].position_m[0] == 2.0
+    assert last.rig().cameras[0].position_m[0] == 3.0  # rig_best.yaml is the rig of the run whatever is kept
 
 
 def test_what_a_run_that_has_ended_has_lost_is_missed(folder):

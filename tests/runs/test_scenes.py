@@ -12,14 +12,16 @@ from tests.scene.test_store import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.runs.build import build
 from warpav.runs.config import load_config
-from warpav.runs.problem import load_problem
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.sources import load_scenes
+from warpav.runs.scene_set import load_scenes
 from warpav.scene.capture.folder import read_capture
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Vehicle
+
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 CAPTURE = [
     "capture.width_px=96",
@@ -37,13 +39,6 @@ RECONSTRUCTION = [
     "reconstruction.environment_triangles=800",
 ]
 SEEDS = (3, 4)
-
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +253,7 @@ def problem(folder, *overrides):
     cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:
-        return load_problem(load_config("quick", [*files, *seeds, *cameras, *overrides]), display)
+        return build(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
 
 
 def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):

@@ -12,22 +12,20 @@ from tests.scene.test_own_vehicle import of_kind, save
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.experiments import experiment as experiments
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config, with_absolute_paths
-from warpav.runs.problem import load_traffic
-from warpav.runs.sources import detector_use, load_scenes, mount_surface, own_vehicle
+from warpav.runs.mounts import mount_surface
+from warpav.runs.networks import detector_use
+from warpav.runs.scene_set import load_scene_set, load_scenes, own_vehicle
 from warpav.runs.vehicle_check import zone_parts
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle, town_scene
 
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +76,7 @@ def test_the_suggested_command_mends_the_file(car, tmp_path, capsys, name, readi
     assert all(line.startswith(f"{name}: ") for line in told)
     mended = f"{name.partition('.')[0]}_ego.glb"
     command = f"warpav vehicle check {name} {words} --out {mended}"
-    assert told[-1] == f"{name}: to mend it: {command}"
+    assert told[-1] == f"{name}: to fix it: {command}"
     assert main(shlex.split(command)[1:]) == 0
     assert check(mended) == 0
     file = read_vehicle(mended)
@@ -91,13 +89,13 @@ def test_what_is_not_mended_yet_is_not_written(car, tmp_path, capsys):
     save(car, tmp_path / "car.glb", reading=Reading("z", "x", 0.01))
     assert check("car.glb", "--scale", "0.01", "--out", "out.glb") == 2
     assert not (tmp_path / "out.glb").exists()
-    assert "to mend it: warpav vehicle check car.glb --scale 0.01 --up z --out out.glb" in capsys.readouterr().err
+    assert "to fix it: warpav vehicle check car.glb --scale 0.01 --up z --out out.glb" in capsys.readouterr().err
 
 
 def test_options_without_a_file_to_write_leave_something_to_do(car, tmp_path, capsys):
     save(car, tmp_path / "car.obj", reading=Reading("y", "x"))
     assert check("car.obj", "--up", "y") == 2
-    assert capsys.readouterr().err == "car.obj: to mend it: warpav vehicle check car.obj --up y --out car_ego.glb\n"
+    assert capsys.readouterr().err == "car.obj: to fix it: warpav vehicle check car.obj --up y --out car_ego.glb\n"
 
 
 def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
@@ -111,8 +109,8 @@ def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
     [
         (["none.glb"], "none.glb: vehicle: expected a mesh file"),
         (["car.ply", "--up", "w"], 'command line: Invalid value "w" for --up'),
-        (["car.ply", "--up", "x", "--forward", "x"], "command line: --forward: expected an axis across x"),
-        (["car.ply", "--scale", "0"], "command line: --scale: expected a positive number, got 0.0"),
+        (["car.ply", "--up", "x", "--forward", "x"], "command line (--forward): expected an axis across x"),
+        (["car.ply", "--scale", "0"], "command line (--scale): expected a positive number, got 0.0"),
         (["car.ply", "--out", "car.obj"], "car.obj: --out: expected a name that ends in .glb"),
         (["car.ply", "--rear-axle", "9"], "--rear-axle: expected a distance from the rear end of up to 4.70 m, got 9"),
         (["car.ply", "--picture", "car.bmp"], "car.bmp: expected a name that ends in .png"),
@@ -133,7 +131,7 @@ def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
     tent = Mesh.create(corner, [[0, 1, 2], [4, 3, 2], [3, 0, 2], [1, 4, 2]], (80, 80, 80))
     write_vehicle(tent, tmp_path / "tent.glb")
     assert check("tent.glb") == 2
-    assert "tent.glb: mount surface: expected faces that look upwards" in capsys.readouterr().err
+    assert "tent.glb: mount surface: expected faces that point upwards" in capsys.readouterr().err
 
 
 @needs_opengl
@@ -209,7 +207,7 @@ def test_who_stands_at_its_place_is_left_out_and_that_is_said(car):
 
 
 def test_left_out_road_users_are_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpav.scene.town.town.town_scene", town_like)
+    monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(town_like, seeds))
     bus = of_kind("bus").transformed(np.eye(3), np.array([4.2, 0.0, 0.0]))  # to 9.6 m, and a vehicle begins at 9 m
     write_vehicle(bus, tmp_path / "bus.glb")
     # its origin is not below its rear axle; it is as its owner said
@@ -267,20 +265,20 @@ def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
 
 
 def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpav.scene.town.town.town_scene", town_like)
+    monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(town_like, seeds))
     write_vehicle(car, tmp_path / "car.glb")
     config = load_config(
         "quick",
         ["scenes.ego=car.glb", "scenes.train_seeds=[1]", "scenes.test_seeds=[2]", "run.batch_size=1"],
     )
     kept = experiments._TrafficOfProcess()
-    first = kept(config, experiments.QUIET)
-    assert kept(config, experiments.QUIET) is first
+    first = kept(config, NullProgress())
+    assert kept(config, NullProgress()) is first
     write_vehicle(moved_van(), tmp_path / "car.glb")
-    again = kept(config, experiments.QUIET)
+    again = kept(config, NullProgress())
     np.testing.assert_array_equal(again.ego.vertex_m, moved_van().vertex_m)
     assert again.mount.surface.height_m.max() > first.mount.surface.height_m.max() + 0.3
-    np.testing.assert_array_equal(load_traffic(config, experiments.QUIET).ego.vertex_m, again.ego.vertex_m)
+    np.testing.assert_array_equal(load_scene_set(config, NullProgress()).ego.vertex_m, again.ego.vertex_m)
 
 
 def town_like(seed):

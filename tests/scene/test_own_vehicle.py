@@ -1,4 +1,4 @@
-"""A user's own vehicle: files of every format, units and axes found by the shape, mended, written and read again."""
+"""A user's own vehicle: files of every format, units and axes found by the shape, corrected, written and read again."""
 
 import numpy as np
 import pytest
@@ -86,12 +86,12 @@ def test_the_shape_tells_axes_and_units_and_what_it_suggests_mends_them(car, tmp
     remedy = {name: value for problem in found.problems for name, value in problem.remedy.items()}
     assert float(remedy.get("scale", 1.0)) == scale
     usual = read_vehicle(path).usual
-    mended = Reading(remedy.get("up", usual.up), remedy.get("forward", usual.forward), scale)
+    corrected = Reading(remedy.get("up", usual.up), remedy.get("forward", usual.forward), scale)
     if (up, forward) == ("z", "-x"):  # backwards is a hint, no more: pickups look like that
-        assert any("--forward -x" in hint for hint in found.hints)
+        assert any("`forward` -x" in hint for hint in found.hints)
         return
-    assert (mended.up, mended.forward) == (up, forward)
-    again = checked(path, reading=mended)
+    assert (corrected.up, corrected.forward) == (up, forward)
+    again = checked(path, reading=corrected)
     assert again.problems == ()
     np.testing.assert_allclose(again.mesh.vertex_m, car.vertex_m, atol=1e-5)
 
@@ -107,7 +107,7 @@ def test_every_kind_of_vehicle_is_understood(kind, tmp_path):
     assert [problem.text.split(":")[0] for problem in right.problems] == ["origin"]
     assert right.problems[0].remedy == {}
     fallen = checked(save(mesh, tmp_path / "fallen.ply", reading=Reading("-z", "x")))
-    assert "stands on its roof" in fallen.problems[0].text
+    assert "is upside down" in fallen.problems[0].text
     assert fallen.problems[0].remedy == {"up": "-z"}
     lying = checked(save(mesh, tmp_path / "lying.ply", reading=Reading("y", "z")))
     assert lying.problems[0].remedy == {"up": "y", "forward": "z"}
@@ -132,7 +132,7 @@ def test_usual_lengths_have_their_usual_units(length, unit):
 
 def test_a_length_in_no_unit_asks_for_a_scale(car, tmp_path):
     found = checked(save(car, tmp_path / "unit_cube.ply", reading=Reading("z", "x", float(np.ptp(car.vertex_m[:, 0])))))
-    assert "no usual unit" in found.problems[0].text
+    assert "any common unit" in found.problems[0].text
     assert float(found.problems[0].remedy["scale"]) == pytest.approx(4.5, rel=1e-3)
 
 
@@ -140,7 +140,7 @@ def test_what_the_user_states_is_not_gainsaid(car, tmp_path):
     lying = save(car, tmp_path / "car.ply", reading=Reading("y", "z"))
     found = checked(lying, reading=Reading("z", "x"), stated=frozenset({"up", "forward"}))
     assert not any(problem.text.startswith("axes") for problem in found.problems)
-    assert any("taken as stated" in hint for hint in found.hints)
+    assert any("accepted as stated" in hint for hint in found.hints)
 
 
 @pytest.mark.parametrize("shift", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, -0.7), (400.0, -20.0, 3.0)])
@@ -149,27 +149,27 @@ def test_a_vehicle_that_stands_elsewhere_is_moved_to_its_rear_axle(car, tmp_path
     assert found.problems
     assert all(problem.remedy == {} for problem in found.problems)
     # worst seen 4 mm: the axle is where points of the tyres touch the ground
-    np.testing.assert_allclose(found.mended.bounds_m(), car.bounds_m(), atol=0.01)
+    np.testing.assert_allclose(found.corrected.bounds_m(), car.bounds_m(), atol=0.01)
 
 
 def test_a_stated_rear_axle_counts_more_than_the_wheels(car, tmp_path):
     path = save(car, tmp_path / "car.ply")
     found = checked(path, rear_axle_m=1.2)
-    assert found.mended.bounds_m()[0, 0] == pytest.approx(-1.2, abs=1e-6)
-    with pytest.raises(InputError, match=r"--rear-axle: expected a distance from the rear end of up to 4.70 m, got 7"):
+    assert found.corrected.bounds_m()[0, 0] == pytest.approx(-1.2, abs=1e-6)
+    with pytest.raises(InputError, match=r"rear_axle: expected a distance from the rear end of up to 4.70 m, got 7"):
         checked(path, rear_axle_m=7.0)
 
 
 def test_a_mended_vehicle_can_be_used_and_stays_the_same_bit_for_bit(car, tmp_path):
-    first = checked(save(of_kind("van"), tmp_path / "van.obj")).mended
+    first = checked(save(of_kind("van"), tmp_path / "van.obj")).corrected
     write_vehicle(first, tmp_path / "van.glb", source="van.obj")
     file = read_vehicle(tmp_path / "van.glb")
     found = examine(file, file.usual)
     assert found.problems == ()
-    np.testing.assert_array_equal(found.mended.vertex_m, first.vertex_m)
-    np.testing.assert_array_equal(found.mended.triangle, first.triangle)
-    np.testing.assert_array_equal(found.mended.vertex_rgb, first.vertex_rgb)
-    write_vehicle(found.mended, tmp_path / "again.glb", source="van.obj")
+    np.testing.assert_array_equal(found.corrected.vertex_m, first.vertex_m)
+    np.testing.assert_array_equal(found.corrected.triangle, first.triangle)
+    np.testing.assert_array_equal(found.corrected.vertex_rgb, first.vertex_rgb)
+    write_vehicle(found.corrected, tmp_path / "again.glb", source="van.obj")
     assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "van.glb").read_bytes()
 
 
@@ -229,7 +229,7 @@ def test_open_edges_and_triangles_without_area_are_counted(car, tmp_path):
     assert found.problems == ()
     assert found.flat_triangle_count == 2
     assert found.open_edge_count == 3 + 3  # the hole, and the flat one whose three corners differ
-    assert len(found.mended.triangle) == len(car.triangle) - 1
+    assert len(found.corrected.triangle) == len(car.triangle) - 1
     assert any("not watertight" in hint for hint in found.hints)
 
 

@@ -131,15 +131,15 @@ def test_missing_and_truncated_images_are_taken_again(captures, recorded, is_fin
 
 
 def test_an_interruption_between_two_images_costs_nothing(tmp_path, recorded, monkeypatch):
-    look = TownSimulator.look
+    capture = TownSimulator.capture
 
     def interrupted(self, view):
         if view.name == "rotation_1":
             raise KeyboardInterrupt
-        return look(self, view)
+        return capture(self, view)
 
     with monkeypatch.context() as patch:
-        patch.setattr(TownSimulator, "look", interrupted)
+        patch.setattr(TownSimulator, "capture", interrupted)
         with pytest.raises(KeyboardInterrupt):
             list(capture_scenes([capture_task(tmp_path)]))
     before = content(tmp_path)
@@ -221,7 +221,7 @@ def test_the_index_tells_what_was_made_with_what(recorded, reconstructed):
     assert index["schema"] == "warpav-collection/1"
     (task,) = scene_tasks(recorded, reconstructed)
     file = scene_path(reconstructed, SEED)
-    entry = {"seed": SEED, "recipe": task.recipe, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    entry = {"seed": SEED, "recipe": task.fingerprint, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
     assert index["scenes"] == {file.name: entry}
 
 
@@ -253,11 +253,11 @@ def test_a_scene_of_other_settings_or_another_capture_is_made_again(captures, re
     (outcome,) = make_scenes(scene_tasks(recorded, out, other))
     assert outcome.result is True
     assert len(read_scene(scene_path(out, SEED)).vehicles[0].mesh.triangle) <= 200
-    first, second = (scene_tasks(folder, out)[0].recipe for folder in (recorded, captures))
+    first, second = (scene_tasks(folder, out)[0].fingerprint for folder in (recorded, captures))
     assert first == second  # what a capture holds counts, not where it lies
     file = capture_path(captures, SEED) / "images" / "ego_top_rgb.png"
     cv2.imwrite(str(file), 255 - cv2.imread(str(file)))
-    assert scene_tasks(captures, out)[0].recipe != first
+    assert scene_tasks(captures, out)[0].fingerprint != first
 
 
 HOLLOW = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 2.0], [0.0, 0.0, 0.0, 1.0]]

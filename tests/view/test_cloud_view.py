@@ -8,7 +8,7 @@ import pytest
 from tests.view.stand_ins import block, needs_opengl
 from warpav.scene.reconstruction.point_cloud import PointCloud
 from warpav.scene.scene import Box
-from warpav.view.cloud_view import Viewpoint, cloud_picture
+from warpav.view.cloud_view import Viewpoint, cloud_image
 
 pytestmark = needs_opengl
 
@@ -27,7 +27,7 @@ def pixels_of(image, rgb):
 
 def test_points_lie_where_the_closed_form_puts_them():
     viewpoint = Viewpoint(np.zeros(3), np.array([1.0, 0.0, 0.0]), height_rad=math.radians(60.0))
-    image = cloud_picture([points([[10.0, 2.0, 3.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
+    image = cloud_image([points([[10.0, 2.0, 3.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
     assert image.shape == (200, 300, 3)
     focal_px = 100.0 / math.tan(math.radians(30.0))
     row, column = pixels_of(image, RED).mean(axis=0) + 0.5
@@ -36,7 +36,7 @@ def test_points_lie_where_the_closed_form_puts_them():
 
 def test_without_perspective_lengths_are_those_of_the_height():
     viewpoint = Viewpoint(np.array([0.0, 0.0, 50.0]), np.zeros(3), up=(1.0, 0.0, 0.0), height_m=10.0)
-    image = cloud_picture([block((-2.0, -1.0, 0.0), (1.0, 3.0, 1.0), RED)], viewpoint, size_px=SIZE_PX)
+    image = cloud_image([block((-2.0, -1.0, 0.0), (1.0, 3.0, 1.0), RED)], viewpoint, size_px=SIZE_PX)
     place = pixels_of(image, RED)
     assert place.min(axis=0) == pytest.approx([80.0, 90.0], abs=1.0)  # ahead is up, left is left
     assert place.max(axis=0) + 1 == pytest.approx([140.0, 170.0], abs=1.0)
@@ -45,8 +45,8 @@ def test_without_perspective_lengths_are_those_of_the_height():
 def test_a_nearer_surface_hides_a_farther_one():
     viewpoint = Viewpoint(np.zeros(3), np.array([1.0, 0.0, 0.0]))
     wall = block((5.0, -3.0, -3.0), (5.5, 3.0, 3.0), BLUE)
-    hidden = cloud_picture([wall, points([[9.0, 0.0, 0.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
-    shown = cloud_picture([wall, points([[4.0, 0.0, 0.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
+    hidden = cloud_image([wall, points([[9.0, 0.0, 0.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
+    shown = cloud_image([wall, points([[4.0, 0.0, 0.0]], RED)], viewpoint, size_px=SIZE_PX, point_px=5.0)
     assert not len(pixels_of(hidden, RED))
     assert len(pixels_of(shown, RED))
 
@@ -59,7 +59,7 @@ def test_points_that_cover_are_larger_where_they_are_near():
     viewpoint = Viewpoint(np.zeros(3), np.array([1.0, 0.0, 0.0]), height_rad=math.radians(40.0))
     shares = {}
     for cover in (0.0, 1.5):
-        image = cloud_picture([points(np.concatenate(walls), RED)], viewpoint, size_px=SIZE_PX, cover=cover)
+        image = cloud_image([points(np.concatenate(walls), RED)], viewpoint, size_px=SIZE_PX, cover=cover)
         is_red = np.zeros(SIZE_PX[::-1], bool)
         is_red[tuple(pixels_of(image, RED).T)] = True
         focal_px = 100.0 / math.tan(math.radians(20.0))
@@ -74,7 +74,7 @@ def test_points_that_cover_are_larger_where_they_are_near():
 def test_boxes_are_wires():
     viewpoint = Viewpoint(np.array([0.0, 0.0, 50.0]), np.zeros(3), up=(1.0, 0.0, 0.0), height_m=10.0)
     box = Box(np.zeros(3), np.array([4.0, 2.0, 1.0]), 0.0)
-    image = cloud_picture([], viewpoint, size_px=SIZE_PX, boxes=[box], box_rgb=BLUE)
+    image = cloud_image([], viewpoint, size_px=SIZE_PX, boxes=[box], box_rgb=BLUE)
     place = pixels_of(image, BLUE)
     assert place.min(axis=0) == pytest.approx([60.0, 130.0], abs=2.0)
     assert place.max(axis=0) + 1 == pytest.approx([140.0, 170.0], abs=2.0)

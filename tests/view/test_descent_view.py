@@ -1,4 +1,4 @@
-"""Arrows of the descent against their closed forms, and the film of a run."""
+"""Arrows of the descent against their closed forms, and the animation of a run."""
 
 import itertools
 import math
@@ -9,8 +9,8 @@ import pytest
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.rig.mount_surface import MountSurface
-from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Descent, add_descent, arrows_m
-from warpav.view.film import run_film, shown_iterations
+from warpav.view.animation import run_animation, shown_iterations
+from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Steepest, add_descent, arrows_m
 from warpav.view.rig_view import rig_plotter
 
 FLAT = flat_surface([-1.0, -1.0], [3.0, 1.0], height_m=1.5)
@@ -32,7 +32,7 @@ def slope(rise):
 
 
 def test_arrows_point_down_the_gradient_along_the_surface():
-    descent = Descent.of_event(EVENT)
+    descent = Steepest.of_event(EVENT)
     np.testing.assert_allclose(arrows_m(rig(2), descent, FLAT), [[0, LONGEST_M, 0], [-LONGEST_M / 2, 0, 0]], atol=1e-6)
     # on a slope of 30 degrees the second one, which goes down it, keeps its length
     rise = math.tan(math.radians(30.0))
@@ -41,9 +41,9 @@ def test_arrows_point_down_the_gradient_along_the_surface():
 
 
 def test_a_run_that_recorded_no_gradient_has_no_arrows():
-    assert Descent.of_event({"iteration": 0}) is None
-    assert Descent.of_event({"iteration": 0, "gradient": {}}) is None
-    still = Descent(np.zeros((2, 2)), np.zeros(2))
+    assert Steepest.of_event({"iteration": 0}) is None
+    assert Steepest.of_event({"iteration": 0, "gradient": {}}) is None
+    still = Steepest(np.zeros((2, 2)), np.zeros(2))
     assert not arrows_m(rig(2), still, FLAT).any()
 
 
@@ -51,7 +51,7 @@ def test_a_run_that_recorded_no_gradient_has_no_arrows():
 def test_bent_arrows_turn_the_way_of_the_descent():
     plotter = rig_plotter(rig(2), scene=scene(), off_screen=True, window_size=(160, 100), labels=False)
     try:
-        add_descent(plotter, rig(2), Descent.of_event(EVENT), FLAT)
+        add_descent(plotter, rig(2), Steepest.of_event(EVENT), FLAT)
         names = {f"descent/cam_{k}/{kind}" for k in (0, 1) for kind in ("move", "turn")}
         assert names <= set(plotter.actors)
         # camera 0 looks ahead and turns to the left by the widest angle: the tip lies there
@@ -67,7 +67,7 @@ def test_bent_arrows_turn_the_way_of_the_descent():
         add_descent(plotter, rig(2), None, FLAT)
         assert not names & set(plotter.actors)
         with pytest.raises(ValueError, match="each of 3 cameras, got 2"):
-            add_descent(plotter, rig(3), Descent.of_event(EVENT), FLAT)
+            add_descent(plotter, rig(3), Steepest.of_event(EVENT), FLAT)
     finally:
         plotter.close()
 
@@ -80,20 +80,19 @@ def test_long_runs_are_thinned():
 
 
 @needs_opengl
-def test_a_film_moves(tmp_path):
+def test_an_animation_moves(tmp_path):
     events = [dict(EVENT, iteration=k, best_training_objective=1.0 / (k + 1)) for k in range(3)]
-    images = list(
-        run_film(
-            [rig(2, fov_deg=60.0 + 10.0 * k) for k in range(3)],
-            events,
-            end=rig(2),
-            scene=scene(vehicle(1, 9.0, 3.0)),
-            surface=FLAT,
-            window_size=(320, 200),
-            supersampling=1,
-        )
+    animation = run_animation(
+        [rig(2, fov_deg=60.0 + 10.0 * k) for k in range(3)],
+        events,
+        end=rig(2),
+        scene=scene(vehicle(1, 9.0, 3.0)),
+        surface=FLAT,
+        window_size=(320, 200),
+        supersampling=1,
     )
-    assert len(images) == 4
+    images = list(animation.image_rgb)
+    assert len(images) == animation.count == 4
     assert all(image.shape == (200, 320, 3) for image in images)
     for one, other in itertools.pairwise(images):
         assert np.abs(one.astype(int) - other).max() > 60

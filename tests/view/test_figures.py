@@ -9,7 +9,10 @@ from PIL import Image
 from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
 from warpav.rig.mount_surface import MountSurface
-from warpav.view import figures
+from warpav.view.figures.convergence import loss_curves, running_mean
+from warpav.view.figures.detections import DetectionPanel, detections_sheet
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH
+from warpav.view.figures.top_view import rig_top_view
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 
 
@@ -47,8 +50,8 @@ def where(image, rgb, tolerance=12.0):
 
 
 def test_loss_curves_hold_a_line_per_term(tmp_path):
-    image = pixels(figures.loss_curves(records(), tmp_path / "loss.png", min_distance_m=0.3))
-    assert image.shape[1] == figures.WIDTH_INCH * figures.DOTS_PER_INCH
+    image = pixels(loss_curves(records(), tmp_path / "loss.png", min_distance_m=0.3))
+    assert image.shape[1] == WIDTH_INCH * DOTS_PER_INCH
     for index in range(2):
         assert len(where(image, camera_rgb(index))[0]) > 300
     rows, columns = where(image, FALSE_POSITIVE_RGB)
@@ -61,7 +64,7 @@ def test_inequalities_that_were_never_broken_are_not_drawn(tmp_path):
     for i, record in enumerate(run):
         record["terms"] |= {"zone_0": -1.0, "zone_1": 0.1 - 0.02 * i}
         record["multipliers"] = {"zone_0": 0.0, "zone_1": 0.02 * i}
-    image = pixels(figures.loss_curves(run, tmp_path / "loss.png"))
+    image = pixels(loss_curves(run, tmp_path / "loss.png"))
     half = image[: image.shape[0] // 2]
     assert len(where(half, camera_rgb(2))[0]) > 300  # zone_1
     assert len(where(half, camera_rgb(3))[0]) == 0
@@ -69,20 +72,20 @@ def test_inequalities_that_were_never_broken_are_not_drawn(tmp_path):
 
 def test_loss_curves_need_records(tmp_path):
     with pytest.raises(InputError, match="no iteration"):
-        figures.loss_curves([], tmp_path / "loss.png")
+        loss_curves([], tmp_path / "loss.png")
     with pytest.raises(InputError, match="terms, multipliers"):
-        figures.loss_curves([{"iteration": 0, "loss": 1.0, "positions_m": []}], tmp_path / "loss.png")
+        loss_curves([{"iteration": 0, "loss": 1.0, "positions_m": []}], tmp_path / "loss.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_one_camera_and_one_iteration_make_a_figure(tmp_path):
     record = {"iteration": 0, "loss": 1.0, "terms": {}, "multipliers": {}, "positions_m": [[0.0, 0.0, 1.5]]}
-    assert figures.loss_curves([record], tmp_path / "loss.png").is_file()
+    assert loss_curves([record], tmp_path / "loss.png").is_file()
 
 
 def test_top_view_shows_cameras_on_their_side(tmp_path):
     path = np.linspace(0.0, 1.0, 5)[:, None, None] * np.array([c.position_m for c in rig().cameras])
-    figure = figures.rig_top_view(
+    figure = rig_top_view(
         tmp_path / "top.png", rig=rig(), rig_initial=rig(), ego=ego(), mount_surface=surface(), trajectory_m=path
     )
     image = pixels(figure)
@@ -96,7 +99,7 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
     roof = dataclasses.replace(surface(), is_mountable=np.zeros((41, 17), bool))
     roof.is_mountable[5:20, 4:13] = True
     plain, bordered = (
-        pixels(figures.rig_top_view(tmp_path / "top.png", rig=rig(), ego=ego(), mount_surface=roof, shows_zone=shows))
+        pixels(rig_top_view(tmp_path / "top.png", rig=rig(), ego=ego(), mount_surface=roof, shows_zone=shows))
         for shows in (False, True)
     )
     rows, columns = np.nonzero(np.abs(bordered - plain).max(axis=-1) > 40.0)
@@ -106,14 +109,14 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
 
 def test_detections_have_their_colours_and_sizes(tmp_path):
     none = np.full(4, np.nan)
-    panel = figures.DetectionPanel(
+    panel = DetectionPanel(
         title="front",
         image_rgb=np.full((200, 200, 3), 90, np.uint8),
         truth_box_px=np.array([[10, 20, 90, 60], none, [120, 100, 180, 160]], float),
         detection_box_px=np.array([[10, 120, 50, 180], [10, 20, 90, 60]], float),
         detection_of_truth=np.array([1, -1, -1]),
     )
-    image = pixels(figures.detections_sheet({"start": [panel]}, tmp_path / "found.png"))
+    image = pixels(detections_sheet({"start": [panel]}, tmp_path / "found.png"))
     grey = np.abs(image - 90.0).max(axis=-1) < 2.0
     rows, columns = np.nonzero(grey.mean(axis=1) > 0.3)[0], np.nonzero(grey.mean(axis=0) > 0.3)[0]
     scale = np.ptp(columns) / 200.0
@@ -130,22 +133,22 @@ def test_detections_have_their_colours_and_sizes(tmp_path):
 
 def test_detections_need_an_image(tmp_path):
     with pytest.raises(InputError, match="no image"):
-        figures.detections_sheet({"start": []}, tmp_path / "found.png")
+        detections_sheet({"start": []}, tmp_path / "found.png")
 
 
 def test_rows_of_a_detection_sheet_may_differ_in_length(tmp_path):
-    panel = figures.DetectionPanel("a", np.zeros((8, 8, 3), np.uint8), np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
-    assert figures.detections_sheet({"start": [], "end": [panel, panel]}, tmp_path / "found.png").is_file()
+    panel = DetectionPanel("a", np.zeros((8, 8, 3), np.uint8), np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
+    assert detections_sheet({"start": [], "end": [panel, panel]}, tmp_path / "found.png").is_file()
 
 
 def test_running_mean_is_the_mean_of_what_is_there():
     value = np.array([1.0, np.nan, 3.0, 8.0, 2.0])
     expected = [np.nanmean(value[max(0, i - 1) : i + 2]) for i in range(5)]
-    np.testing.assert_allclose(figures.running_mean(value, window=3), expected)
-    assert np.isnan(figures.running_mean(np.full(3, np.nan))).all()
+    np.testing.assert_allclose(running_mean(value, window=3), expected)
+    assert np.isnan(running_mean(np.full(3, np.nan))).all()
 
 
 def test_figure_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        figures.loss_curves(records(3), tmp_path / "file" / "loss.png")
+        loss_curves(records(3), tmp_path / "file" / "loss.png")

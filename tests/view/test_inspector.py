@@ -13,7 +13,7 @@ from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, read_rig
-from warpav.view.descent_view import Descent
+from warpav.view.descent_view import Steepest
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
@@ -64,7 +64,7 @@ def state():
         constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
         height_offset_m=HEIGHT_M,
         observer_of=observer_of,
-        descents=[Descent(np.full((4, 2), 0.1 * (k + 1)), np.full(4, 0.2)) for k in range(2)] + [None],
+        descents=[Steepest(np.full((4, 2), 0.1 * (k + 1)), np.full(4, 0.2)) for k in range(2)] + [None],
     )
     made.asked = asked
     return made
@@ -117,11 +117,11 @@ def test_frames_and_scenes(state, tmp_path):
 
 
 def test_the_detector_is_asked_once_for_a_rig(state):
-    assert state.look is state.look
+    assert state.observation is state.observation
     state.coverage  # noqa: B018 (needs no detector)
     assert len(state.asked) == 1
     state.turn(0, 0.1)
-    state.look  # noqa: B018
+    state.observation  # noqa: B018
     assert len(state.asked) == 2
 
 
@@ -207,7 +207,7 @@ def test_views_follow_the_cameras_and_the_scene(inspector):
     state = inspector.state
 
     def painted():
-        return {name: actor for name, actor in inspector.plotter.actors.items() if name.startswith("sight/")}
+        return {name: actor for name, actor in inspector.plotter.actors.items() if name.startswith("visibility/")}
 
     def points_m(name):
         return painted()[name].mapper.dataset.points
@@ -216,21 +216,21 @@ def test_views_follow_the_cameras_and_the_scene(inspector):
     assert "coverage" in inspector.plotter.actors
     press(inspector, "v")
     assert "coverage" not in inspector.plotter.actors  # the ground carries one of the two
-    names = {f"sight/cam_{k}" for k in range(4)}
+    names = {f"visibility/cam_{k}" for k in range(4)}
     assert set(painted()) == names
     before = painted()
     inspector.drag(0, np.array([1.2, 0.3]))
-    assert {name for name in names if painted()[name] is before[name]} == names - {"sight/cam_0"}
-    dragged = len(points_m("sight/cam_0"))
+    assert {name for name in names if painted()[name] is before[name]} == names - {"visibility/cam_0"}
+    dragged = len(points_m("visibility/cam_0"))
     inspector.drop(0, np.array([1.5, -0.2]))
-    assert len(points_m("sight/cam_0")) > 2 * dragged
+    assert len(points_m("visibility/cam_0")) > 2 * dragged
     # every side of the view meets in the camera
-    assert np.linalg.norm(points_m("sight/cam_0") - state.rig.cameras[0].position_m, axis=1).min() < 1e-5
+    assert np.linalg.norm(points_m("visibility/cam_0") - state.rig.cameras[0].position_m, axis=1).min() < 1e-5
     in_first_scene = {name: points_m(name) for name in names}
     press(inspector, "n")
     assert any(not np.array_equal(points_m(name), in_first_scene[name]) for name in names)
     inspector.go_to(0)
-    assert np.linalg.norm(points_m("sight/cam_3") - state.frames[0].cameras[3].position_m, axis=1).min() < 1e-5
+    assert np.linalg.norm(points_m("visibility/cam_3") - state.frames[0].cameras[3].position_m, axis=1).min() < 1e-5
     press(inspector, "c")
     assert "coverage" in inspector.plotter.actors
     assert not painted()
@@ -255,9 +255,9 @@ def test_it_can_begin_with_the_outcomes(state, tmp_path):
 
 @needs_opengl
 def test_it_can_begin_with_the_views(state, tmp_path):
-    opened = Inspector(state, save_to=tmp_path / "mine.yaml", begin_with="sight", off_screen=True)
+    opened = Inspector(state, save_to=tmp_path / "mine.yaml", begin_with="visibility", off_screen=True)
     try:
-        assert "sight/cam_3" in opened.plotter.actors
+        assert "visibility/cam_3" in opened.plotter.actors
         assert "coverage" not in opened.plotter.actors
     finally:
         opened.plotter.close()
@@ -348,7 +348,9 @@ def test_the_view_shows_the_boxes_of_the_chosen_camera(inspector):
     scale = 300 / 256
     x0, y0, _, _ = (int(round(value * scale)) + 4 for value in FOUND_PX[0])
     assert tuple(view[y0, x0 + 10]) == FALSE_POSITIVE_RGB
-    x0, y0, _, _ = (int(round(float(value) * scale)) + 4 for value in inspector.state.look.cameras[0].truth_box_px[0])
+    x0, y0, _, _ = (
+        int(round(float(value) * scale)) + 4 for value in inspector.state.observation.cameras[0].truth_box_px[0]
+    )
     assert tuple(view[y0, x0 + 5]) == MISS_RGB
     assert (after[bottom - 40 : bottom, right - 40 : right] != before[bottom - 40 : bottom, right - 40 : right]).any()
     inspector.choose(None)

@@ -11,8 +11,8 @@ from warpav.rig.rig import Rig
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista
+from warpav.view.output import render_rgb
 from warpav.view.palette import camera_rgb
-from warpav.view.picture import picture_rgb
 
 pytestmark = needs_opengl
 
@@ -39,7 +39,7 @@ def draw():
 
 def test_every_camera_is_drawn_where_it_is_in_its_colour(draw):
     plotter = draw(rig(), ego=ego(), labels=False)
-    image = picture_rgb(plotter)
+    image = render_rgb(plotter)
     assert image.shape == (300, 480, 3)
     for index, camera in enumerate(rig().cameras):
         column, row = rig_view.project_px(plotter, frustum_points(camera, depth_m=0.0)[:1])[0]
@@ -51,7 +51,7 @@ def test_every_camera_is_drawn_where_it_is_in_its_colour(draw):
 def test_frustum_edges_lie_where_the_closed_form_puts_them(draw):
     camera = rig().cameras[0]
     plotter = draw(rig(1), ego=ego(), labels=False, sectors=False, frustum_depth_m=1.7)
-    image = picture_rgb(plotter, supersampling=4)
+    image = render_rgb(plotter, supersampling=4)
     corner = frustum_points(camera, depth_m=1.7)[1:]
     for first, second in zip(corner, np.roll(corner, -1, axis=0), strict=True):
         column, row = rig_view.project_px(plotter, (0.5 * (first + second))[None])[0].astype(int)
@@ -73,14 +73,14 @@ def test_projection_is_that_of_vtk(draw):
 def test_sector_tints_the_ground_on_its_side_only(draw):
     plotter = draw(rig(1), ego=ego(), labels=False)
     plain = draw(rig(1), ego=ego(), labels=False, sectors=False)
-    changed = distance_to(picture_rgb(plotter), 0) - distance_to(picture_rgb(plain), 0)
+    changed = distance_to(render_rgb(plotter), 0) - distance_to(render_rgb(plain), 0)
     ahead, behind = rig_view.project_px(plotter, np.array([[5.5, 0.0, 0.0], [-3.0, 0.0, 0.0]])).astype(int)
     assert abs(changed[ahead[1], ahead[0]]) > 10.0
     assert abs(changed[behind[1], behind[0]]) < 1.0
 
 
 def test_traffic_and_road_are_drawn_and_walls_are_not(draw):
-    image = picture_rgb(draw(rig(1), ego=ego(), scene=scene(vehicle(1, -5.0, 3.4, rgb=(20, 150, 30))), labels=False))
+    image = render_rgb(draw(rig(1), ego=ego(), scene=scene(vehicle(1, -5.0, 3.4, rgb=(20, 150, 30))), labels=False))
     green = (image[..., 1] > image[..., 0] + 60) & (image[..., 1] > image[..., 2] + 60)
     assert green.sum() > 150
     assert (distance_to(image, (160, 90, 70)) < 25.0).sum() == 0
@@ -165,7 +165,7 @@ def test_mount_surface_is_draped_at_its_height(draw):
         height_m=np.array([[1.5, 1.5], [1.6, 1.6], [1.7, 1.7]], np.float32), origin_m=np.array([0.0, -0.5]), cell_m=1.0
     )
     plotter = draw(rig(1), ego=ego(), mount_surface=surface)
-    picture_rgb(plotter)
+    render_rgb(plotter)
     grid = plotter.actors["mount_surface"].mapper.dataset
     assert grid.bounds[:4] == pytest.approx((0.0, 2.0, -0.5, 0.5))
     for point, height in zip(grid.points, grid.point_data["height_m"], strict=True):

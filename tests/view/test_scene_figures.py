@@ -13,16 +13,17 @@ from tests.scene.capture.town_capture import town_capture
 from tests.view.stand_ins import needs_opengl, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.experiments import scene_figures
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.glb import write_scene
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import Box
-from warpav.view.figures import DOTS_PER_INCH, WIDTH_INCH
+from warpav.view.cloud_view import BACKGROUND_RGB
+from warpav.view.figures import clouds, images, mount_surface, occupancy
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
 from warpav.view.palette import camera_rgb
-from warpav.view.scene_figures import by_number, clouds, images, mount_surface, occupancy
-from warpav.view.scene_figures.panels import BACKGROUND_RGB, count_text
 
 WIDTH_PX = WIDTH_INCH * DOTS_PER_INCH
 COARSE = ReconstructionSettings(
@@ -285,7 +286,7 @@ def scenes_folder(tmp_path):
 
 
 def test_heat_maps_lie_where_the_vehicles_stand(tmp_path, scenes_folder, drawn):
-    image = pixels(by_number.draw_figure(8, tmp_path / "8.png", scenes_folder=scenes_folder))
+    image = pixels(scene_figures.draw_figure(8, tmp_path / "8.png", scenes=scenes_folder))
     assert image.shape[1] == WIDTH_PX
     maps = drawn[0].axes[:3]
     assert [(axis.get_title("left"), axis.get_title("right")) for axis in maps] == [
@@ -330,7 +331,7 @@ def test_a_scene_alone_cannot_be_split(tmp_path, scenes_folder):
     for seed in range(1, 5):
         (scenes_folder / f"scene_{seed}.glb").unlink()
     with pytest.raises(InputError, match="expected at least 3 scenes to split, got 1"):
-        occupancy.collection_heat_maps(scenes_folder, tmp_path / "heat.png")
+        scene_figures.scene_store_heat_maps(scenes_folder, tmp_path / "heat.png")
 
 
 # ------------------------------------------------------------------------------------------------- mount surface: 9
@@ -373,11 +374,11 @@ def assert_one_line(capsys, message):
         (["3", "--out", "3.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, got 3"),
         (["four", "--out", "4.png"], "command line"),
         (["4"], "--out"),
-        (["4", "--out", "4.png", "--seed", "-1"], "--seed: expected an integer from 0, got -1"),
+        (["4", "--out", "4.png", "--seed", "-1"], r"command line \(--seed\): expected an integer from 0, got -1"),
         (["4", "--out", "4.png", "--capture", "nowhere"], "nowhere"),
-        (["4", "--out", "4.png", "--capture", "a", "--seed", "1"], "expected either --seed or --capture, got both"),
+        (["4", "--out", "4.png", "--capture", "a", "--seed", "1"], "expected either seed or capture, got both"),
         (["4", "--out", "4.png", "--scenes", "a"], "that goes with figure 8"),
-        (["8", "--out", "8.png"], "figure 8: expected --scenes"),
+        (["8", "--out", "8.png"], "figure 8: expected scenes"),
         (["8", "--out", "8.png", "--scenes", "nowhere"], "nowhere: expected a folder of scenes, got none"),
         (["8", "--out", "8.png", "--scenes", "."], "expected files scene_SEED.glb, got none"),
     ],
@@ -391,7 +392,7 @@ def test_wrong_words_are_told_in_one_line(tmp_path, monkeypatch, capsys, words, 
 
 @pytest.mark.parametrize("number", [14, 16])
 def test_a_figure_is_drawn_by_its_number(tmp_path, monkeypatch, capsys, number):
-    monkeypatch.setattr(by_number, "recorded_town", lambda seed: capture() if seed == 3 else None)
+    monkeypatch.setattr(scene_figures, "recorded_town", lambda seed: capture() if seed == 3 else None)
     out = tmp_path / "new" / "figure.png"
     assert main(["scenes", "figure", str(number), "--out", str(out), "--seed", "3"]) == 0
     assert capsys.readouterr().out == f"wrote {out}\n"

@@ -20,3 +20,20 @@ class OptionError(InputError):
         """The error; ``text`` says what was expected, what came, and how to mend it."""
         super().__init__(f"{option}: {text}")
         self.option = option
+
+
+class ArgumentError(InputError):
+    """An argument of a function cannot be used; its text begins with the argument's name.
+
+    Arguments that the text speaks of stand in backquotes, so that the command line can call them as it does.
+
+    Attributes:
+        option: The argument's name, such as ``held_out``.
+        text: What was expected, what came, and how to put it right.
+        place: The file or folder that it is about, where there is one.
+    """
+
+    def __init__(self, option: str, text: str, *, place: object = None) -> None:
+        """The error."""
+        self.option, self.text, self.place = option, text, None if place is None else str(place)
+        super().__init__(f"{'' if place is None else f'{place}: '}{option}: {text}")

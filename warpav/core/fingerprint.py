@@ -1,19 +1,27 @@
-"""Hashes of what something is made with, so that it is made once: inputs, settings, and the code itself."""
+"""Fingerprints of cached files: hashes of inputs, settings and the code that makes scenes."""
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
+from collections.abc import Collection, Iterator
 from functools import cache
 from pathlib import Path
 
-_PACKAGES = ("core", "raster", "scene", "rig")
+_PACKAGES = ("warpav", "warpav_kernels")
 _DIGITS = 16
 
 
-def recipe(*parts: object) -> str:
-    """Hash of the parts and of the code that makes scenes, as `digest`."""
-    return digest(_code_hash(), *parts)
+def fingerprint(*parts: object, code: Collection[str]) -> str:
+    """Hash of the parts and of the code that works on them, as `digest`.
+
+    Args:
+        *parts: Inputs and settings.
+        code: Modules, such as ``warpav.scene.town.town``. With each counts what it imports when it is imported, and so
+            on down to ``warpav.core``; what it imports inside functions counts only if it is named here.
+    """
+    return digest(_code_hash(tuple(code)), *parts)
 
 
 def digest(*parts: object) -> str:
@@ -26,19 +34,39 @@ def digest(*parts: object) -> str:
 
 
 @cache
-def _code_hash() -> str:
-    found = hashlib.sha256()
-    for folder in _code_folders():
-        for file in sorted(folder.rglob("*.py")):
-            found.update(file.read_bytes())
-    return found.hexdigest()
+def _code_hash(modules: tuple[str, ...]) -> str:
+    sources: dict[str, bytes] = {}
+    waiting = list(modules)
+    while waiting:
+        name = waiting.pop()
+        if name in sources:
+            continue
+        file = _source_file(name)
+        assert file is not None, name
+        sources[name] = file.read_bytes()
+        waiting += _imports(ast.parse(sources[name]).body)
+    return digest(*(part for name in sorted(sources) for part in (name, sources[name])))
 
 
-def _code_folders() -> list[Path]:
-    kernels = importlib.util.find_spec("warpav_kernels")
-    assert kernels is not None
-    assert kernels.submodule_search_locations is not None
-    return [
-        *(Path(__file__).parents[1] / package for package in _PACKAGES),
-        Path(kernels.submodule_search_locations[0]),
-    ]
+def _imports(body: list[ast.stmt]) -> Iterator[str]:
+    """Own modules that a module imports when it is imported."""
+    for statement in body:
+        names: list[str] = []
+        if isinstance(statement, ast.Import):
+            names = [each.name for each in statement.names]
+        elif isinstance(statement, ast.ImportFrom) and statement.module:
+            # what is imported is a module of a package, or something out of a module
+            names = [statement.module, *(f"{statement.module}.{each.name}" for each in statement.names)]
+        for name in names:
+            if name.split(".")[0] in _PACKAGES and _source_file(name) is not None:
+                yield name
+
+
+def _source_file(name: str) -> Path | None:
+    """The file of a module of our own, found without importing anything; None where the name means no module."""
+    package, *parts = name.split(".")
+    spec = importlib.util.find_spec(package)
+    assert spec is not None
+    assert spec.origin is not None
+    path = Path(spec.origin).parent.joinpath(*parts)
+    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)

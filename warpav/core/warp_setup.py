@@ -1,13 +1,19 @@
-"""Warp without its start-up messages."""
+"""Warp without its start-up messages, and its kernels compiled several at a time."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any
+
+from warpav.core.executor import available_cores
+
+KERNELS = "warpav_kernels"
 
 
 @cache
@@ -22,6 +28,33 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     with _muted_stderr():  # without a GPU its native library complains whatever the log level
         warp.init()
     return warp
+
+
+@contextlib.contextmanager
+def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
+    """Compile and load the kernels imported so far while the block does something else; they are ready when it ends.
+
+    Warp compiles a module when one of its kernels is launched first, one module after the other, for seconds each. The
+    block must not launch these kernels: it would compile them too.
+
+    Args:
+        device: Warp device.
+        but: Modules that are left out: those of ``warpav_kernels`` whose names begin so, such as ``raster.trace``.
+
+    Raises:
+        Exception: Of the compiler.
+    """
+    warp = load_warp()
+    own, left_out = f"{KERNELS}.", tuple(f"{KERNELS}.{name}" for name in but)
+    names = [name for name in sys.modules if name.startswith(own) and not name.startswith(left_out)]
+    sizes = {name: len(Path(file).read_bytes()) for name in names if (file := sys.modules[name].__file__)}
+    # the longest first, as the others then fill the time of the cores that are done
+    found = [warp.get_module(name) for name in sorted(sizes, key=lambda name: -sizes[name])]
+    modules = [module for module in found if module.kernels]
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(warp.force_load, device, modules, max_workers=available_cores())
+        yield
+        done.result()
 
 
 @contextlib.contextmanager

@@ -26,7 +26,7 @@ _IMAGES_AT_ONCE = 512
 
 @dataclass(frozen=True)
 class ImageBoxes:
-    """What is in one image, and what a detector says is there.
+    """Ground truth and detections of one image.
 
     Attributes:
         truth_box_px: Edges ``x0, y0, x1, y1`` of the objects; those without a box (NaN) take no part; [object, 4].
@@ -273,14 +273,14 @@ def _match(
     waived = np.concatenate([each.waived for each in images])
     waived = waived | (detection_px2 < low_px2) | (detection_px2 > high_px2)  # [size range, detection]
 
-    # objects padded to one number, the last place of all
+    # objects padded to one number, the last index for none
     width = max(1, *(len(each.truth_px2) for each in images))
     exists, is_crowd = np.zeros((len(images), width), bool), np.zeros((len(images), width), bool)
     counted = np.zeros((len(low_px2), len(images), width), bool)
     for k, each in enumerate(images):
-        place = slice(len(each.truth_px2))
-        exists[k, place], is_crowd[k, place] = True, each.truth_is_crowd
-        counted[:, k, place] = ~each.truth_ignored & (each.truth_px2 >= low_px2) & (each.truth_px2 <= high_px2)
+        index = slice(len(each.truth_px2))
+        exists[k, index], is_crowd[k, index] = True, each.truth_is_crowd
+        counted[:, k, index] = ~each.truth_ignored & (each.truth_px2 >= low_px2) & (each.truth_px2 <= high_px2)
 
     # only detections that reach some object can match; the others change nothing for the rest
     candidates = [np.flatnonzero((each.iou >= threshold.min()).any(axis=1)) for each in images]

@@ -64,9 +64,9 @@ class DifferentiableDetector:
     L is 0 for a sure and exact answer and at most 1. The agreement is smooth where a candidate fits exactly, which the
     generalised IoU is not, and falls off with the square of the error, so that boxes that lie apart still attract.
 
-    A network of strides answers differently when the same picture is moved by a pixel, and its slope changes within
+    A strided network responds differently when the same image is shifted by a pixel, and its slope changes within
     a part of one. What a world in motion sees is the mean over such moves, so L is the mean over ``phase_count`` = n of
-    them, of the picture softened by the filter 1 4 6 4 1 along rows and columns (standard deviation 1 px): picture and
+    them, of the image smoothed by the filter 1 4 6 4 1 along rows and columns (standard deviation 1 px): image and
     boxes are moved by k px to the right and 5 k px down, both modulo 16 and between -8 and 7, k = 0 .. n - 1. What
     comes in is the grey of a letterbox; boxes end where the image does.
 
@@ -160,41 +160,41 @@ class DifferentiableDetector:
                 np.zeros(0, np.float32), still, None if weight is None else np.zeros((0, 4), np.float32)
             )
         # a view of the renderer's memory, not a copy; gradients are asked for a fresh leaf
-        picture = wp.to_torch(image, requires_grad=False).detach().requires_grad_(weight is not None)
-        truth_px = torch.from_numpy(np.asarray(box_px, np.float32)).to(picture.device)
+        rgb = wp.to_torch(image, requires_grad=False).detach().requires_grad_(weight is not None)
+        truth_px = torch.from_numpy(np.asarray(box_px, np.float32)).to(rgb.device)
         truth_px = truth_px.requires_grad_(weight is not None)
-        end_px = torch.tensor([width_px, height_px] * 2, dtype=torch.float32, device=picture.device)
+        end_px = torch.tensor([width_px, height_px] * 2, dtype=torch.float32, device=rgb.device)
         with torch.set_grad_enabled(weight is not None):
             parts, gradients = [], []
             for phase_px in self._phases_px:  # one after the other, so that memory does not grow with their number
-                raw = self._raw_output(_moved(_softened(picture), *phase_px))
-                moved_px = truth_px + torch.tensor([*phase_px, *phase_px], dtype=torch.float32, device=picture.device)
+                raw = self._raw_output(_moved(_softened(rgb), *phase_px))
+                moved_px = truth_px + torch.tensor([*phase_px, *phase_px], dtype=torch.float32, device=rgb.device)
                 moved_px = torch.minimum(moved_px.clamp(min=0.0), end_px)
                 part = self._object_losses(raw, np.asarray(image_index), moved_px, np.asarray(group))
                 parts.append(part.detach() / len(self._phases_px))
                 if weight is not None:
                     share = torch.from_numpy(np.asarray(weight, np.float32) / len(self._phases_px)).to(part.device)
-                    gradients.append(torch.autograd.grad((part * share).sum(), [picture, truth_px]))
+                    gradients.append(torch.autograd.grad((part * share).sum(), [rgb, truth_px]))
         loss = torch.stack(parts).sum(dim=0).cpu().numpy()
         if weight is None:
             return DetectionLoss(loss, None, None)
         to_picture, to_truth = (torch.stack(each).sum(dim=0) for each in zip(*gradients, strict=True))
         return DetectionLoss(loss, wp.from_torch(to_picture.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
 
-    def _raw_output(self, picture: Any) -> Any:  # noqa: ANN401 (tensors; PyTorch is no import of this module)
+    def _raw_output(self, rgb: Any) -> Any:  # noqa: ANN401 (tensors; PyTorch is no import of this module)
         """The network's output for colours [image, 3, row, column], checked."""
         labels = len(self._label_group)
         try:
-            raw = self._network(picture)
+            raw = self._network(rgb)
         except RuntimeError as error:
             raise InputError(
-                f"{self._path}: losses.detector_gradient cannot run it on images of {picture.shape[3]} x "
-                f"{picture.shape[2]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and "
+                f"{self._path}: losses.detector_gradient cannot run it on images of {rgb.shape[3]} x "
+                f"{rgb.shape[2]} px: {' '.join(str(error).split())[:200]}; set camera.width_px and "
                 "camera.height_px to the network's own size"
             ) from error
-        if raw.ndim != 3 or raw.shape[0] != picture.shape[0] or raw.shape[1] != 4 + labels:
+        if raw.ndim != 3 or raw.shape[0] != rgb.shape[0] or raw.shape[1] != 4 + labels:
             raise InputError(
-                f"{self._path}: losses.detector_gradient expected output [{picture.shape[0]}, 4 + {labels} labels, "
+                f"{self._path}: losses.detector_gradient expected output [{rgb.shape[0]}, 4 + {labels} labels, "
                 f"candidates], got {list(raw.shape)}; export the network without suppression"
             )
         if not bool(raw.isfinite().all()):
@@ -222,13 +222,13 @@ class DifferentiableDetector:
         return 0.5 * (score_loss + disagreement)
 
 
-def _softened(picture: Any) -> Any:  # noqa: ANN401
-    """Planes [image, 3, row, column] of a picture [image, row, column, 3], softened; its border is repeated."""
+def _softened(rgb: Any) -> Any:  # noqa: ANN401
+    """Planes [image, 3, row, column] of an image batch [image, row, column, 3], smoothed; its border is repeated."""
     from torch.nn import functional  # pyright: ignore[reportMissingImports]
 
-    line = picture.new_tensor(_SOFTENING) / sum(_SOFTENING)
+    line = rgb.new_tensor(_SOFTENING) / sum(_SOFTENING)
     margin = len(_SOFTENING) // 2
-    planes = functional.pad(picture.permute(0, 3, 1, 2), [margin] * 4, mode="replicate")
+    planes = functional.pad(rgb.permute(0, 3, 1, 2), [margin] * 4, mode="replicate")
     return functional.conv2d(planes, line.outer(line).expand(3, 1, -1, -1), groups=3)
 
 

@@ -1,7 +1,7 @@
 """The layouts of ONNX detectors: how each wants its images, and how its outputs become boxes.
 
-An ONNX file says names, shapes and number types of its inputs and outputs, and not what the numbers mean. Networks of
-one *family* share that meaning. `recognise` finds the family of a file (what the user says wins, then the file's
+An ONNX file states names, shapes and types of its inputs and outputs, but not what the numbers mean. Networks of
+one *family* share that meaning. `recognise` finds the family of a file (the user's option wins, then the file's
 metadata, then its inputs and outputs) together with the reason in words; from there on a family *packs* images into the
 network's input and *decodes* its outputs into `Candidates`, boxes in pixels of that input.
 
@@ -117,7 +117,7 @@ class Letterbox:
         )
 
     def canvas(self, images_rgb: np.ndarray) -> np.ndarray:
-        """The images in the place that they have in the input, uint8, shape [image, row, column, 3].
+        """The images at their position in the input, uint8, shape [image, row, column, 3].
 
         Args:
             images_rgb: Images, uint8, shape [image, row, column, 3].
@@ -175,14 +175,14 @@ class Tensor:
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """What an ONNX file says about itself.
+    """Metadata, inputs and outputs of an ONNX file.
 
     Attributes:
         path: The file.
         inputs: Its inputs.
         outputs: Its outputs.
         metadata: What the exporter wrote beside the network.
-        labels: Labels in the order of the classes, from the user or else the metadata; None where nobody says.
+        labels: Labels in the order of the classes, from the user or else the metadata; None if unknown.
         labels_origin: Where they come from, in words.
         run: Runs the network: inputs by name to outputs in order.
     """
@@ -271,11 +271,11 @@ class Family(ABC):
         layout: Its inputs and outputs in words.
         placement: Where an image lies in the input.
         is_bgr: Whether blue comes first.
-        white: The number that stands for white.
+        white: The value of white.
         stride_px: Inputs of dynamic size are multiples of this.
         suppresses: Whether the network itself gives an object one box of a class.
         square_px: Side of the input of a file of dynamic size, where it must be square; None: as the image.
-        assumed_labels: Labels where neither user, metadata nor the number of classes says any; None: refused.
+        assumed_labels: Labels if neither user, metadata nor the number of classes determines them; None: an error.
     """
 
     name: ClassVar[str]
@@ -302,11 +302,11 @@ class Family(ABC):
     @classmethod
     @abstractmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """Why a file that fits is of this family and no other, in words; None where that cannot be told."""
+        """Why a matching file is of this family and no other, in words; None if that cannot be decided."""
 
     @property
     def class_count(self) -> int | None:
-        """Number of classes, where the outputs' shapes tell."""
+        """Number of classes, if the outputs' shapes determine it."""
         return None
 
     @property
@@ -388,7 +388,7 @@ class Family(ABC):
         Args:
             outputs: All outputs of one image, the batch's axis taken off.
             size_px: Rows and columns of the network's input.
-            classes: The classes to look for, int32.
+            classes: The classes to detect, int32.
             confidence_min: Least confidence.
 
         Raises:
@@ -551,7 +551,7 @@ def _grid(rows_px: int, columns_px: int, count: int) -> tuple[np.ndarray, np.nda
 
 
 def _gives_pixels(file: NetworkFile) -> bool | None:
-    """Whether a YOLOX file's box centres follow its cells on a grey image, or are offsets that know no place.
+    """Whether a YOLOX file's box centres follow its cells on a grey image, or are offsets.
 
     None where its boxes are not as many as its cells.
     """
@@ -604,7 +604,7 @@ class _RtdetrSingle(_UltralyticsEndToEnd):
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        return None  # nothing in such a file tells it from an end-to-end one
+        return None  # nothing in such a file distinguishes it from an end-to-end one
 
 
 class _UltralyticsRtdetr(Family):
@@ -659,7 +659,7 @@ def _listed(
 
 
 class _Listing(Family):
-    """Families with boxes, labels and scores as outputs of their own, told apart by rank and number type."""
+    """Families with boxes, labels and scores as outputs of their own, distinguished by rank and type."""
 
     @staticmethod
     def _find(file: NetworkFile, batch_axes: int) -> tuple[int, int, int] | None:
@@ -735,7 +735,7 @@ class _Torchvision(_Listing):
 class _Rtdetr(_Listing):
     """RT-DETR, RT-DETRv2, D-FINE and their like with ``orig_target_sizes`` as second input.
 
-    That input says how large the boxes' frame is. It is given the size of the network's input, for from there boxes go
+    That input is the size of the boxes' frame. It is given the size of the network's input, for from there boxes go
     back to the image like those of every other family.
     """
 
@@ -796,7 +796,7 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
     """Find out how a file wants its images and what its outputs mean.
 
     Args:
-        file: What the file says about itself.
+        file: Metadata, inputs and outputs.
         name: A family's name, or ``auto``.
 
     Returns:
@@ -809,7 +809,7 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
     if name != "auto" and name not in by_name:
         raise OptionError("detector.format", f"expected auto or one of {', '.join(by_name)}, got {name!r}")
     if name != "auto":
-        kind, reason = by_name[name], "detector.format says so"
+        kind, reason = by_name[name], "set by detector.format"
         if not kind.fits(file):
             raise InputError(f"{file.path}: detector.format={name}: expected {_wanted(kind, file)}, got {file}")
     else:
@@ -847,7 +847,7 @@ def _labels(file: NetworkFile, kind: type[Family]) -> tuple[tuple[str, ...], str
     if kind.assumed_labels is not None:
         return (
             kind.assumed_labels,
-            "COCO (assumed, for the file says nothing; if it was trained on others, set detector.labels)",
+            "COCO (assumed, since the file has no labels; if it was trained on others, set detector.labels)",
         )
     classes = "an unknown number of" if count is None else count
     raise InputError(

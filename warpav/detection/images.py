@@ -1,4 +1,4 @@
-"""Pictures of a scene through given cameras, on the host."""
+"""Images of a scene from given cameras, on the host."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CameraImage:
         depth_m: Depth [m] along the optical axis, for a fisheye or a panorama the distance; +inf where nothing is hit,
             float32 [row, column].
         object_index: -1 nothing, 0 environment, 1 ego vehicle, 2 + k vehicle k of the scene, int32 [row, column].
-        visible_area_px: Area in the image that nothing hides [px^2], float32 [vehicle].
+        visible_area_px: Unoccluded area in the image [px^2], float32 [vehicle].
         amodal_area_px: Area in the image of the vehicle alone [px^2], float32 [vehicle].
     """
 
@@ -44,7 +44,7 @@ def render_images(
     device: str = "cpu",
     thread_count: int | None = None,
 ) -> list[CameraImage]:
-    """Pictures of a scene through each camera, exact occlusion.
+    """Images of a scene from each camera, with exact occlusion.
 
     Args:
         scene: The scene; packed first if it is not.
@@ -55,7 +55,7 @@ def render_images(
         thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
 
     Returns:
-        One picture per camera, in order.
+        One image per camera, in order.
     """
     packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
     pictures: dict[int, CameraImage] = {}

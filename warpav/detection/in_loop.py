@@ -1,4 +1,4 @@
-"""The detector in the optimisation's loop: only images that matter, many at once, beside the rendering, none twice."""
+"""The detector in the optimisation loop: batched, parallel to the rendering, and cached for unmoved cameras."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from warpav.detection.observe import detections_in, network_input_of
 
 
 @dataclass(frozen=True)
-class Picture:
-    """An image that a detector is asked about.
+class RenderedImage:
+    """A rendered image for the detector.
 
     Attributes:
-        scene: What is shown; compared by identity.
-        camera: Which camera shows it.
-        pose: All that its content depends on besides, as bytes; equal bytes mean an equal image.
-        image: Colours 0..1, vec3 [1, row, column]; may be written over as soon as `DetectorInLoop.ask` returns.
+        scene: The scene; compared by identity.
+        camera: Index of the camera.
+        pose: Everything else that the content depends on, as bytes; equal bytes mean an equal image.
+        image: Colours 0..1, vec3 [1, row, column]; may be overwritten as soon as `DetectorInLoop.ask` returns.
     """
 
     scene: Hashable
@@ -30,10 +30,10 @@ class Picture:
 
 
 class DetectorInLoop:
-    """Runs a detector on pictures in a thread of its own, and remembers what it said last of every scene and camera.
+    """Runs a detector on images in its own thread and caches the last detections of every scene and camera.
 
-    onnxruntime works without Python's lock, so the caller can go on rendering. Which pictures go into the network
-    together depends on the calls alone, not on timing.
+    onnxruntime releases the GIL, so the caller can continue rendering. Which images share a batch of the network
+    depends only on the calls, not on timing.
     """
 
     def __init__(self, detector: Detector) -> None:
@@ -42,31 +42,31 @@ class DetectorInLoop:
         self._pool = ThreadPoolExecutor(1)
         self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()
 
-    def ask(self, pictures: Sequence[Picture]) -> Callable[[], list[Detections]]:
-        """Begin to detect.
+    def ask(self, images: Sequence[RenderedImage]) -> Callable[[], list[Detections]]:
+        """Start detecting.
 
         Args:
-            pictures: All of one size.
+            images: All of one size.
 
         Returns:
-            A function that waits for the answers, one for every picture, in order; it raises what the detector raises.
+            A function that waits for the detections, one per image, in order; it raises the errors of the detector.
         """
-        new = [picture for picture in pictures if self._answer(picture) is None]
+        new = [image for image in images if self._answer(image) is None]
         answers = None
         if new:
-            network_input = network_input_of([picture.image for picture in new], self._detector)
+            network_input = network_input_of([image.image for image in new], self._detector)
             answers = self._pool.submit(detections_in, network_input, self._detector)
 
         def wait() -> list[Detections]:
             if answers is not None:
-                for picture, found in zip(new, answers.result(), strict=True):
-                    self._known.setdefault(picture.scene, {})[picture.camera] = (picture.pose, found)
-            found = [self._answer(picture) for picture in pictures]
+                for image, found in zip(new, answers.result(), strict=True):
+                    self._known.setdefault(image.scene, {})[image.camera] = (image.pose, found)
+            found = [self._answer(image) for image in images]
             assert all(each is not None for each in found)
             return [each for each in found if each is not None]
 
         return wait
 
-    def _answer(self, picture: Picture) -> Detections | None:
-        pose, found = self._known.get(picture.scene, {}).get(picture.camera, (None, None))
-        return found if pose == picture.pose else None
+    def _answer(self, image: RenderedImage) -> Detections | None:
+        pose, found = self._known.get(image.scene, {}).get(image.camera, (None, None))
+        return found if pose == image.pose else None

@@ -79,7 +79,7 @@ def match_detections(
     """
     confidence = np.asarray(confidence, np.float64).reshape(-1)
     iou = iou_matrix(truth_box_px, detection_box_px)
-    # A pair without overlap never matches, whatever iou_min says.
+    # A pair without overlap never matches, even with iou_min 0.
     valid = (iou >= iou_min) & (iou > 0.0) & (confidence >= confidence_min)[None, :]
     if seen_inside is not None:
         valid &= seen_inside

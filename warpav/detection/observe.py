@@ -1,4 +1,4 @@
-"""What a detector makes of a rendered scene, camera by camera: truth boxes, detections, and which belong together."""
+"""Observation of a rendered scene, camera by camera: ground-truth boxes, detections and their matches."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from warpav_kernels.detection import network_input as network_input_kernels
 
 
 @dataclass(frozen=True)
-class Sight:
-    """What the cameras see of every vehicle of a scene, whatever a detector makes of it.
+class VisibleObjects:
+    """Visible parts of every vehicle of a scene in every camera, without a detector.
 
     Attributes:
         scene: The scene.
         supersampling: Samples per pixel edge of the masks.
-        masks: Silhouettes of what is seen: left, top and mask in samples, [camera][vehicle].
+        masks: Silhouettes of the visible parts: left, top and mask in samples, [camera][vehicle].
         truth_box_px: See `Observation`.
         too_small_box_px: See `Observation`.
     """
@@ -42,7 +42,7 @@ class Sight:
             for vehicle, (left, top, mask) in enumerate(masks):
                 if not mask.any():
                     continue
-                # part of the vehicle is seen inside the detection
+                # a visible part of the vehicle lies inside the detection
                 for k, box_px in enumerate(found.box_px * self.supersampling):
                     x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
                     inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
@@ -63,11 +63,11 @@ class Observation:
     """Detections of one scene through the cameras of a rig.
 
     Attributes:
-        image: What the cameras see, 0..1, vec3 [camera, row, column], on the device.
-        detections: What the detector says, one per camera.
-        truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is seen, float32
-            [camera, vehicle, 4].
-        too_small_box_px: The same where something is seen, but too little for a truth box; elsewhere NaN.
+        image: Rendered images, 0..1, vec3 [camera, row, column], on the device.
+        detections: Of the detector, one per camera.
+        truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is visible,
+            float32 [camera, vehicle, 4].
+        too_small_box_px: The same for objects with too little visible for a truth box; else NaN.
         match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
     """
 
@@ -79,7 +79,7 @@ class Observation:
 
     @property
     def image_rgb(self) -> np.ndarray:
-        """What the cameras see, uint8 [camera, row, column, 3]; a copy on the host."""
+        """Rendered images, uint8 [camera, row, column, 3]; a copy on the host."""
         return (self.image.numpy() * 255.0 + 0.5).astype(np.uint8)
 
     def matched_box_px(self) -> np.ndarray:
@@ -110,7 +110,7 @@ def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.
 
 
 def network_input_of(images: Sequence[wp.array], detector: Detector) -> wp.array | np.ndarray:
-    """Rendered images as the detector takes them, without a copy through the host where it can do without.
+    """Rendered images in the detector's input format, without a copy to the host where possible.
 
     Args:
         images: Colours 0..1, vec3 [image, row, column] each, of one size; at least one.
@@ -124,31 +124,33 @@ def network_input_of(images: Sequence[wp.array], detector: Detector) -> wp.array
         return np.concatenate([(image.numpy() * 255.0 + 0.5).astype(np.uint8) for image in images])
     count = sum(image.shape[0] for image in images)
     network_input = wp.empty((count, 3, height_px, width_px), dtype=float, device=images[0].device)
-    place = 0
+    start = 0
     for image in images:
         wp.launch(
             network_input_kernels.write_network_input_kernel,
             dim=(image.shape[0], height_px),
             inputs=[image],
-            outputs=[network_input[place : place + image.shape[0]]],
+            outputs=[network_input[start : start + image.shape[0]]],
             device=image.device,
             record_tape=False,
         )
-        place += image.shape[0]
+        start += image.shape[0]
     return network_input
 
 
 def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> list[Detections]:
-    """Run a detector on what `network_input_of` prepared for it; one answer for every image."""
+    """Run a detector on the output of `network_input_of`; one result per image."""
     if isinstance(network_input, np.ndarray):
         return detector.detect(network_input)
     assert isinstance(detector, TensorDetector)
     return detector.detect_tensor(network_input)
 
 
-def see(frame: Frame, scene: DeviceScene, *, ahead_view: Sequence[int], min_area_px: int = 16) -> Sight:
-    """What the cameras see of the vehicles in a render; arguments as in `observe`."""
-    masks = frame.visible_masks(ahead_view)
+def visible_objects(
+    frame: Frame, scene: DeviceScene, *, forward_view: Sequence[int], min_area_px: int = 16
+) -> VisibleObjects:
+    """Visible parts of the vehicles in a render; arguments as in `observe`."""
+    masks = frame.visible_masks(forward_view)
     samples = frame.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
     too_small_box_px = truth_box_px.copy()
@@ -162,7 +164,7 @@ def see(frame: Frame, scene: DeviceScene, *, ahead_view: Sequence[int], min_area
                 box, boxes = largest_component_box(mask, min_area_px=1), too_small_box_px
                 assert box is not None
             boxes[camera, vehicle] = (box + np.array([left, top, left, top], np.float32)) / samples
-    return Sight(scene, samples, masks, truth_box_px, too_small_box_px)
+    return VisibleObjects(scene, samples, masks, truth_box_px, too_small_box_px)
 
 
 def observe(
@@ -171,31 +173,31 @@ def observe(
     detector: Detector,
     *,
     image: wp.array | None = None,
-    ahead_view: Sequence[int],
+    forward_view: Sequence[int],
     confidence_min: float,
     iou_min: float,
     min_area_px: int = 16,
 ) -> Observation:
-    """Run the detector on what the cameras see in a render, and match its boxes to the truth.
+    """Run the detector on a render, and match its boxes to the ground truth.
 
-    A detection only ever matches a vehicle of its own kind of road user.
+    A detection only matches a vehicle of its own kind of road user.
 
     Args:
         frame: A render of ``scene``.
         scene: The scene.
         detector: Finds vehicles.
-        image: What the frame shows in the views ahead, 0..1, vec3 [camera, row, column]; None: it is drawn here.
-        ahead_view: The view of each camera in which it looks straight ahead.
-        confidence_min: Least confidence of a match.
-        iou_min: Least intersection over union of a match.
+        image: Rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
+        forward_view: Index of each camera's forward view.
+        confidence_min: Minimum confidence of a match.
+        iou_min: Minimum intersection over union of a match.
         min_area_px: Visible parts smaller than this have no truth box [px^2].
 
     Returns:
         The observation; nothing here carries a gradient.
     """
     if image is None:
-        image = frame.colours(views=ahead_view)
+        image = frame.colours(views=forward_view)
     detections = detections_in(network_input_of([image], detector), detector)
-    sight = see(frame, scene, ahead_view=ahead_view, min_area_px=min_area_px)
-    match = sight.match(detections, confidence_min=confidence_min, iou_min=iou_min)
-    return Observation(image, detections, sight.truth_box_px, sight.too_small_box_px, match)
+    visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
+    match = visible.match(detections, confidence_min=confidence_min, iou_min=iou_min)
+    return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match)

@@ -1,7 +1,7 @@
 """A detector from an ONNX file, run by onnxruntime: the session, its provider, batches, classes and suppression.
 
 What the file's inputs want and its outputs mean is the matter of `warpav.detection.families`. How the shipped detector
-was trained and how well it does is told in ``models/MODEL_CARD.md``.
+was trained and its accuracy: see ``models/MODEL_CARD.md``.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class OnnxDetector:
         nms_iou_max: Of two detections that overlap by more, the less confident is dropped.
         family: Layout of inputs and outputs, see `warpav.detection.families`; ``auto`` finds it out.
         labels: Labels in the order of the network's classes, or a file with one a line; None: the file's metadata, else
-            COCO's where the number of classes says so or the family has no other way.
+            COCO's if implied by the number of classes or by the family.
         classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
             of `ROAD_USER_LABELS` that the network knows.
         targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that
@@ -101,13 +101,13 @@ class OnnxDetector:
         provider: Where the network runs: ``cpu``, ``cuda`` or ``tensorrt``.
 
     Attributes:
-        file: What the file says about itself, with the labels in use and where they come from.
+        file: Its metadata, with the labels in use and their origin.
         family: How its inputs and outputs are read.
         reason: Why this family, in words.
 
     Raises:
         InputError: The file is missing, not ONNX, of unknown layout, without labels or without a label of a target; or
-            the provider is not there, or gave way to another.
+            the provider is missing or was replaced by another.
         ValueError: A target is no road user.
     """
 
@@ -273,7 +273,7 @@ class OnnxDetector:
             if not np.isfinite(array).all():
                 raise InputError(
                     f"{self._path}: output {tensor.name} holds numbers that are not finite, expected boxes and scores; "
-                    f"look at what the network makes of its input{_half_hint(self.family.image)}"
+                    f"check the network's input{_half_hint(self.family.image)}"
                 )
             checked.append(array.astype(np.float32) if array.dtype == np.float16 else array)
         return checked
@@ -345,7 +345,7 @@ class OnnxDetector:
         found: dict[str, np.ndarray] = {}
         for user in ROAD_USERS:
             given = classes.get(user)
-            # What the user calls one kind of road user is no other, whatever it is called usually.
+            # A label that the user assigns to one kind of road user belongs to no other kind.
             usual = [label for label in ROAD_USER_LABELS[user] if named.get(label, user) == user]
             wanted = usual if given is None else [label.lower() for label in given]
             found[user] = np.array(sorted({k for label in wanted for k in index.get(label, ())}), np.int32)
@@ -410,7 +410,7 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
     except Exception as error:  # onnxruntime's own types share no parent
         if "external" in str(error).lower():
             raise InputError(
-                f"{path}: its weights lie in another file, which must stand beside it, but cannot be read: "
+                f"{path}: its weights lie in another file, which must be next to it, but cannot be read: "
                 f"{_one_line(error, 600)}"
             ) from error
         raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error

@@ -32,7 +32,7 @@ FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 @dataclass(frozen=True)
 class Feature:
-    """What one number says about an object in a view.
+    """A feature of an object in a view.
 
     Attributes:
         name: Short name.
@@ -46,8 +46,8 @@ class Feature:
 
 
 FEATURES = (
-    Feature("visible_size", "ln(1 + px²)", "area that nothing hides, in the image"),
-    Feature("visible_share", "0..1", "area that nothing hides over that of the object alone, both in the image"),
+    Feature("visible_size", "ln(1 + px²)", "unoccluded area in the image"),
+    Feature("visible_share", "0..1", "unoccluded area over the object's whole area, both in the image"),
     Feature("in_frame_share", "0..1", "solid angle of the object alone in the image over that of its upright box"),
     Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
     Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
@@ -86,7 +86,7 @@ class Appearance:
         measures: Measures | None = None,
         image: wp.array | None = None,
     ) -> Appearance:
-        """Measure a render; nothing is taped.
+        """Measure the last render; nothing is taped.
 
         Args:
             frame: All content of ``scene``.
@@ -115,7 +115,7 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a detector may make of every vehicle in every view, on the tape.
+    """Detection probability of every vehicle in every view, on the tape.
 
     Attributes:
         probability: That it finds the vehicle there, in 0..1; 0 where nothing of it is visible, float [view, vehicle].
@@ -132,7 +132,7 @@ class DetectorUse:
 
     Attributes:
         model: Path of its ONNX file.
-        settings: How it is used and what it looks at: plain numbers, texts, lists and mappings.
+        settings: Configuration of the detector and its surroundings: numbers, strings, lists and mappings.
     """
 
     model: Path
@@ -258,7 +258,7 @@ class DetectionProbability:
         """Probabilities as a function of measures, however they came about, recorded on the active tape.
 
         Args:
-            measure: As `Frame.measure` gives them, float [view, vehicle, measure]; BOX_AREA is not looked at.
+            measure: As `Frame.measure` gives them, float [view, vehicle, measure]; BOX_AREA is not used.
             in_frame_sr: Solid angle of every vehicle alone inside the image [sr], float [view, vehicle, 1].
             whole_sr: That of its whole box, from `whole_solid_angle` [sr], float [view, vehicle].
             contrast: As in `Appearance`, float [view, vehicle].
@@ -303,7 +303,7 @@ class DetectionProbability:
 
     @classmethod
     def blank(cls) -> DetectionProbability:
-        """A model that knows nothing and says one half; it serves to read features off."""
+        """An uninformative model with probability one half, used to compute features."""
         return cls(np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)), 0.0)
 
     @classmethod
@@ -312,7 +312,7 @@ class DetectionProbability:
 
         Args:
             use: The detector and its surroundings.
-            unseen: Seeds of scenes that it must not have been fitted on, such as those that a result is judged by.
+            unseen: Seeds of scenes that it must not have been fitted on, such as the evaluation scenes.
 
         Raises:
             InputError: There is none, it cannot be used, or it was fitted on a scene of ``unseen``; the text says what
@@ -321,14 +321,14 @@ class DetectionProbability:
         file = stored_file(use)
         if file is None:
             raise InputError(
-                f"{use.model}: p(detected): expected a fit for this detector, camera and source of scenes, got none; "
-                "run warpav detector fit with the same configuration"
+                f"{use.model}: detection probability: expected a fit for this detector, camera and source of scenes, "
+                "got none; run warpav detector fit with the same configuration"
             )
         found = cls.read(file, use=use)
         shared = sorted(set(found.record["fit"]["seeds"]) & set(unseen))
         if shared:
             raise InputError(
-                f"{file}: fit.seeds: expected other scenes than those that are judged, got {len(shared)} of them, such "
+                f"{file}: fit.seeds: expected other scenes than the evaluation scenes, got {len(shared)} of them, such "
                 f"as {shared[0]}; run warpav detector fit --again --scenes SEEDS"
             )
         return found
@@ -376,7 +376,7 @@ class DetectionProbability:
             ) from None
 
     def write(self, folder: Path, use: DetectorUse) -> Path:
-        """Write the model and its record as JSON into a folder, under the name by which `find` looks for it.
+        """Write the model and its record as JSON into a folder, under the name that `find` expects.
 
         Raises:
             OSError: It cannot be written there.

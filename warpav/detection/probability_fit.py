@@ -1,4 +1,4 @@
-"""Fit the probability that a detector finds an object, and say how good it is on scenes that it has not seen."""
+"""Fit the detection probability model, and score it on held-out scenes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
 
 
 @dataclass(frozen=True)
-class Sightings:
+class DetectionSamples:
     """Objects in views, of which at least one pixel was visible, and whether the detector found them.
 
     Attributes:
@@ -63,7 +63,7 @@ class Sightings:
         return len(self.is_detected)
 
     @classmethod
-    def join(cls, parts: Sequence[Sightings]) -> Sightings:
+    def join(cls, parts: Sequence[DetectionSamples]) -> DetectionSamples:
         """All of them."""
         return cls(
             np.concatenate([np.zeros((0, FEATURE_COUNT)), *(part.feature for part in parts)]),
@@ -71,10 +71,10 @@ class Sightings:
             np.concatenate([np.zeros(0, np.int64), *(part.seed for part in parts)]),
         )
 
-    def of_seeds(self, seeds: Sequence[int]) -> Sightings:
+    def of_seeds(self, seeds: Sequence[int]) -> DetectionSamples:
         """Those in the scenes of some seeds."""
         kept = np.isin(self.seed, np.asarray(seeds, np.int64))
-        return Sightings(self.feature[kept], self.is_detected[kept], self.seed[kept])
+        return DetectionSamples(self.feature[kept], self.is_detected[kept], self.seed[kept])
 
 
 def random_cameras(
@@ -92,32 +92,32 @@ def random_cameras(
 
     Args:
         rng: Random numbers.
-        surface: Where they stand.
+        surface: Mount surface of the cameras.
         model: Their model.
         height_offset_m: Their height above the surface [m].
         count: How many.
-        pitch_rad: Range of their pitches [rad]; None: they look level.
+        pitch_rad: Range of their pitches [rad]; None: level.
         height_m: Range of their heights above the surface [m]; None: ``height_offset_m``.
         fov_rad: Range of their fields of view [rad], uniform in the logarithm of the focal length; None: the model's.
     """
-    place_m = rng.uniform(*surface.bounds_m, size=(count, 2))
+    position_m = rng.uniform(*surface.bounds_m, size=(count, 2))
     yaw_rad = rng.uniform(-math.pi, math.pi, count)
     pitches_rad = np.zeros(count) if pitch_rad is None else rng.uniform(*pitch_rad, count)
     offset_m = height_offset_m if height_m is None else rng.uniform(*height_m, count)
-    z_m = surface.height_at_m(place_m) + offset_m
+    z_m = surface.height_at_m(position_m) + offset_m
     models = [model] * count
     if fov_rad is not None:
         low, high = (dataclasses.replace(model, fov_rad=angle).log_zoom_over(model) for angle in fov_rad[::-1])
         models = [model.zoomed(float(log_zoom)) for log_zoom in rng.uniform(low, high, count)]
     return [
         RigCamera(
-            f"camera_{i}", np.array([*place_m[i], z_m[i]]), float(yaw_rad[i]), float(pitches_rad[i]), 0.0, models[i]
+            f"camera_{i}", np.array([*position_m[i], z_m[i]]), float(yaw_rad[i]), float(pitches_rad[i]), 0.0, models[i]
         )
         for i in range(count)
     ]
 
 
-def look(
+def sample_detections(
     renderer: Renderer,
     scene: DeviceScene,
     cameras: Sequence[RigCamera],
@@ -126,17 +126,17 @@ def look(
     seed: int,
     confidence_min: float,
     iou_min: float,
-) -> Sightings:
-    """Show a scene to the detector through cameras, as many as the renderer has views and of its size of image.
+) -> DetectionSamples:
+    """Run the detector on a scene in as many cameras as the renderer has views; returns one sample per visible object.
 
     Args:
-        renderer: Renders them; it takes their lenses.
+        renderer: Renders them; its lenses are replaced by theirs.
         scene: The scene.
         cameras: One for every view.
-        detector: Whose chances are wanted.
+        detector: The detector to model.
         seed: Of the scene.
-        confidence_min: Least confidence of a detection that counts.
-        iou_min: Least overlap with the true box.
+        confidence_min: Minimum confidence of a detection.
+        iou_min: Minimum IoU with the ground-truth box.
     """
     transform = np.stack([camera.ego_from_camera for camera in cameras])
     device = str(renderer.device)
@@ -151,7 +151,7 @@ def look(
         scene,
         detector,
         image=image,
-        ahead_view=range(renderer.view_count),
+        forward_view=range(renderer.view_count),
         confidence_min=confidence_min,
         iou_min=iou_min,
     )
@@ -159,7 +159,7 @@ def look(
     seen = DetectionProbability.blank().on_tape(appearance, position_ego_m, camera_from_ego)
     is_visible = appearance.measures.value.numpy()[:, :, VISIBLE_AREA] >= 1.0
     is_detected = observation.match[is_visible] >= 0
-    return Sightings(
+    return DetectionSamples(
         seen.feature.numpy()[is_visible].astype(np.float64),
         is_detected,
         np.full(len(is_detected), seed, np.int64),
@@ -168,7 +168,7 @@ def look(
 
 @dataclass(frozen=True)
 class Scores:
-    """How good probabilities are.
+    """Scores of a probability model.
 
     Attributes:
         auc: Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties
@@ -249,7 +249,7 @@ def _wilson_interval(share: float, count: int) -> tuple[float, float]:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads would only wait for one another
 def fit_probability(
-    sightings: Sightings,
+    samples: DetectionSamples,
     *,
     rng: np.random.Generator,
     knot_count: int = KNOT_COUNT,
@@ -260,7 +260,7 @@ def fit_probability(
     The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
 
     Args:
-        sightings: What to fit.
+        samples: What to fit.
         rng: Deals the scenes out to folds.
         knot_count: Knots of every curve, at least 4.
         penalties: To choose from, positive.
@@ -271,19 +271,19 @@ def fit_probability(
     Raises:
         ValueError: There are too few objects, or all, or none of them were detected.
     """
-    found, count = int(sightings.is_detected.sum()), len(sightings)
+    found, count = int(samples.is_detected.sum()), len(samples)
     if count < MIN_OBJECTS or min(found, count - found) < MIN_OF_EACH:
         raise ValueError(
             f"expected at least {MIN_OBJECTS} visible objects, {MIN_OF_EACH} of them detected and {MIN_OF_EACH} "
             f"missed, got {count}, {found} detected and {count - found} missed"
         )
-    ranges = [natural_range(sightings.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
+    ranges = [natural_range(samples.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
     basis = np.concatenate(
-        [spline_basis(sightings.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], axis=1
+        [spline_basis(samples.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], axis=1
     )
-    regression = _Regression.of(basis, sightings.is_detected, knot_count)
-    seeds = rng.permutation(np.unique(sightings.seed))
-    fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), sightings.seed)] % FOLD_COUNT
+    regression = _Regression.of(basis, samples.is_detected, knot_count)
+    seeds = rng.permutation(np.unique(samples.seed))
+    fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), samples.seed)] % FOLD_COUNT
     best = penalties[0]
     if len(seeds) >= FOLD_COUNT and len(penalties) > 1:
         folds = [fold_of == k for k in range(FOLD_COUNT)]
@@ -341,24 +341,24 @@ class _Regression:
             return float(np.logaddexp(0.0, logit).sum() - logit @ outcome + 0.5 * at @ costs @ at)
 
         share = outcome.mean().clip(1e-3, 1.0 - 1e-3)
-        place = np.zeros(len(costs))
-        place[0] = math.log(share / (1.0 - share))
-        reached = loss(place)
+        point = np.zeros(len(costs))
+        point[0] = math.log(share / (1.0 - share))
+        reached = loss(point)
         for _ in range(_ITERATIONS_MAX):
-            chance = expit(design @ place)
-            slope = design.T @ (chance - outcome) + costs @ place
-            root = np.linalg.cholesky((design.T * (chance * (1.0 - chance))) @ design + costs)
+            probability = expit(design @ point)
+            slope = design.T @ (probability - outcome) + costs @ point
+            root = np.linalg.cholesky((design.T * (probability * (1.0 - probability))) @ design + costs)
             # the least value of the quadratic model within the bounds is a problem of least squares
-            target = root.T @ place - solve_triangular(root, slope, lower=True)
-            step = lsq_linear(root.T, target, (self.lower, np.inf), method="bvls").x - place
-            length, tried = 1.0, loss(place + step)
+            target = root.T @ point - solve_triangular(root, slope, lower=True)
+            step = lsq_linear(root.T, target, (self.lower, np.inf), method="bvls").x - point
+            length, tried = 1.0, loss(point + step)
             while tried > reached and length > 1e-6:
                 length *= 0.5
-                tried = loss(place + length * step)
+                tried = loss(point + length * step)
             if tried > reached - 1e-9 * (1.0 + abs(reached)):
                 break
-            place, reached = place + length * step, tried
-        return self.rising @ place
+            point, reached = point + length * step, tried
+        return self.rising @ point
 
     def left_out_loss(self, left_out: np.ndarray, penalty: float) -> float:
         """Negative log-likelihood of some objects under what is fitted to the others."""

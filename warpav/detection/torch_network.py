@@ -1,6 +1,6 @@
 """An ONNX network run by PyTorch, operator by operator, so that gradients flow to its input.
 
-Only what plain convolutional detectors consist of is known here; anything else is refused by name when the file is
+Only what plain convolutional detectors consist of is known here; anything else is rejected by name when the file is
 read. PyTorch (extra ``torch``) is imported inside the functions.
 """
 

@@ -1,4 +1,4 @@
-"""The ground around the vehicle that no camera of a rig sees, counted over many scenes."""
+"""Blind ground around the vehicle: cells that no camera of a rig sees, counted over many scenes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 
 DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, RADIUS_M)
-"""Bands of the distance from the middle of the ego vehicle [m]; a band holds its lower edge, the last one both."""
+"""Bands of the distance from the centre of the ego vehicle [m]; a band includes its lower edge, the last one both."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlindGround:
-    """In how many scenes somebody can stand on a cell of the ground, and in how many of these no camera sees him.
+    """Per ground cell, the number of scenes in which a person can stand there, and in which no camera sees that person.
 
-    The cells lie around the middle of the ego vehicle, x forward along the rows and y left along the columns. That no
-    camera sees somebody may be because none looks there, or because something stands in the way.
+    The cells lie around the centre of the ego vehicle, x forward along the rows and y left along the columns. A cell is
+    blind if it is outside all images or occluded.
 
     Attributes:
         scene_count: Number of scenes.
-        open_count: Scenes in which somebody of a height can stand on a cell, int64 [height, row, column].
-        blind_count: Of these, those in which no camera sees him, the same shape, for every rig by name.
+        open_count: Scenes in which a person of a height can stand on a cell, int64 [height, row, column].
+        blind_count: Of these, scenes in which no camera sees the person, same shape, for every rig by name.
         heights_m: Heights above the ground [m].
         cell_m: Size of a cell [m].
-        radius_m: What lies farther away was not looked at [m].
+        radius_m: Radius of the evaluated ground [m].
     """
 
     scene_count: int
@@ -43,7 +43,7 @@ class BlindGround:
 
     @classmethod
     def of(cls, rigs: Mapping[str, Rig], scenes: Iterable[DeviceScene]) -> BlindGround:
-        """Look at the ground of at least one scene with every rig."""
+        """Count the blind ground of every rig over at least one scene."""
         open_counts: list[np.ndarray] = []
         blind_counts: dict[str, list[np.ndarray]] = {name: [] for name in rigs}
         for scene in scenes:
@@ -56,23 +56,23 @@ class BlindGround:
 
     @property
     def from_ego_m(self) -> np.ndarray:
-        """Middle of every cell as seen from the middle of the ego vehicle, forward and left [m], [row, column, 2]."""
+        """Cell centres relative to the centre of the ego vehicle, forward and left [m], [row, column, 2]."""
         steps = [self.cell_m * (np.arange(count) - (count - 1) / 2) for count in self.open_count.shape[1:]]
         return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1)
 
     def table(self) -> dict[str, Any]:
         """The counts by sector and band, for ``evaluation.json``.
 
-        ``cells`` and each of ``blind`` count cells, once for every scene, by height, sector and band; the rest says
-        which.
+        ``cells`` and each of ``blind`` count cells, once per scene, by height, sector and band; the other keys
+        describe these axes.
         """
         sector = sectors_of(self.from_ego_m)
         band = np.searchsorted(DISTANCE_EDGES_M[1:-1], np.linalg.norm(self.from_ego_m, axis=-1), side="right")
 
         def by_sector(count: np.ndarray) -> list[list[list[int]]]:
             bands = range(len(DISTANCE_EDGES_M) - 1)
-            places = [[(sector == s) & (band == b) for b in bands] for s in range(len(SECTORS))]
-            return [[[int(layer[place].sum()) for place in row] for row in places] for layer in count]
+            groups = [[(sector == s) & (band == b) for b in bands] for s in range(len(SECTORS))]
+            return [[[int(layer[group].sum()) for group in row] for row in groups] for layer in count]
 
         return {
             "scenes": self.scene_count,

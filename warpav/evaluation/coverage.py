@@ -1,7 +1,7 @@
-"""What of the ground around a vehicle a rig sees: who of a certain height would be seen where, and by how many cameras.
+"""Ground coverage of a rig: where around the vehicle a person of a given height is seen, and by how many cameras.
 
-The answer is geometric: a point is seen if a camera's lens has it in the image and nothing stands between. No detector
-takes part, and no pixel is too small.
+The computation is geometric: a point is seen if it projects into a camera's image and nothing occludes it. It involves
+no detector and no minimum size in pixels.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ HEIGHTS_M = (1.1, 1.7)
 RADIUS_M = 25.0
 CELL_M = 0.5
 STEP_M = 0.3
-"""What lies so high above the lowest surface is ground as well [m]: kerbs, but no walls and no benches."""
+"""Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
 
-_HIGHEST_M, _GRADE_MAX = 0.6, 0.08  # of the lowest surface at the vehicle, and more for each metre away: slopes
-_DEPTH_M = 30.0  # a street may run downhill, but not by more
+_HIGHEST_M, _GRADE_MAX = 0.6, 0.08  # maximum height of the ground at the vehicle, and its increase per metre: slopes
+_DEPTH_M = 30.0  # maximum depth of a downhill street
 _ENVIRONMENT = 0
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Cells of the ground around the vehicle, and where somebody can stand.
+    """Ground cells around the vehicle, and where a person can stand.
 
     Attributes:
-        scene: The scene that it belongs to.
-        x_m: Middles of the cells along x [m], float64 [row].
-        y_m: Middles of the cells along y [m], float64 [column].
+        scene: The scene.
+        x_m: Cell centres along x [m], float64 [row].
+        y_m: Cell centres along y [m], float64 [column].
         ground_m: Height of the ground in the ego frame [m], float32 [row, column]; NaN where there is none and outside
             of the circle.
-        headroom_m: Way up to the next surface [m], float32 [row, column]; infinite under the sky, 0 inside of houses
-            and where no child gets to from the vehicle, such as yards behind closed rows of houses.
+        headroom_m: Distance up to the next surface [m], float32 [row, column]; infinite under the open sky, 0 inside
+            houses and where a child cannot walk to from the vehicle, such as courtyards.
         cell_m: Size of a cell [m].
-        radius_m: Of the circle around the ego vehicle's middle [m].
+        radius_m: Radius around the ego vehicle's centre [m].
     """
 
     scene: DeviceScene
@@ -63,7 +63,7 @@ class Ground:
 
         Args:
             scene: The scene.
-            radius_m: How far to look [m], positive.
+            radius_m: Radius around the ego vehicle's centre [m], positive.
             cell_m: Size of a cell [m], positive.
 
         Raises:
@@ -72,11 +72,11 @@ class Ground:
         if not (radius_m > 0.0 and cell_m > 0.0):
             raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
         low_m, high_m = scene.raster.layer_bounds_world_m.numpy()[scene.raster.foreground_layer]
-        middle_m = 0.5 * (low_m + high_m)[:2].astype(np.float64)
+        centre_m = 0.5 * (low_m + high_m)[:2].astype(np.float64)
         steps = np.arange(-int(radius_m / cell_m), int(radius_m / cell_m) + 1)
-        x_m, y_m = middle_m[0] + cell_m * steps, middle_m[1] + cell_m * steps
-        place_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
-        distance_m = np.linalg.norm(place_m - middle_m, axis=-1)
+        x_m, y_m = centre_m[0] + cell_m * steps, centre_m[1] + cell_m * steps
+        position_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
+        distance_m = np.linalg.norm(position_m - centre_m, axis=-1)
         device, count = scene.raster.device, distance_m.size
         ground_m = wp.empty(count, dtype=float, device=device)
         headroom_m = wp.empty(count, dtype=float, device=device)
@@ -87,7 +87,7 @@ class Ground:
             inputs=[
                 scene.raster.mesh.id,
                 _ENVIRONMENT,
-                wp.array(place_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
+                wp.array(position_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
                 -_DEPTH_M,
                 wp.array(highest_m.ravel(), dtype=float, device=device),
                 STEP_M,
@@ -99,16 +99,16 @@ class Ground:
         is_inside = distance_m <= radius_m
         height_m = np.where(is_inside, ground_m.numpy().reshape(distance_m.shape), np.float32(np.nan))
         room_m = np.where(is_inside, headroom_m.numpy().reshape(distance_m.shape), np.float32(0.0))
-        beside_ego = (np.abs(place_m - middle_m) <= 0.5 * (high_m - low_m)[:2] + 2.0 * cell_m).all(axis=-1)
+        beside_ego = (np.abs(position_m - centre_m) <= 0.5 * (high_m - low_m)[:2] + 2.0 * cell_m).all(axis=-1)
         room_m[~_reached_from(beside_ego, room_m >= min(HEIGHTS_M))] = 0.0
         return cls(scene, x_m, y_m, height_m, room_m, cell_m, radius_m)
 
     def is_open(self, height_m: float) -> np.ndarray:
-        """Where somebody of a height can stand; bool [row, column]."""
+        """Where a person of a height can stand; bool [row, column]."""
         return np.isfinite(self.ground_m) & (self.headroom_m >= height_m)
 
     def coverage(self, cameras: Sequence[RigCamera], *, heights_m: Sequence[float] = HEIGHTS_M) -> Coverage:
-        """Which cameras see whom where.
+        """Compute which cameras see a person in each cell.
 
         Args:
             cameras: The cameras, of any lens.
@@ -129,14 +129,14 @@ class Ground:
     def points_m(
         self, is_open: np.ndarray, heights_m: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The tops of everybody who can stand somewhere.
+        """Head positions of all persons that can stand in the cells.
 
         Args:
-            is_open: Where somebody of a height can stand, bool [height, row, column].
+            is_open: Where a person of a height can stand, bool [height, row, column].
             heights_m: Heights above the ground [m].
 
         Returns:
-            Number of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
+            Index of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
         """
         height, row, column = np.nonzero(is_open)
         top_m = self.ground_m[row, column] + np.asarray(heights_m)[height]
@@ -147,8 +147,8 @@ class Ground:
         ego_from_camera = camera.ego_from_camera
         in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
         with np.errstate(invalid="ignore"):
-            place_px = camera.model.project(in_camera_m)
-            is_inside = (place_px >= 0.0) & (place_px < [camera.model.width_px, camera.model.height_px])
+            point_px = camera.model.project(in_camera_m)
+            is_inside = (point_px >= 0.0) & (point_px < [camera.model.width_px, camera.model.height_px])
         is_seen = np.asarray(is_inside.all(axis=-1))
         asked = np.flatnonzero(is_seen)
         share = free_shares(self.scene, ego_from_camera[:3, 3], point_m[asked], near_m=camera.model.near_m)
@@ -157,23 +157,23 @@ class Ground:
 
 
 def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, near_m: float = 0.0) -> np.ndarray:
-    """How far one sees from a point towards others before a surface of the scene stands in the way.
+    """Share of the line of sight from one point to others that is free of occluders.
 
     Args:
         scene: The scene.
-        start_m: The point in the ego frame [m], [3].
-        end_m: The others [m], [point, 3].
-        near_m: Surfaces nearer to the point do not count [m].
+        start_m: Start point in the ego frame [m], [3].
+        end_m: End points in the ego frame [m], [point, 3].
+        near_m: Surfaces nearer to the start point are ignored [m].
 
     Returns:
-        Share of the whole way, float32 [point]; 1 where nothing stands in the way.
+        Share of the distance up to the first occluder, float32 [point]; 1 for an unobstructed line of sight.
     """
     device, count = scene.raster.device, len(end_m)
     if count == 0:
         return np.zeros(0, np.float32)
     end = wp.array(np.asarray(end_m, np.float32), dtype=wp.vec3, device=device)
     share = wp.empty(count, dtype=float, device=device)
-    mesh = scene.raster.mesh.id  # built before threads ask for it
+    mesh = scene.raster.mesh.id  # built before the threads use it
 
     def launch(first: int) -> None:
         wp.launch(
@@ -197,7 +197,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 def _reached_from(start: np.ndarray, is_open: np.ndarray) -> np.ndarray:
-    """Open cells that open cells connect with those of the start; bool [row, column]."""
+    """Open cells connected with the open start cells; bool [row, column]."""
     import cv2
 
     _, part = cv2.connectedComponents(is_open.astype(np.uint8), connectivity=8)
@@ -206,14 +206,14 @@ def _reached_from(start: np.ndarray, is_open: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Which cameras see whom where.
+    """Which cameras see a person in each ground cell.
 
     Attributes:
         ground: The cells.
         heights_m: Heights above the ground [m].
-        is_open: Where somebody of a height can stand, bool [height, row, column].
-        is_seen: Whether a camera sees the top of somebody there, bool [camera, height, row, column]; False where nobody
-            can stand.
+        is_open: Where a person of a height can stand, bool [height, row, column].
+        is_seen: Whether a camera sees the person's head, bool [camera, height, row, column]; False where nobody can
+            stand.
     """
 
     ground: Ground
@@ -222,7 +222,7 @@ class Coverage:
     is_seen: np.ndarray
 
     def with_camera(self, index: int, camera: RigCamera) -> Coverage:
-        """The same with another camera in the place of one; what the others see is not asked again."""
+        """The coverage with one camera replaced; the results of the other cameras are reused."""
         height, row, column, point_m = self.ground.points_m(self.is_open, self.heights_m)
         is_seen = self.is_seen.copy()
         is_seen[index, height, row, column] = self.ground.is_seen(camera, point_m)
@@ -230,31 +230,31 @@ class Coverage:
 
     @cached_property
     def count(self) -> np.ndarray:
-        """How many cameras see a cell, int64 [height, row, column]; -1 where nobody can stand."""
+        """Number of cameras that see a cell, int64 [height, row, column]; -1 where nobody can stand."""
         return np.where(self.is_open, self.is_seen.sum(axis=0), -1)
 
     @property
     def covered_share(self) -> np.ndarray:
-        """Share of the cells where somebody can stand that some camera sees, float64 [height]; NaN without any."""
+        """Share of the open cells that some camera sees, float64 [height]; NaN without open cells."""
         return self._share(self.count > 0)
 
     @property
     def blind_area_m2(self) -> np.ndarray:
-        """Area of the ground where somebody of a height is seen by no camera [m^2], float64 [height]."""
+        """Area of the ground where no camera sees a person of a height [m^2], float64 [height]."""
         return (self.count == 0).sum(axis=(1, 2)) * self.ground.cell_m**2
 
     def covered_share_by_distance(self, edges_m: Sequence[float]) -> np.ndarray:
-        """`covered_share` in rings around the ego vehicle's middle.
+        """`covered_share` in rings around the ego vehicle's centre.
 
         Args:
-            edges_m: Radii of the rings' borders [m], rising.
+            edges_m: Radii of the rings' borders [m], increasing.
 
         Returns:
             float64 [height, ring]; NaN where nobody can stand in a ring.
         """
         ground = self.ground
-        middle_m = 0.5 * (ground.x_m[0] + ground.x_m[-1]), 0.5 * (ground.y_m[0] + ground.y_m[-1])
-        distance_m = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1])
+        centre_m = 0.5 * (ground.x_m[0] + ground.x_m[-1]), 0.5 * (ground.y_m[0] + ground.y_m[-1])
+        distance_m = np.hypot(ground.x_m[:, None] - centre_m[0], ground.y_m[None] - centre_m[1])
         rings = [
             self._share(self.count > 0, (low <= distance_m) & (distance_m < high))
             for low, high in itertools.pairwise(edges_m)

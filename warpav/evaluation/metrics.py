@@ -1,4 +1,4 @@
-"""How good a rig is on test scenes: the metrics of thesis section IV, COCO's, the rig's recall."""
+"""Metrics of a rig on test scenes: those of thesis section IV, COCO's, and the rig's recall."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from warpav.detection.average_precision import (
 )
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.mount import CameraMount, views_of_rig
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 
-# metrics that exist per scene, and so can be compared scene by scene
+# metrics defined per scene, so that rigs can be compared scene by scene
 PAIRED_METRICS = (
     "tp_detection_rate",
     "rig_recall",
@@ -43,24 +44,24 @@ PAIRED_METRICS = (
 )
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
-"""Bins of the distance from the middle of the ego vehicle to the middle of an object's box, seen from above [m]; a
-bin holds its lower edge."""
+"""Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin
+includes its lower edge."""
 
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Sectors of 45 degrees around the middle of the ego vehicle, the first one centred straight ahead; an object is where
-the middle of its box is, and a sector holds its edge to the right."""
+"""Sectors of 45 degrees around the centre of the ego vehicle, the first one centred straight ahead; the centre of an
+object's box decides, and a sector includes its right edge."""
 
 
 @dataclass(frozen=True)
 class GroupRecall:
-    """How many of a group of objects a rig finds; every object counts once, however many cameras see it.
+    """Recall of a rig for a group of objects; each object counts once, however many cameras see it.
 
     Attributes:
         objects: Objects in the scenes.
-        visible: Those of which some camera sees enough for a ground-truth box.
-        detected: Those that some camera detects (the thesis's true positive); all of them are visible.
-        recall: Detected of all; None where there is none.
-        recall_visible: Detected of the visible ones; None where there is none.
+        visible: Objects that some camera sees well enough for a ground-truth box.
+        detected: Objects that some camera detects (the thesis's true positive); all of them are visible.
+        recall: Detected share of all objects; None without objects.
+        recall_visible: Detected share of the visible objects; None without any.
     """
 
     objects: int
@@ -79,37 +80,37 @@ class GroupRecall:
 class ArmMetrics:
     """Metrics of one rig on the test scenes; None where a metric is not defined. Fields as in ``evaluation.json``.
 
-    The objects are the scenes' vehicles: the road users that ``scenes.targets`` names, every one of a scene once. With
-    several kinds of road users, average precisions are means over the kinds, as COCO's are over classes; a detection
-    only ever matches an object of its own kind. Objects of which an image shows too little for a ground-truth box are
-    ignored there, as COCO ignores objects: they need not be found, and a box that matches one is no false alarm.
+    The objects are the targeted road users of the scenes (``scenes.targets``), each counted once. With several kinds of
+    road users, average precisions are means over the kinds, like COCO's over classes; a detection only matches objects
+    of its own kind. Objects that an image shows too little of for a ground-truth box are ignored there, as in COCO:
+    they need not be detected, and a box that matches one is no false alarm.
 
     Attributes:
-        map50_average: Mean over cameras of each camera's mAP@50, the thesis's way (images with truth and detections).
-        map50_min_camera: The worst camera's.
-        map50_max_camera: The best camera's.
+        map50_average: Mean over cameras of the thesis's mAP@50 (over images with ground truth and detections).
+        map50_min_camera: That of the worst camera.
+        map50_max_camera: That of the best camera.
         ap50_pooled: AP at IoU 0.5 over all images of all cameras together (COCO's interpolation).
         ap50_95_pooled: The mean of AP at IoU .50, .55, ... .95 over all images together (COCO's AP).
-        ap50_small: `ap50_pooled` of objects whose ground-truth box has at most 32^2 px^2.
-        ap50_medium: Of those from 32^2 to 96^2 px^2.
-        ap50_large: Of those from 96^2 px^2.
-        ap50_95_small: `ap50_95_pooled` of the small ones.
-        ap50_95_medium: Of the medium ones.
-        ap50_95_large: Of the large ones.
+        ap50_small: `ap50_pooled` for objects whose ground-truth box has at most 32^2 px^2.
+        ap50_medium: For those from 32^2 to 96^2 px^2.
+        ap50_large: For those from 96^2 px^2.
+        ap50_95_small: `ap50_95_pooled` for small objects.
+        ap50_95_medium: For medium objects.
+        ap50_95_large: For large objects.
         tp_detection_rate: Share of all objects that some camera detects; the thesis's name for the rig's recall.
-        tp_in_frame_rate: Share of all objects of which some part lies in some camera's image, hidden or not.
+        tp_in_frame_rate: Share of all objects with some part in some camera's image, occluded or not.
         rig_recall: Share of all objects of the scenes that some camera detects; the same as `tp_detection_rate`.
-        rig_recall_visible: Share of those that some camera detects out of those that some camera of this rig sees
-            enough of for a ground-truth box.
-        visible_rate: Share of all objects that some camera sees enough of; times `rig_recall_visible` it is
-            `rig_recall`.
+        rig_recall_visible: Detected share of the objects that some camera of this rig sees well enough for a
+            ground-truth box.
+        visible_rate: Share of all objects that some camera sees well enough; `rig_recall` is its product with
+            `rig_recall_visible`.
         detection_confidence: Mean over detected objects of their best confidence.
         false_alarms_per_frame: Detections of sufficient confidence that are neither true positives nor ignored, in
-            COCO's sense and at the least IoU of a match, by the number of images (scenes times cameras). Second boxes
-            on one object are among them, and so are boxes on the ego vehicle and on road users of another kind. As in
-            COCO's scores, only the 100 most confident of an image and kind count.
+            COCO's sense and at the minimum IoU of a match, per image (scenes times cameras). Duplicate boxes of one
+            object count, and so do boxes on the ego vehicle and on road users of another kind. As in COCO's metrics,
+            only the 100 most confident of an image and kind count.
         objective: Scaled training objective, mean over the test scenes.
-        constraint_violation: Excess over the borders of where cameras may stand, plus missing spacing [m].
+        constraint_violation: Distance outside the mount zone plus missing camera spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].
         objects: Number of objects in the test scenes.
         frames: Number of images.
@@ -146,26 +147,26 @@ class ArmMetrics:
 
 
 class ObjectOutcome(StrEnum):
-    """What becomes of an object before a rig."""
+    """Outcome of an object for a rig."""
 
     DETECTED = "detected"
     MISSED = "missed"
-    """Some camera sees enough of it for a ground-truth box, and the detector does not find it."""
+    """Some camera sees it well enough for a ground-truth box, but the detector does not find it."""
 
     HIDDEN = "hidden"
-    """It lies in some camera's image, but too little of it can be seen."""
+    """Some part lies in some camera's image, but too little of it is visible (occluded)."""
 
     OUT_OF_FRAME = "out of frame"
 
 
 @dataclass(frozen=True)
-class CameraLook:
-    """What the detector makes of one camera's image.
+class CameraObservation:
+    """Ground truth and detections in one camera's image.
 
     Attributes:
         image_rgb: uint8 [row, column, 3].
-        truth_box_px: Box of every object, NaN where too little of it is seen [px], float32 [object, 4].
-        detections: What the detector says.
+        truth_box_px: Box of every object, NaN where too little of it is visible [px], float32 [object, 4].
+        detections: Boxes of the detector.
         match: Detection of every object, -1 for none, int64 [object].
     """
 
@@ -176,13 +177,13 @@ class CameraLook:
 
 
 @dataclass(frozen=True)
-class RigLook:
-    """What a rig makes of one scene.
+class RigObservation:
+    """Observations of one scene by all cameras of a rig.
 
     Attributes:
-        observations: Of the cameras in order; where they have several models, one for each model.
-        in_frame: Whether some part of an object lies in some camera's image, hidden or not, bool [object].
-        camera: Number in the rig of every camera of the observations, one behind the other.
+        observations: One per camera model; its cameras in the order of the rig.
+        in_frame: Whether some part of an object lies in some camera's image, occluded or not, bool [object].
+        camera: Index in the rig of every camera of the concatenated observations.
     """
 
     observations: list[Observation]
@@ -190,20 +191,20 @@ class RigLook:
     camera: list[int]
 
     @property
-    def cameras(self) -> list[CameraLook]:
-        """What the detector makes of every camera's image, in the order of the rig."""
-        looks = [
-            CameraLook(image, truth, detections, match)
+    def cameras(self) -> list[CameraObservation]:
+        """Ground truth and detections of every camera, in the order of the rig."""
+        of_camera = [
+            CameraObservation(image, truth, detections, match)
             for seen in self.observations
             for image, truth, detections, match in zip(
                 seen.image_rgb, seen.truth_box_px, seen.detections, seen.match, strict=True
             )
         ]
-        return [looks[place] for place in np.argsort(self.camera)]
+        return [of_camera[k] for k in np.argsort(self.camera)]
 
     @cached_property
     def _best_confidence(self) -> np.ndarray:
-        """Confidence of the surest detection of every object, -inf where there is none."""
+        """Highest confidence of a matched detection of every object, -inf without one."""
         confidence = np.concatenate([each.matched_confidence() for each in self.observations])
         return np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
 
@@ -214,18 +215,18 @@ class RigLook:
 
     @property
     def confidence(self) -> np.ndarray:
-        """Confidence of the surest detection of every object, NaN where there is none, float64 [object]."""
+        """Highest confidence of a matched detection of every object, NaN without one, float64 [object]."""
         return np.where(self.detected, self._best_confidence, np.nan)
 
     @property
     def visible(self) -> np.ndarray:
-        """Whether some camera sees enough of an object for a ground-truth box, bool [object]."""
+        """Whether some camera sees an object well enough for a ground-truth box, bool [object]."""
         box_px = np.concatenate([each.truth_box_px for each in self.observations])
         return np.asarray(np.isfinite(box_px).all(axis=2).any(axis=0))
 
     @property
     def outcomes(self) -> list[ObjectOutcome]:
-        """What becomes of every object."""
+        """Outcome of every object."""
         return [
             ObjectOutcome.DETECTED
             if detected
@@ -239,7 +240,7 @@ class RigLook:
 
 
 class RigObserver:
-    """Looks at scenes through the cameras of any rig, whatever their sizes; for rigs without a common camera model."""
+    """Observes scenes through the cameras of any rig, which need not share a camera model."""
 
     def __init__(
         self,
@@ -252,7 +253,7 @@ class RigObserver:
         supersampling: int,
         device: str,
     ) -> None:
-        """Renderers for the rig; cameras of one model share one."""
+        """Create the renderers; cameras of one model share one."""
         self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         self._groups: list[tuple[Renderer, Rig]] = []
@@ -264,24 +265,24 @@ class RigObserver:
             self._groups.append((renderer, part))
         self._camera = [k for model in models for k, camera in enumerate(rig.cameras) if camera.model == model]
 
-    def look(self, scene: DeviceScene) -> RigLook:
-        """What the rig makes of the scene."""
+    def observe(self, scene: DeviceScene) -> RigObservation:
+        """Render the scene in all cameras and run the detector."""
         observations, area_px = [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
-            ahead = list(range(len(part.cameras)))
+            forward_view = list(range(len(part.cameras)))
             observation = observe(
                 frame,
                 scene,
                 self._detector,
-                ahead_view=ahead,
+                forward_view=forward_view,
                 confidence_min=self._confidence_min,
                 iou_min=self._iou_min,
             )
             observations.append(observation)
-            area_px.append(_amodal_area_px(frame.measure(), ahead))
-        return RigLook(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
+            area_px.append(_amodal_area_px(frame.measure(), forward_view))
+        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
 
 
 def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
@@ -289,42 +290,8 @@ def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
 
 
 def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
-    """Whether some part of an object lies in some image, from the areas of the objects alone [view, object]."""
+    """Whether some part of an object lies in some image, from the unoccluded areas [view, object]."""
     return area_px.max(axis=0, initial=0.0) > 0.0
-
-
-def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
-    """Scenes whose vehicles belong to the camera that looks the way of their orientation.
-
-    Segregation gives every vehicle an orientation; a rig from elsewhere lists its cameras in its own order.
-    Orientations and cameras are paired so that the sum of the squared angles between them is smallest. (Without the
-    squares many pairings are equally good, and rounding would choose.)
-
-    Args:
-        scenes: Scenes with vehicles assigned to orientations.
-        yaw_rad: The orientations [rad], [orientation]; as many as the rig has cameras.
-        rig: The rig.
-    """
-    camera_of_orientation = nearest_cameras(yaw_rad, rig)
-    return [
-        AssignedScene(
-            assigned.scene,
-            np.where(
-                assigned.assigned_camera >= 0, camera_of_orientation[np.maximum(assigned.assigned_camera, 0)], -1
-            ).astype(np.int32),
-        )
-        for assigned in scenes
-    ]
-
-
-def nearest_cameras(yaw_rad: np.ndarray, rig: Rig) -> np.ndarray:
-    """The camera of a rig that each orientation is paired with, int [orientation]; see `assign_to_nearest_cameras`."""
-    from scipy.optimize import linear_sum_assignment
-
-    camera_yaw_rad = np.array([camera.yaw_rad for camera in rig.cameras])
-    difference = np.asarray(yaw_rad)[:, None] - camera_yaw_rad[None, :]
-    _, camera_of_orientation = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)
-    return camera_of_orientation
 
 
 def evaluate_rig(
@@ -334,43 +301,43 @@ def evaluate_rig(
     *,
     with_objective: bool = True,
 ) -> ArmMetrics:
-    """Metrics of a rig on scenes; the arguments are those of `look_at_scenes`."""
-    return metrics_of(look_at_scenes(rig, scenes, objective, with_objective=with_objective), objective)
+    """Metrics of a rig on scenes; the arguments are those of `observe_scenes`."""
+    return metrics_of(observe_scenes(rig, scenes, objective, with_objective=with_objective), objective)
 
 
 @dataclass(frozen=True)
-class SceneLooks:
-    """What a rig makes of scenes.
+class SceneObservations:
+    """Observations of several scenes by one rig.
 
     Attributes:
         rig: The rig.
         scenes: The scenes.
-        looks: What it makes of every one.
-        losses: The training objective on every one; empty where it was not measured.
+        observations: Of every scene.
+        losses: Training objective of every scene; empty if it was not evaluated.
     """
 
     rig: Rig
     scenes: list[DeviceScene]
-    looks: list[RigLook]
+    observations: list[RigObservation]
     losses: list[float]
 
 
-def look_at_scenes(
+def observe_scenes(
     rig: Rig,
     scenes: Sequence[AssignedScene],
     objective: RigObjective,
     *,
     with_objective: bool = True,
-) -> SceneLooks:
-    """Look at scenes through the cameras of a rig.
+) -> SceneObservations:
+    """Observe scenes through the cameras of a rig.
 
     Args:
         rig: The rig, anywhere in the ego frame.
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
-        objective: Knows the mount, the detector and the limits of a match. There are no losses of a rig whose
-            cameras are not all of the mount's model (of any zoom, where that is free); everything else is measured with
+        objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs
+            whose cameras all have the mount's model (of any zoom, where that is free); everything else is measured with
             the rig's own cameras.
-        with_objective: Whether to measure the objective at all.
+        with_objective: Whether to evaluate the objective.
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
@@ -386,25 +353,25 @@ def look_at_scenes(
             supersampling=objective.supersampling,
             device=objective.device,
         )
-    looks: list[RigLook] = []
+    observations: list[RigObservation] = []
     losses = []
     for assigned in scenes:
         if observer is None:
             observation, measures, loss = objective.observe_rig(rig, assigned)
-            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.ahead_view))
-            looks.append(RigLook([observation], is_in_frame, list(range(len(rig.cameras)))))
+            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
+            observations.append(RigObservation([observation], is_in_frame, list(range(len(rig.cameras)))))
             losses.append(loss)
         else:
-            looks.append(observer.look(assigned.scene))
-    return SceneLooks(rig, [assigned.scene for assigned in scenes], looks, losses)
+            observations.append(observer.observe(assigned.scene))
+    return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
 
 
-def metrics_of(seen: SceneLooks, objective: RigObjective) -> ArmMetrics:
-    """Metrics of a rig from what it makes of scenes; the objective knows the constraints and the limits of a match."""
-    rig, scenes, looks, losses = seen.rig, seen.scenes, seen.looks, seen.losses
-    detected, visible = [look.detected for look in looks], [look.visible for look in looks]
-    in_frame, confidence = [look.in_frame for look in looks], [look.confidence for look in looks]
-    boxes = _Boxes(scenes, [look.observations for look in looks], objective)
+def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
+    """Metrics of a rig from its observations; the objective supplies the constraints and the thresholds of a match."""
+    rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
+    detected, visible = [each.detected for each in observations], [each.visible for each in observations]
+    in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
+    boxes = _Boxes(scenes, [each.observations for each in observations], objective)
     camera_map = boxes.map50_of_cameras()
     ap50, ap50_95 = boxes.average_precision()
     position_m = np.array([camera.position_m for camera in rig.cameras])
@@ -450,18 +417,18 @@ def metrics_of(seen: SceneLooks, objective: RigObjective) -> ArmMetrics:
 
 
 class _Boxes:
-    """The boxes of all images, scored; every kind of road user apart, since no box matches another kind.
+    """Scores of the boxes of all images, separately for each kind of road user, since boxes never match across kinds.
 
     Attributes:
-        false_alarms: Number in every image, int64 [scene, camera].
+        false_alarms: Count per image, int64 [scene, camera].
     """
 
     def __init__(
-        self, scenes: Sequence[DeviceScene], looks: Sequence[Sequence[Observation]], objective: RigObjective
+        self, scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]], objective: RigObjective
     ) -> None:
         images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
-        for scene, look in zip(scenes, looks, strict=True):
-            for seen in look:
+        for scene, of_scene in zip(scenes, observations, strict=True):
+            for seen in of_scene:
                 for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
                     for kind, images_of_kind in enumerate(images):
                         own, said = scene.road_user_index == kind, found.road_user_index == kind
@@ -510,7 +477,7 @@ class _Boxes:
 
 
 def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
-    """In which of `SECTORS` places lie, as seen from the middle of the ego vehicle: forward and left [m], [..., 2]."""
+    """Index in `SECTORS` of positions relative to the ego vehicle's centre: forward and left [m], [..., 2]."""
     turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
     return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
 

@@ -1,8 +1,8 @@
-"""What can be said of arms from the scenes and runs that there are: 95 % intervals, p-values, correlations, spreads.
+"""Statistics of arms over scenes and runs: 95 % intervals, p-values, rank correlations, standard deviations.
 
-The scene is the unit: every arm is measured on the same test scenes, so arms are compared scene by scene, and what is
-resampled is scenes. An arm of several runs has a second source of chance, its run seeds, and those are resampled as
-well. All intervals of resampling are bias-corrected and accelerated (BCa).
+The scene is the sampling unit: every arm is evaluated on the same test scenes, so arms are compared scene by scene, and
+scenes are resampled. An arm with several runs has a second source of variance, its run seeds, which are resampled as
+well. All bootstrap intervals are bias-corrected and accelerated (BCa).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics
 
 RESAMPLES = 9999
 LEVEL = 0.95
-"""Share of repetitions in which an interval should hold the true number."""
+"""Confidence level of the intervals."""
 
 _BATCH = 1000  # resamples at a time, for memory
 
@@ -32,10 +32,10 @@ class Estimate:
     """A number with its 95 % interval.
 
     Attributes:
-        value: The number; None where there is nothing to take it from.
-        low: Lower end of the interval; None where there are too few numbers.
+        value: The estimate; None without samples.
+        low: Lower end of the interval; None with too few samples.
         high: Upper end.
-        count: How many numbers it comes from.
+        count: Number of samples.
     """
 
     value: float | None
@@ -46,15 +46,15 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Difference:
-    """How an arm differs from another on the same scenes.
+    """Difference of two arms on the same scenes.
 
     Attributes:
         mean: Of the differences scene by scene; None without scenes.
         low: Lower end of its 95 % interval; None with fewer than two scenes.
         high: Upper end.
-        p_value: How likely as large a difference is if there is none, both signs together; it is below 0.05 where the
-            interval leaves 0 out, and never below what so few scenes can say, 2^(1 - scenes). None with the interval.
-        p_holm: The same, corrected for the number of arms (`compare_arms`); None where that was not asked for.
+        p_value: Two-sided p-value of no difference; below 0.05 if the interval excludes 0, and at least
+            2^(1 - scenes), the resolution of so few scenes. None if the interval is None.
+        p_holm: `p_value` corrected for the number of arms (`compare_arms`); None without correction.
         scenes: Scenes in which every run of both arms has a number.
     """
 
@@ -78,19 +78,19 @@ def paired_difference(
 
     The scenes are resampled, together for both arms; so are the runs of an arm that has several, each arm's by
     themselves. As every run sees the same scenes, runs and scenes are crossed, not nested: a resampled run keeps the
-    resampled scenes. Resampling scenes for every run anew would take what is hard about a scene for chance of a run,
-    and make the interval too short.
+    resampled scenes. Resampling the scenes separately for every run would attribute the difficulty of a scene to chance
+    of a run, and make the interval too short.
 
     Args:
         one: The metric of an arm.
         other: Of another arm; it may have another number of runs.
-        weight: Of every scene, from 0; None: all alike. With the number of objects in a scene, the mean of its recall
-            is the recall of all objects together.
+        weight: Of every scene, at least 0; None: equal weights. With the number of objects in a scene, the mean of its
+            recall is the recall of all objects together.
         seed: Of the resampling.
-        resamples: How often.
+        resamples: Number of resamples.
 
     Raises:
-        ValueError: The arms have not the same scenes, or a weight is missing or negative.
+        ValueError: The arms do not have the same scenes, or a weight is missing or negative.
     """
     tables = [np.atleast_2d(np.array(numbers, np.float64)) for numbers in (one, other)]
     scene_count = tables[0].shape[1]
@@ -138,7 +138,7 @@ def compare_arms(
     seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> dict[str, Difference]:
-    """`paired_difference` of an arm to every other, with p-values that Holm's method corrects for their number."""
+    """`paired_difference` of an arm to every other, with p-values corrected by Holm's method."""
     found = {
         name: paired_difference(one, numbers, weight=weight, seed=seed, resamples=resamples)
         for name, numbers in others.items()
@@ -148,7 +148,7 @@ def compare_arms(
 
 
 def holm(p_values: Mapping[str, float]) -> dict[str, float]:
-    """Holm's correction: with all below 0.05, the chance that any of them is mistaken is at most 5 %."""
+    """Holm's correction: among those below 0.05, the probability of any false positive is at most 5 %."""
     corrected, largest = {}, 0.0
     for rank, name in enumerate(sorted(p_values, key=p_values.__getitem__)):
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[name]))
@@ -183,19 +183,19 @@ def rank_correlation(
     seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> Estimate:
-    """Spearman's rank correlation of two numbers of every rig; rigs are resampled.
+    """Spearman's rank correlation of two metrics over rigs; rigs are resampled.
 
     Args:
-        one: A number of every rig.
-        other: Another; rigs that lack one of them are left out.
+        one: A metric of every rig.
+        other: Another metric; rigs that lack one of them are omitted.
         seed: Of the resampling.
         resamples: How often.
 
     Returns:
-        The correlation, without an interval for fewer than four rigs; None if one of the numbers is always the same.
+        The correlation, without an interval for fewer than four rigs; None if one of the metrics is constant.
 
     Raises:
-        ValueError: There are not as many of both.
+        ValueError: The metrics have different lengths.
     """
     from scipy.stats import rankdata
 
@@ -223,10 +223,10 @@ def rank_correlation(
 
 
 def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
-    """Standard deviation of a metric from run to run, with the interval for normal numbers (chi-squared).
+    """Standard deviation of a metric over runs, with the interval of a normal distribution (chi-squared).
 
     Args:
-        numbers: The metric of every run; runs without one are left out.
+        numbers: The metric of every run; runs without it are omitted.
     """
     from scipy.stats import chi2
 
@@ -244,7 +244,7 @@ def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
 def _interval_at(
     units: Sequence[np.ndarray], statistic: Callable[..., np.ndarray], *, seed: int, resamples: int
 ) -> Callable[[float], tuple[float, float]]:
-    """Resample; returns what gives both ends of the statistic's interval at a level.
+    """Resample, and return a function that gives the statistic's interval at a level.
 
     Args:
         units: Indices of what is resampled, each kind by itself.
@@ -293,7 +293,7 @@ def _interval_at(
 
 
 def _p_value(interval_at: Callable[[float], tuple[float, float]], least: float) -> float:
-    """1 - the highest level at which the interval leaves 0 out, to 1 %; not below ``least``."""
+    """1 - the highest level at which the interval excludes 0, to 1 %; not below ``least``."""
     leaves_out, holds = 1.0, least
     while leaves_out > 1.01 * holds:
         middle = math.sqrt(leaves_out * holds)

@@ -1,7 +1,8 @@
-"""Arms of an experiment: named ways in which a rig is found, all on the same scenes and at the same budget of renders.
+"""Arms of an experiment: named search methods, all on the same scenes and at the same budget of renders.
 
 The budget counts scene renders: one scene drawn in all views of a rig. Unless it is given, it is what the gradient
-method of the arm's own configuration spends, with all its looks at all validation scenes; the rivals get as much.
+method of the arm's own configuration spends, including its evaluations of all validation scenes; the other searches get
+the same.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.gradient import Descent
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
 from warpav.optimisation.rivals import (
     affordable_iterations,
@@ -38,13 +39,15 @@ from warpav.optimisation.segregation import BatchChooser
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.problem import Problem, Stream, begin_descent, descent_from, optimiser_settings, read_start, start_pose
+from warpav.runs.optimise import Optimisation, descent_from, start_pose
+from warpav.runs.placement import Placement, Stream
+from warpav.runs.rig_source import read_start
 
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
 
 GREEDY_DIRECTIONS = 8
-"""Directions in which greedy cover looks at each place."""
+"""Directions that greedy cover evaluates at each position."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +56,12 @@ class Found:
 
     Attributes:
         rig: The rig.
-        began_as: The rig that it began as, see `Problem.assigned`; None when camera k took orientation k.
+        began_as: The rig that it began as, see `Placement.assigned`; None when camera k took orientation k.
         renders: Scene renders that finding it took.
-        history: Columns of numbers, one for each step or look: ``renders``, ``seconds`` and ``best_value`` so far, on
+        history: Columns of numbers, one per step or evaluation: ``renders``, ``seconds`` and ``best_value`` so far, on
             the scenes that the method compares rigs on, and with the gradient method ``loss``.
-        training_objective: Its objective on all validation scenes; None where nobody has looked.
-        mount_pose: Its mount poses, float32 [camera, 5]; None for cameras that do not look level.
+        training_objective: Its objective on all validation scenes; None if not evaluated.
+        mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
         notes: What else is worth knowing, by name.
     """
 
@@ -71,19 +74,20 @@ class Found:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-Finder = Callable[[Problem, int | None], Found]
-"""Finds a rig on a problem; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
+Finder = Callable[[Placement, int | None], Found]
+"""Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One way to find a rig.
+    """A search method with its options.
 
     Attributes:
         name: Its name, also in file names: lower-case letters, digits and underscores.
         method: A key of `METHODS`, or the name of a preset.
-        overrides: Options that make the arm, such as ``losses.detected_area=0``; its rigs are judged with them, too.
-        search_overrides: Options for the search alone; rigs are judged without them.
+        overrides: Options that make the arm, such as ``losses.detected_area=0``; they also apply to the evaluation of
+            its rigs.
+        search_overrides: Options for the search alone; the evaluation ignores them.
     """
 
     name: str
@@ -101,8 +105,8 @@ class Arm:
         """The options that set it apart from other arms; the thesis's whole method is not taken apart."""
         return self.overrides if self.name in common_arms() else (*self.overrides, *self.search_overrides)
 
-    def judged_config(self, config: Config) -> Config:
-        """The configuration that its rigs are judged by.
+    def evaluation_config(self, config: Config) -> Config:
+        """The configuration that its rigs are evaluated with.
 
         Raises:
             InputError: The arm's options do not fit the rest.
@@ -132,7 +136,7 @@ class Arm:
             )
         if config.rig.freeze and self.method not in _HOLDING:
             raise InputError(
-                f"arm {self.name}: rig.freeze: expected none, for it places all cameras, got "
+                f"arm {self.name}: rig.freeze: expected none, since it places all cameras, got "
                 f"{', '.join(config.rig.freeze)}; leave the arm or the option out"
             )
         if self.method in _DESCENDING or config.rig.freeze:
@@ -140,7 +144,7 @@ class Arm:
         least = self._least_renders(config)
         if render_budget is not None and render_budget < least:
             raise InputError(
-                f"arm {self.name}: --budget: expected at least {least} scene renders, got {render_budget}; raise it, "
+                f"arm {self.name}: `budget`: expected at least {least} scene renders, got {render_budget}; raise it, "
                 "or leave it out for as many as the gradient method spends"
             )
 
@@ -149,31 +153,31 @@ class Arm:
         train_count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
         ranked_count = min(config.baselines.random_scenes, train_count)
         looked_at_count = len(config.scenes.validation_seeds or ()) or train_count
-        one_step = gradient_renders(replace(optimiser_settings(config), iterations=1), looked_at_count)
+        one_step = gradient_renders(config.optimiser, looked_at_count, iterations=1, batch_size=config.run.batch_size)
         if self.method == "gradient":
             return one_step
         if self.method == "cma_then_gradient":
             return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(ranked_count / CMA_SHARE))
         if self.method == "random_batches":
             return config.run.batch_size
-        if self.method == "greedy_cover":  # one place in all directions, and the look at the rig
+        if self.method == "greedy_cover":  # one position in all directions, and the evaluation of the rig
             return ranked_count * (math.ceil(GREEDY_DIRECTIONS / config.rig.cameras) + 1)
         return ranked_count if self.method in METHODS and self.is_seeded else 1
 
 
-def find_rig_of(arm: Arm, problem: Problem, render_budget: int | None) -> Found:
+def find_rig_of(arm: Arm, placement: Placement, render_budget: int | None) -> Found:
     """The rig that an arm finds.
 
     Args:
         arm: The arm.
-        problem: What to search on, with the arm's search options.
+        placement: What to search on, with the arm's search options.
         render_budget: Scene renders that it may spend; None: as many as the gradient method of the configuration.
 
     Raises:
         InputError: The budget is too small, or something that the arm needs is missing.
     """
     finder = METHODS.get(arm.method) or partial(_preset, name=arm.method)
-    return finder(problem, render_budget)
+    return finder(placement, render_budget)
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
@@ -188,14 +192,14 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
-    raise OptionError("--arms", f"expected names out of {names}, got {name!r}{hint}")
+    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
 
 
 def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
     ``gradient`` is the gradient method of the configuration, ``thesis_gradient`` that of the shipped configuration
-    ``thesis``, judged like all others.
+    ``thesis``, evaluated like all others.
     """
     arms = [Arm(name, name) for name in (*METHODS, *preset_names())]
     return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=thesis_method()), *arms)}
@@ -233,112 +237,114 @@ def thesis_method() -> tuple[str, ...]:
     return tuple(f"{name}={json.dumps(value)}" for name, value in values.items() if name.partition(".")[0] in sections)
 
 
-def constraint_loss(problem: Problem, mount_pose: np.ndarray) -> float:
+def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     """The broken constraints of a rig together, scaled as in the Lagrangian (the thesis's table III)."""
-    objective = problem.objective
-    terms = objective.evaluate(mount_pose, problem.train[:1]).terms
+    objective = placement.objective
+    terms = objective.evaluate(mount_pose, placement.train[:1]).terms
     broken = sum(max(terms[name], 0.0) for name in objective.constraints.names)
-    return objective.settings.constraint_scale * broken
+    return objective.constraint_scale * broken
 
 
-def _gradient(problem: Problem, render_budget: int | None) -> Found:
+def _gradient(placement: Placement, render_budget: int | None) -> Found:
     """The gradient method of the configuration, from the start of the configuration."""
-    problem = _within(problem, render_budget)
-    beginning = begin_descent(problem, read_start(problem.config))
-    starts = problem.config.optimiser.starts
-    return _descended(problem, beginning.descent, beginning.rig, first_looks=starts if starts > 1 else 0)
+    placement = _within(placement, render_budget)
+    optimisation = Optimisation.begin(placement)
+    starts = placement.config.optimiser.starts
+    return _descended(placement, optimisation.descent, optimisation.began_as, start_count=starts if starts > 1 else 0)
 
 
-def _within(problem: Problem, render_budget: int | None) -> Problem:
-    """The same problem with as many iterations as a budget pays for, or as the configuration says."""
+def _within(placement: Placement, render_budget: int | None) -> Placement:
+    """The same placement with as many iterations as a budget pays for, or as the configuration says."""
     if render_budget is None:
-        return problem
-    settings = optimiser_settings(problem.config)
-    iterations = affordable_iterations(settings, len(problem.validation), render_budget)
-    return replace(problem, config=changed_config(problem.config, [f"run.iterations={iterations}"]))
+        return placement
+    config = placement.config
+    iterations = affordable_iterations(
+        config.optimiser, len(placement.validation), render_budget, batch_size=config.run.batch_size
+    )
+    return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _descended(problem: Problem, descent: Descent, began_as: Rig | None, *, first_looks: int = 0) -> Found:
-    """The rig at the end of a descent, before which so many rigs were looked at on all validation scenes."""
-    batch_size = problem.config.run.batch_size
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> Found:
+    """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
+    batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
     def renders() -> int:
-        return descent.iteration * batch_size + (first_looks + len(descent.candidates)) * len(problem.validation)
+        return descent.iteration * batch_size + (start_count + len(descent.candidates)) * len(placement.validation)
 
-    while descent.iteration < problem.config.run.iterations and descent.verdict is None:
+    while descent.iteration < placement.config.run.iterations and descent.verdict is None:
         record = descent.step()
         row = (renders(), time.perf_counter() - began, record.best_training_objective, record.loss)
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
-    unprojected = descent.state()["pose_value"]
+    unprojected = descent.mount_pose
     result = descent.finish()
     return Found(
-        problem.objective.mount.rig(result.mount_pose),
+        placement.objective.mount.rig(result.mount_pose),
         began_as,
         renders(),
         history,
         training_objective=result.training_objective,
         mount_pose=result.mount_pose,
-        notes={"unprojected_constraint_loss": constraint_loss(problem, unprojected), "stopped": descent.verdict},
+        notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.verdict},
     )
 
 
-def _start(problem: Problem, render_budget: int | None) -> Found:
+def _start(placement: Placement, render_budget: int | None) -> Found:
     """The rig that the gradient method starts from."""
     del render_budget
-    pose = start_pose(problem, read_start(problem.config))
-    rig = problem.objective.mount.rig(pose)
-    return Found(rig, None if problem.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
+    pose = start_pose(placement)
+    rig = placement.objective.mount.rig(pose)
+    return Found(rig, None if placement.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
 
 
-def _random_rig(problem: Problem, render_budget: int | None) -> Found:
-    """Any rig that may stand there, its cameras turned anyhow; nothing is looked at."""
+def _random_rig(placement: Placement, render_budget: int | None) -> Found:
+    """A random feasible rig with random directions, without evaluation."""
     del render_budget
     space = SearchSpace.over(
-        problem.objective.mount, problem.config.rig.cameras, constraints=problem.objective.constraints
+        placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
-    pose = space.random(problem.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(problem.objective.mount.rig(pose), problem.held_rig, 0, {}, mount_pose=pose)
+    pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
+    return Found(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
 
 
-def _highest(problem: Problem, render_budget: int | None) -> Found:
+def _highest(placement: Placement, render_budget: int | None) -> Found:
     """Cameras around the highest point."""
     del render_budget
-    mount = problem.objective.mount
-    pose = highest_mount_pose(problem.objective.constraints, problem.config.rig.cameras).astype(np.float32)
+    mount = placement.objective.mount
+    pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(pose)
     found = mount.rig(pose)
     return Found(found, found, 0, {}, mount_pose=pose)
 
 
-def _preset(problem: Problem, render_budget: int | None, *, name: str) -> Found:
+def _preset(placement: Placement, render_budget: int | None, *, name: str) -> Found:
     """A known rig, moved to the vehicle."""
     del render_budget
-    mount = problem.objective.mount
+    mount = placement.objective.mount
     moved = move_to_vehicle(
-        preset_rig(name), mount, problem.ego, constraints=problem.objective.constraints, image=mount.camera
+        preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
     )
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
     return Found(moved.rig, moved.rig, 0, {}, notes=notes)
 
 
-def _random_batches(problem: Problem, render_budget: int | None) -> Found:
+def _random_batches(placement: Placement, render_budget: int | None) -> Found:
     """The thesis's random arm: as many random rigs as a descent has iterations, each on a batch of its own.
 
     The lowest value wins, so the luck of the batch helps to choose; `random_search` on fixed scenes does not have that.
     """
-    config, objective = problem.config, problem.objective
-    rng = problem.random_numbers(Stream.SEARCH)
-    batches = BatchChooser(problem.train, config.rig.cameras, problem.random_numbers(Stream.BATCHES))
+    config, objective = placement.config, placement.objective
+    rng = placement.random_numbers(Stream.SEARCH)
+    batches = BatchChooser(placement.train, config.rig.cameras, placement.random_numbers(Stream.BATCHES))
     count = config.run.iterations if render_budget is None else render_budget // config.run.batch_size
     best_value, best_pose = math.inf, None
     history: list[Progress] = []
     began = time.perf_counter()
     for number in range(1, count + 1):
-        pose = random_mount_pose(objective.constraints, problem.segregation.yaw_rad, rng=rng).astype(np.float32)
-        value = objective.evaluate(pose, [problem.train[k] for k in batches.choose(config.run.batch_size)]).objective
+        pose = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng).astype(np.float32)
+        value = objective.evaluate(pose, [placement.train[k] for k in batches.choose(config.run.batch_size)]).objective
         if value < best_value:
             best_value, best_pose = value, pose
         history.append(Progress(number * config.run.batch_size, best_value, time.perf_counter() - began))
@@ -350,35 +356,39 @@ def _random_batches(problem: Problem, render_budget: int | None) -> Found:
 
 
 def _searched(
-    problem: Problem, render_budget: int | None, *, search: Callable[[Problem, Sequence[Any]], Search], free_yaw: bool
+    placement: Placement,
+    render_budget: int | None,
+    *,
+    search: Callable[[Placement, Sequence[Any]], Search],
+    free_yaw: bool,
 ) -> Found:
-    """A rival search on fixed training scenes."""
-    rng = problem.random_numbers(Stream.SEARCH)
-    value, scenes = _ranking(problem, rng, _budget(problem, render_budget), free_yaw=free_yaw)
-    result = run_search(search(problem, scenes), value, rng)
+    """A baseline search on fixed training scenes."""
+    rng = placement.random_numbers(Stream.SEARCH)
+    value, scenes = _ranking(placement, rng, _budget(placement, render_budget), free_yaw=free_yaw)
+    result = run_search(search(placement, scenes), value, rng)
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return Found(
-        problem.objective.mount.rig(result.mount_pose),
-        problem.held_rig,
+        placement.objective.mount.rig(result.mount_pose),
+        placement.frozen_rig,
         result.renders,
         _columns(result.history),
         mount_pose=result.mount_pose,
     )
 
 
-def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
+def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found:
     """CMA-ES on fixed training scenes, then the gradient method on all of them from the best rig."""
-    rng = problem.random_numbers(Stream.SEARCH)
-    whole = _budget(problem, render_budget)
-    value, _ = _ranking(problem, rng, int(CMA_SHARE * whole), free_yaw=True)
+    rng = placement.random_numbers(Stream.SEARCH)
+    whole = _budget(placement, render_budget)
+    value, _ = _ranking(placement, rng, int(CMA_SHARE * whole), free_yaw=True)
     first = run_search(cma_es, value, rng)
     if first.error is not None:
         raise RuntimeError(f"the search ended early: {first.error}")
     # its start is found already
-    alone = replace(problem, config=changed_config(problem.config, ["optimiser.starts=1", "optimiser.descents=1"]))
+    alone = placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
     rest = _within(alone, whole - first.renders)
-    second = _descended(rest, descent_from(rest, first.mount_pose, rest.held_rig), rest.held_rig)
+    second = _descended(rest, descent_from(rest, first.mount_pose, rest.frozen_rig), rest.frozen_rig)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
         both[name] += [None if number is None else number + shift for number in second.history[name]]
@@ -390,27 +400,30 @@ def _cma_then_gradient(problem: Problem, render_budget: int | None) -> Found:
     )
 
 
-def _budget(problem: Problem, render_budget: int | None) -> int:
+def _budget(placement: Placement, render_budget: int | None) -> int:
     if render_budget is not None:
         return render_budget
-    return gradient_renders(optimiser_settings(problem.config), len(problem.validation))
+    run = placement.config.run
+    return gradient_renders(
+        placement.config.optimiser, len(placement.validation), iterations=run.iterations, batch_size=run.batch_size
+    )
 
 
 def _ranking(
-    problem: Problem, rng: np.random.Generator, render_budget: int, *, free_yaw: bool
+    placement: Placement, rng: np.random.Generator, render_budget: int, *, free_yaw: bool
 ) -> tuple[BudgetedValue, list[Any]]:
     """The objective on ``baselines.random_scenes`` training scenes, at a price; and these scenes."""
-    config = problem.config
-    chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
-    scenes = [problem.train[k] for k in chosen]
+    config = placement.config
+    chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
+    scenes = [placement.train[k] for k in chosen]
     space = SearchSpace.over(
-        problem.objective.mount,
+        placement.objective.mount,
         config.rig.cameras,
-        constraints=problem.objective.constraints,
-        yaw_rad=problem.yaw_rad,
+        constraints=placement.objective.constraints,
+        yaw_rad=placement.yaw_rad,
         yaw_reach_rad=math.pi if free_yaw else 0.0,
     )
-    return BudgetedValue.of(problem.objective, scenes, space, render_budget=render_budget), scenes
+    return BudgetedValue.of(placement.objective, scenes, space, render_budget=render_budget), scenes
 
 
 def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
@@ -421,8 +434,8 @@ def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
     }
 
 
-def _greedy(problem: Problem, scenes: Sequence[Any]) -> Search:
-    return partial(greedy_cover, sights=detections_of(problem.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
+def _greedy(placement: Placement, scenes: Sequence[Any]) -> Search:
+    return partial(greedy_cover, sights=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
 
 
 METHODS: dict[str, Finder] = {
@@ -431,7 +444,7 @@ METHODS: dict[str, Finder] = {
     "random_rig": _random_rig,
     "highest": _highest,
     "random_batches": _random_batches,
-    # a random direction would only make a rival weaker: these two keep those that share the vehicles best
+    # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
     "sobol": partial(_searched, search=lambda *_: sobol_search, free_yaw=False),
     "cma": partial(_searched, search=lambda *_: cma_es, free_yaw=True),

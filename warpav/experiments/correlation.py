@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 RANDOM_GROUPS = ("random_rig", "random_place")
-"""Arms that give random feasible rigs: turned anyhow, and turned as the segregation says."""
+"""Arms of random feasible rigs: with random directions, and with the directions of the segregation."""
 
 HELD_OUT = ("tp_detection_rate", "ap50_pooled")
-"""Metrics on the test scenes that an objective should foretell."""
+"""Metrics on the test scenes that an objective should predict."""
 
 CORRELATION_MIN = 0.9
-"""Least rank correlation of the default method's objective with recall."""
+"""Minimum rank correlation of the default method's objective with recall."""
 
 RIGS_MIN = 100
-"""Random rigs without which the goal is not measured."""
+"""Minimum number of random rigs for the goal to be measured."""
 
 ALL_RANDOM = "all random rigs"
 EVERY = "with the good ones"
@@ -46,12 +46,12 @@ class Correlations:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader has to know."""
+        """Notes for the reader."""
         return (
             "Spearman's rank correlation of -objective on all validation scenes with metrics on the test scenes, "
-            "[95 % interval over rigs, BCa]; 1: the objective ranks rigs as the detector does.",
-            "random_rig: cameras anywhere, turned anyhow. random_place: anywhere, turned as the segregation says. "
-            f"{EVERY}: the highest rig and rigs of the default method as well.",
+            "[95 % interval over rigs, BCa]; 1: the objective ranks rigs like the detector.",
+            "random_rig: random positions and directions. random_place: random positions, directions from the "
+            f"segregation. {EVERY}: including the highest rig and rigs of the default method.",
         )
 
     def markdown(self) -> str:
@@ -120,15 +120,15 @@ def correlate(results: Results, figure: Path | None = None, *, resamples: int = 
     }
     drawn = None
     if figure is not None and rigs and names:
-        from warpav.view.figures import objective_scatter
+        from warpav.view.figures.statistics import objective_scatter
 
         drawn = objective_scatter(rigs, spearman.get(ALL_RANDOM, {}), figure, objectives=names, metrics=HELD_OUT).name
     return Correlations(rigs, spearman, drawn)
 
 
 def correlation_goal(found: Correlations) -> Goal:
-    """Whether the objective that rigs are judged by ranks random rigs as their recall does."""
-    text = f"objective ranks {RIGS_MIN} random rigs as held-out recall does, correlation at least {CORRELATION_MIN:g}"
+    """Whether the evaluation objective ranks random rigs like their recall."""
+    text = f"rank correlation of objective and held-out recall over {RIGS_MIN} random rigs at least {CORRELATION_MIN:g}"
     objectives = found.spearman.get(ALL_RANDOM, {})
     estimate = next(iter(objectives.values()), {}).get("tp_detection_rate")
     if estimate is None or estimate.value is None:

@@ -1,6 +1,6 @@
 """An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
 
-``<folder>/experiment.json`` says what the results were made with, ``<folder>/results/<arm>_<seed>.json`` holds one
+``<folder>/experiment.json`` holds the options of the results, ``<folder>/results/<arm>_<seed>.json`` holds one
 result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again does what is missing, and nothing else.
 """
 
@@ -12,13 +12,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import yaml
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.devices import device_name
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Outcome, run_tasks
+from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
+from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
@@ -34,22 +37,19 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
-from warpav.runs.problem import (
-    Problem,
-    Traffic,
-    load_networks,
-    load_probability,
-    load_traffic,
-    optimiser_settings,
-    problem_on,
+from warpav.runs.environment import environment
+from warpav.runs.mounts import camera_mount, constraints_of
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import Placement, needed_fit, placement_on
+from warpav.runs.run_folder import RUNS_FOLDER
+from warpav.runs.scene_set import (
+    SceneSet,
+    load_scene_set,
+    load_scenes,
+    own_vehicle_digest,
     same_scenes,
-    traffic_part,
+    scene_part,
 )
-from warpav.runs.run_folder import RUNS_FOLDER, environment, write_json
-from warpav.runs.sources import camera_mount, constraints_of, device_name, load_scenes, own_vehicle_digest
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 Task = TypeVar("Task")
 
@@ -78,7 +78,7 @@ class Experiment:
         quick_runs_of: The same of the small version.
         reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
         objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
-            its arm is judged by.
+            its arm is evaluated with.
     """
 
     name: str
@@ -138,8 +138,8 @@ def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
         return None
     own = {arm.name: arm for arm in experiment.arms}
     if GRADIENTS in own:
-        raise OptionError(
-            "--arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
+        raise ArgumentError(
+            "arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
         )
     return [find_arm(name, own) for name in dict.fromkeys(each.strip() for each in text.split(","))]
 
@@ -192,41 +192,20 @@ class Finished:
     done: int
 
 
-class Quiet:
-    """A display that shows nothing: tasks run in other processes, or beside others."""
-
-    def say(self, text: str) -> None:
-        """Nothing."""
-        del text
-
-    def stage(self, description: str) -> None:
-        """Nothing."""
-        del description
-
-    def steps(self, description: str, items: Any, *, count: int) -> Iterator[Any]:  # noqa: ANN401
-        """Pass the items on."""
-        del description, count
-        yield from items
-
-
-QUIET: Any = Quiet()
-"""Shows nothing."""
-
-
 class _TrafficOfProcess:
     """The traffic that was loaded last in this process; tasks that need the same do not load it again."""
 
     def __init__(self) -> None:
         self._key: Config | None = None
         self._vehicle: str | None = None
-        self._traffic: Traffic | None = None
+        self._traffic: SceneSet | None = None
 
-    def __call__(self, config: Config, display: Any) -> Traffic:  # noqa: ANN401
-        key, vehicle = traffic_part(config), own_vehicle_digest(config)
+    def __call__(self, config: Config, progress: Progress) -> SceneSet:
+        key, vehicle = scene_part(config), own_vehicle_digest(config)
         is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
-            self._traffic, self._key, self._vehicle = load_traffic(config, display), key, vehicle
+            self._traffic, self._key, self._vehicle = load_scene_set(config, progress), key, vehicle
         elif key != self._key:
             self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
@@ -243,7 +222,7 @@ def run_experiment(
     runs: int | None = None,
     render_budget: int | None = None,
     out: Path | None = None,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Do what is missing of an experiment.
 
@@ -251,10 +230,10 @@ def run_experiment(
         experiment: The experiment.
         config: What all arms have in common; run seeds count up from ``run.seed``.
         arms: Only these; they need not be among the experiment's. None: all of the experiment's.
-        runs: Run seeds, at least 1; None: as many as the experiment says.
+        runs: Run seeds, at least 1; None: the experiment's default.
         render_budget: Scene renders for every search; None: as many as the gradient method spends.
         out: Folder; None: ``run.out``, or ``runs/<name>``.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong, or the folder holds something else.
@@ -262,32 +241,32 @@ def run_experiment(
     """
     runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
-    for option, value in (("--runs", runs), ("--budget", render_budget)):
+    for option, value in (("runs", runs), ("budget", render_budget)):
         if value is not None and value < 1:
-            raise InputError(f"{option}: expected at least 1, got {value}")
+            raise ArgumentError(option, f"expected at least 1, got {value}")
     arms = experiment.arms if arms is None else arms
     for arm in arms:
         if arm.method != GRADIENTS:
             arm.check(config, render_budget)
-    _try_networks(arms, config, display)
+    _try_networks(arms, config, progress)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
     runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
     tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
     _open_folder(folder, experiment, config, render_budget)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
-        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
+        progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
     failed = []
     try:
         if waiting:
-            _check_places(arms, config, make_scenes_ready(config, display))
+            _check_places(arms, config, make_scenes_ready(config, progress))
         done = outcomes(run_arm, waiting, config, folder)
-        for outcome in display.steps("runs", done, count=len(waiting)) if waiting else ():
-            display.say(_line(outcome))
+        for outcome in progress.steps("runs", done, count=len(waiting)) if waiting else ():
+            progress.say(_line(outcome))
             if outcome.error is not None:
                 failed.append(f"{outcome.task.name}: {outcome.error}")
     except KeyboardInterrupt:
-        display.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
+        progress.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
         raise
     return Finished(folder, read_results(tasks), failed, len(waiting) - len(failed))
 
@@ -349,28 +328,28 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
     return {name: value for name, value in result.items() if name not in ("history", "rig")}
 
 
-def _problem(config: Config) -> Problem:
-    networks, probability = load_networks(config), load_probability(config, QUIET)
-    return problem_on(traffic_of_process(config, QUIET), config, networks, probability)
+def _placement(config: Config) -> Placement:
+    networks, probability = load_networks(config), needed_fit(config, NullProgress())
+    return placement_on(traffic_of_process(config, NullProgress()), config, networks, probability)
 
 
 def _rig(task: ArmTask) -> dict[str, Any]:
     began = time.perf_counter()
-    judge = _problem(task.arm.judged_config(task.config))
-    problem = _problem(task.arm.search_config(task.config)) if task.arm.search_overrides else judge
+    evaluation = _placement(task.arm.evaluation_config(task.config))
+    placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
     loaded = time.perf_counter()
-    found = find_rig_of(task.arm, problem, task.render_budget)
+    found = find_rig_of(task.arm, placement, task.render_budget)
     searched = time.perf_counter()
-    metrics = evaluate_rig(found.rig, judge.assigned(judge.test, found.began_as), judge.objective)
+    metrics = evaluate_rig(found.rig, evaluation.assigned(evaluation.test, found.began_as), evaluation.objective)
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
         "metrics": asdict(metrics),
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in judge.test],
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "overrides": list(task.arm.overrides),
         "training_objective": found.training_objective,
         "validation_objectives": _validation_objectives(task, found),
-        "constraint_loss": None if found.mount_pose is None else constraint_loss(judge, found.mount_pose),
+        "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "renders": found.renders,
         "seconds": {
@@ -384,28 +363,30 @@ def _rig(task: ArmTask) -> dict[str, Any]:
 
 
 def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
-    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses than the judge's."""
+    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses."""
     values: dict[str, float | None] = {}
     for name, overrides in task.objectives.items():
         values[name] = None
         if found.mount_pose is not None:
-            judge = _problem(changed_config(task.arm.judged_config(task.config), overrides))
-            scenes = judge.assigned(judge.validation, found.began_as)
-            values[name] = judge.objective.evaluate(found.mount_pose, scenes).objective
+            evaluation = _placement(changed_config(task.arm.evaluation_config(task.config), overrides))
+            scenes = evaluation.assigned(evaluation.validation, found.began_as)
+            values[name] = evaluation.objective.evaluate(found.mount_pose, scenes).objective
     return values
 
 
 def _gradients(task: ArmTask) -> dict[str, Any]:
-    config = task.arm.judged_config(task.config)
+    config = task.arm.evaluation_config(task.config)
     began = time.perf_counter()
-    problem = _problem(config)
+    placement = _placement(config)
     loaded = time.perf_counter()
     magnitudes = measure_gradient_magnitudes(
-        problem.objective,
-        problem.train,
-        problem.segregation.yaw_rad,
+        placement.objective,
+        placement.train,
+        placement.segregation.yaw_rad,
         runs=1,
-        settings=optimiser_settings(config),
+        settings=config.optimiser,
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
         seed=config.run.seed,
     )
     return {
@@ -430,7 +411,7 @@ def _tasks(
             SCHEMA,
             arm.method,
             render_budget,
-            unseeded(arm.judged_config(config)),
+            unseeded(arm.evaluation_config(config)),
             unseeded(arm.search_config(config)),
             sorted(objectives.items()),
         )
@@ -475,15 +456,19 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
             _check_same(file, read_description(folder), description)
             return
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            f"{folder}: --out: expected a folder of this experiment or one that does not exist yet, got something "
-            "else; choose another with --out"
+        raise ArgumentError(
+            place=folder,
+            option="out",
+            text="expected a folder of this experiment or one that does not exist yet, got something "
+            "else; choose another with `out`",
         )
     try:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{folder}: --out: expected a folder that can be made, got: {error.strerror}") from None
+        raise ArgumentError(
+            place=folder, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
+        ) from None
     write_json(folder / "env.json", environment(config, device_name(config.device)))
     write_json(file, description)
 
@@ -500,7 +485,7 @@ def read_description(folder: Path) -> dict[str, Any]:
         found = there.get("schema") if isinstance(there, dict) else None
         raise InputError(
             f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; choose another folder "
-            "with --out, and run the experiment again"
+            "with `out`, and run the experiment again"
         )
     return there
 
@@ -511,13 +496,13 @@ def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any])
     Raises:
         InputError: They are not.
     """
-    fix = "choose another folder with --out"
+    fix = "choose another folder with `out`"
     if there.get("experiment") != wanted["experiment"]:
         raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
     if there.get("render_budget") != wanted["render_budget"]:
         raise InputError(
             f"{file}: render_budget: expected {wanted['render_budget']}, got {there.get('render_budget')!r}; {fix}, or "
-            "give the same --budget"
+            "give the same `budget`"
         )
     options = there.get("options")
     options = options if isinstance(options, dict) else {}
@@ -538,7 +523,7 @@ def _is_there(task: ArmTask) -> bool:
     """Whether a task's result is there already.
 
     Raises:
-        InputError: Something else is in its place.
+        InputError: The path is taken by something else.
     """
     if not task.file.is_file():
         return False
@@ -546,12 +531,12 @@ def _is_there(task: ArmTask) -> bool:
     if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
         raise InputError(
             f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
-            "delete it, or choose another folder with --out"
+            "delete it, or choose another folder with `out`"
         )
     return True
 
 
-def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> None:
+def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> None:
     """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
 
     Raises:
@@ -559,16 +544,21 @@ def _try_networks(arms: Sequence[Arm], config: Config, display: RunDisplay) -> N
     """
     tried = []
     for arm in arms:
-        for each in (arm.judged_config(config), arm.search_config(config)):
+        for each in (arm.evaluation_config(config), arm.search_config(config)):
             losses = each.losses
-            needs = (each.detector, each.camera, losses.missed > 0.0, losses.detector_gradient > 0.0)
+            needs = (
+                each.detector,
+                each.camera,
+                losses.weights["expected_miss_rate"] > 0.0,
+                losses.weights["detector_gradient"] > 0.0,
+            )
             if needs not in tried:
                 load_networks(each)
-                load_probability(each, display)
+                needed_fit(each, progress)
                 tried.append(needs)
 
 
-def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
+def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
     """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
 
     Returns:
@@ -579,10 +569,10 @@ def make_scenes_ready(config: Config, display: RunDisplay) -> Mesh:
     """
     seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
     if config.executor.name == "serial":
-        return traffic_of_process(config, display).ego
+        return traffic_of_process(config, progress).ego
     if config.scenes.source == "captured":
         # one scene at a time is held; all carry the same vehicle
-        return [scene.ego for scene in display.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
+        return [scene.ego for scene in progress.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
     return next(load_scenes(config, seeds)).ego
 
 
@@ -594,7 +584,7 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
     """
     tried = []
     for arm in arms:
-        for each in (arm.judged_config(config), arm.search_config(config)):
+        for each in (arm.evaluation_config(config), arm.search_config(config)):
             needs = (each.rig, each.mount, each.camera, each.method)
             if arm.method in preset_names() or needs in tried:
                 continue
@@ -605,7 +595,7 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
 def outcomes(
     function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
 ) -> Iterator[Outcome[Task, dict[str, Any]]]:
-    """Do tasks where the configuration says; what becomes of them, as they finish."""
+    """Run tasks with the configured executor; yields their outcomes as they finish."""
     executor = config.executor
     return run_tasks(
         function,
@@ -636,7 +626,7 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
     return f"{name}: {shown}  {result['renders']} renders  {took}"
 
 
-def read_json(file: Path) -> Any:  # noqa: ANN401 (whatever JSON holds)
+def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
     """The content of a result.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What the default method is meant to reach, checked on the results of an experiment and said either way."""
+"""Goals of the default method, checked on the results of an experiment and reported whether reached or not."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ BASELINES = ("highest", "random", "sobol")
 """Arms whose rig, of the same run seed, it must not lose to on its own objective."""
 
 SPREADS_MAX = {"tp_detection_rate": 0.02, "ap50_pooled": 0.015}
-"""Greatest standard deviation from run to run."""
+"""Largest standard deviation over runs."""
 
 PRESET_GAIN_MIN = 0.10
 """Least relative gain of recall above a preset with as many cameras."""
 
 ELSEWHERE = "thesis_gradient"
-"""The arm that searches under other constraints than it is judged by."""
+"""The arm whose search uses other constraints than its evaluation."""
 
 TOLERANCE = 1e-6
 """Objectives that differ by less are the same: rounding of float32."""
@@ -96,8 +96,8 @@ def _no_violation(results: Results) -> Goal:
     numbers = f"worst of {count} runs {by_arm[worst]:g} m" + (f", by {worst}" if by_arm[worst] else "")
     text = "constraint violation 0 on every run of every arm"
     if elsewhere is not None:
-        text += f" but {ELSEWHERE}, which keeps to the thesis's rectangle"
-        numbers += f"; {ELSEWHERE} up to {elsewhere:.3f} m outside the mountable zone"
+        text += f" except {ELSEWHERE}, which uses the thesis's bounding rectangle"
+        numbers += f"; {ELSEWHERE} up to {elsewhere:.3f} m outside the mount zone"
     return Goal(text, by_arm[worst] == 0.0, numbers)
 
 
@@ -137,7 +137,7 @@ def _above_rivals(metric: str, table: ArmsTable) -> Goal:
     text = f"{COMPARED[metric]} at least that of {', '.join(RIVALS)}"
     known = {arm: value for arm, value in rivals.items() if value is not None}
     if ours is None or not known:
-        return Goal(text, None, "no rival has run")
+        return Goal(text, None, "no baseline has run")
     numbers = f"{ours:.4f} against " + ", ".join(f"{arm} {value:.4f}" for arm, value in known.items())
     lost = [arm for arm, value in known.items() if ours < value]
     for arm in lost:
@@ -166,7 +166,7 @@ def _interval(difference: Difference) -> str:
 
 def _small_spread(metric: str, table: ArmsTable) -> Goal:
     limit = SPREADS_MAX[metric]
-    text = f"standard deviation of {COMPARED[metric]} from run to run at most {limit:g}"
+    text = f"standard deviation of {COMPARED[metric]} over runs at most {limit:g}"
     cell = table.numbers[metric][table.reference]
     if cell.std is None:
         return Goal(text, None, f"{table.runs[table.reference]} run")
@@ -175,7 +175,7 @@ def _small_spread(metric: str, table: ArmsTable) -> Goal:
 
 def _above_preset(preset: str, results: Results, resamples: int) -> Goal:
     ours, theirs = results.get(f"gradient_as_{preset}"), results.get(preset)
-    text = f"recall at least {PRESET_GAIN_MIN:.0%} above {preset}'s with as many cameras (relative)"
+    text = f"recall at least {PRESET_GAIN_MIN:.0%} above {preset}'s with the same number of cameras (relative)"
     if not ours or not theirs:
         return Goal(text, None, "not among the arms")
     recall = [float(np.mean([run["metrics"]["tp_detection_rate"] for run in runs])) for runs in (ours, theirs)]
@@ -187,5 +187,5 @@ def _above_preset(preset: str, results: Results, resamples: int) -> Goal:
     )
     numbers = f"{recall[0]:.4f} against {recall[1]:.4f}, {gain:+.1%}; difference {_interval(difference)}"
     if (1.0 + PRESET_GAIN_MIN) * recall[1] > 1.0:
-        numbers += f"; no rig can, for {1.0 + PRESET_GAIN_MIN:.0%} of it is above 1"
+        numbers += f"; impossible: {1.0 + PRESET_GAIN_MIN:.0%} of it exceeds 1"
     return Goal(text, gain >= PRESET_GAIN_MIN, numbers)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from warpav.optimisation.adamw import AdamW
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import random_mount_pose
-from warpav.optimisation.gradient import AdamW, OptimiserSettings
-from warpav.optimisation.losses import OBJECTIVES
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import BatchChooser
+from warpav.optimisation.settings import OptimiserSettings
 
 LOSS_OF = {
     "OOB": "out_of_bounds",
@@ -26,7 +28,11 @@ LOSS_OF = {
 """The thesis's names of its losses, and ours."""
 
 THESIS_RUNS = 10
-THESIS_SETTINGS = OptimiserSettings(iterations=100, batch_size=1)
+THESIS_ITERATIONS = 100
+THESIS_SETTINGS = OptimiserSettings(
+    learning_rate_position_m=0.25, learning_rate_yaw_deg=math.degrees(0.25), weight_decay=1e-3
+)
+THESIS_BATCH_SIZE = 1
 
 
 @dataclass(frozen=True)
@@ -73,26 +79,30 @@ def measure_gradient_magnitudes(
     *,
     runs: int = THESIS_RUNS,
     settings: OptimiserSettings = THESIS_SETTINGS,
+    iterations: int = THESIS_ITERATIONS,
+    batch_size: int = THESIS_BATCH_SIZE,
     seed: int = 0,
     finished: Callable[[int], object] | None = None,
 ) -> dict[str, GradientMagnitude]:
     """Mean magnitudes of every loss's gradient along descents in which all losses count, unscaled.
 
-    Every run starts at random places; every iteration differentiates each loss by itself, and the cameras follow the
-    sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
+    Every run starts at random positions; every iteration differentiates each loss separately, and the cameras follow
+    the sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
     cameras, iterations and runs.
 
     Args:
-        objective: Its losses with a scale take part (and the in-frame rotation loss, always); the scales do not matter.
+        objective: Its losses take part; their weights do not matter.
         scenes: The training scenes, vehicles assigned to cameras.
         yaw_rad: Yaw of every camera at the start [rad], [camera].
         runs: Number of descents, at least 1.
-        settings: Iterations, scenes a batch and step sizes; the thesis takes 100 and 1.
+        settings: Step sizes.
+        iterations: Steps of a descent, at least 1.
+        batch_size: Scenes a batch, at least 1.
         seed: Of starts and batches; run k draws from (seed, k).
         finished: Called with the number of each run that is done, from 0.
 
     Returns:
-        By the name of the loss, in the order of `OBJECTIVES`, then the constraints.
+        By the name of the loss, in the order of the objective, then the constraints.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
@@ -100,19 +110,18 @@ def measure_gradient_magnitudes(
     """
     if runs < 1:
         raise ValueError(f"runs must be at least 1, got {runs}")
-    measured = [name for name in OBJECTIVES if name in objective.settings.measured_objectives]
-    names = [*measured, *objective.constraints.names]
+    names = [*(loss.name for _, loss in objective.losses), *objective.constraints.names]
     positional, rotational = ({name: _Mean() for name in names} for _ in range(2))
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
         start = random_mount_pose(objective.constraints, yaw_rad, rng=rng)
-        pose = AdamW(start, weight_decay=settings.weight_decay, device=objective.device)
+        pose = AdamW(start, weight_decay=settings.weight_decay)
         rate = np.zeros(start.shape)
         rate[:, [X_M, Y_M]] = settings.learning_rate_position_m
         rate[:, YAW_RAD] = settings.learning_rate_yaw_rad
         batches = BatchChooser(scenes, len(start), rng)
-        for _ in range(settings.iterations):
-            batch = [scenes[k] for k in batches.choose(settings.batch_size)]
+        for _ in range(iterations):
+            batch = [scenes[k] for k in batches.choose(batch_size)]
             gradients = objective.gradients(pose.value, batch)
             for name in names:
                 positional[name].add(gradients[name][:, [X_M, Y_M]])

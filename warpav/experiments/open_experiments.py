@@ -1,6 +1,6 @@
 """The experiments of our own.
 
-All ways to find a rig at one budget of renders; the default method with one thing changed at a time; whether its
+All methods at one budget of renders; the default method with one option changed at a time; whether its
 objective ranks rigs as the detector does.
 """
 
@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from warpav.core.files import write_json, write_text
+from warpav.core.progress import Progress
 from warpav.evaluation.statistics import RESAMPLES
 from warpav.experiments.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
 from warpav.experiments.correlation import RANDOM_GROUPS, correlate, correlation_goal
@@ -19,10 +21,6 @@ from warpav.experiments.goals import Goal, goals_of, goals_text
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import compare_results
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json, write_text
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 RUNS = 10
 """Run seeds of an arm."""
@@ -31,7 +29,7 @@ REFERENCE = "gradient"
 """The default method, with which all others are compared."""
 
 CONFIGURED = "configured"
-"""Name of the objective that the arms are judged by."""
+"""Name of the objective that the arms are evaluated with."""
 
 PRESETS = ("nuscenes", "argoverse2")
 """Presets that are compared with the default method of as many cameras."""
@@ -70,7 +68,7 @@ _CHANGES = {
     "detector_30": ("losses.detector_share=0.3",),
     "detector_60": ("losses.detector_share=0.6",),
 }
-"""What an arm of the ablations searches by; all are judged by the configuration as it is."""
+"""Search options of each ablation; all arms are evaluated with the unchanged configuration."""
 
 
 def _experiments() -> dict[str, Experiment]:
@@ -127,7 +125,7 @@ def run_open(
     out: Path | None = None,
     quick: bool = False,
     resamples: int = RESAMPLES,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Do what is missing of an experiment of our own; show its table and its goals, and write them.
 
@@ -140,7 +138,7 @@ def run_open(
         out: As of `run_experiment`.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
         resamples: Of the bootstraps.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
@@ -155,40 +153,40 @@ def run_open(
         runs=runs,
         render_budget=render_budget,
         out=out,
-        display=display,
+        progress=progress,
     )
     in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
     # earlier runs of the same configuration count as well; arms without a result are named
     done = replace(done, results={**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))})
     done = replace(done, results={arm: done.results[arm] for arm in in_order if arm in done.results})
-    display.stage("intervals")
+    progress.stage("intervals")
     if name == "correlation":
         table: Any = correlate(done.results, done.folder / "correlation.png", resamples=resamples)
         goals = [correlation_goal(table)]
     else:
         there = [arm for arm, found in done.results.items() if found]
         if not there:
-            _say_failures(done, display)
+            _say_failures(done, progress)
             return done
         reference = experiment.reference if experiment.reference in there else there[0]
         table = compare_results(done.results, reference, resamples=resamples)
-        # the goals are the default method's, and nobody else can stand for it
+        # the goals apply to the default method only
         has_goals = name == "open" and reference == experiment.reference
         goals = goals_of(done.results, table, PRESETS, resamples=resamples) if has_goals else []
         odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]
         table = replace(table, remarks=(*_remarks(name, config), *odd))
     _write(done, name, table, goals)
-    display.show(table.terminal())
+    progress.show(table.terminal())
     if goals:
-        display.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
-    _say_failures(done, display)
-    display.say(f"{done.done} new results; tables and results: {done.folder}")
+        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
+    _say_failures(done, progress)
+    progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done
 
 
-def _say_failures(done: Finished, display: RunDisplay) -> None:
+def _say_failures(done: Finished, progress: Progress) -> None:
     for failure in done.failed:
-        display.say(f"failed: {failure}")
+        progress.say(f"failed: {failure}")
 
 
 def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None:  # noqa: ANN401 (either table)
@@ -200,11 +198,11 @@ def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None
 
 def _remarks(name: str, config: Config) -> tuple[str, ...]:
     if name == "ablations":
-        return ("All arms are judged by the configuration as it is; each searches with one thing changed.",)
+        return ("All arms are evaluated with the unchanged configuration; each arm searches with one option changed.",)
     ranked = min(config.baselines.random_scenes, len(config.scenes.train_seeds) * (1 + config.scenes.mirror))
     return (
-        f"Searches compare rigs on {ranked} training scenes, drawn once a run. The gradient method steps on all "
-        "training scenes and compares rigs on all validation scenes; these looks are paid from the same budget.",
-        "thesis_gradient takes as many steps, and looks at the validation scenes twice only.",
+        f"Searches compare rigs on {ranked} training scenes, drawn once per run. The gradient method optimises on all "
+        "training scenes and compares rigs on all validation scenes; the budget includes both.",
+        "thesis_gradient takes the same number of steps, but evaluates the validation scenes only twice.",
         "Presets and gradient_as_ arms have their own number of cameras.",
     )

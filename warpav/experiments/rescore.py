@@ -1,4 +1,4 @@
-"""The rigs of an experiment judged anew: by another detector, in larger images, on scenes from elsewhere.
+"""Rescoring of an experiment's rigs with another detector, image size or source of scenes.
 
 ``<folder>/rescored_<name>/`` holds what the folder of an experiment holds. The rigs stay as they are; the same command
 again does what is missing.
@@ -13,17 +13,19 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.devices import device_name
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
+from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.evaluation.statistics import RESAMPLES, rank_correlation
 from warpav.experiments.experiment import (
     DESCRIPTION,
-    QUIET,
     RESULTS,
     Finished,
     make_scenes_ready,
@@ -37,19 +39,16 @@ from warpav.experiments.experiment import (
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import Rig, read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
-from warpav.runs.problem import load_networks, problem_on
-from warpav.runs.run_folder import environment, write_json, write_text
-from warpav.runs.sources import device_name
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
+from warpav.runs.environment import environment
+from warpav.runs.networks import load_networks
+from warpav.runs.placement import placement_on
 
 SCHEMA = 1
 JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
-"""Sections of options that say how rigs are judged."""
+"""Sections of options that affect the evaluation of rigs."""
 
 JUDGING_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
@@ -60,11 +59,11 @@ _RECALL = "tp_detection_rate"
 
 @dataclass(frozen=True)
 class RescoreTask:
-    """One rig to be judged anew.
+    """One rig to rescore.
 
     Attributes:
         name: Name of its files.
-        config: How to judge it.
+        config: Configuration of the evaluation.
         source: Folder of the results that it comes from.
         folder: Folder of the new results.
         made_with: Hash of all that the new result depends on.
@@ -98,18 +97,18 @@ def check_judging(overrides: Sequence[str]) -> None:
     """Refuse overrides that would change rigs, or nothing.
 
     Raises:
-        InputError: One of them is no option of judging, or there is none.
+        InputError: One of them is not an option of the evaluation, or there is none.
     """
     if not overrides:
         raise InputError(
-            "experiment rescore: expected options to judge by, such as detector.model=FILE.onnx or "
+            "experiment rescore: expected evaluation options such as detector.model=FILE.onnx or "
             "scenes.source=captured, got none"
         )
     for override in overrides:
         option = overridden_option(override)
         if option.partition(".")[0] not in JUDGING and option not in JUDGING_OPTIONS:
             raise InputError(
-                f"command line ({override}): {option}: expected an option by which rigs are judged: of "
+                f"command line ({override}): {option}: expected an evaluation option: of "
                 f"{', '.join(JUDGING)}, or {', '.join(JUDGING_OPTIONS)}; rigs stay as they are"
             )
 
@@ -122,24 +121,24 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     """
     if name is not None:
         if not re.fullmatch(r"[a-z0-9_]+", name):
-            raise OptionError("--name", f"expected lower-case letters, digits and underscores, got {name!r}")
+            raise ArgumentError("name", f"expected lower-case letters, digits and underscores, got {name!r}")
         return name
     values = [override.partition("=")[2] for override in overrides if not override.startswith(("executor.", "device="))]
     words = [Path(value).stem if value.endswith(".onnx") else value for value in values]
     made = re.sub(r"[^a-z0-9]+", "_", "_".join(words).lower()).strip("_")
     if not made:
-        raise OptionError("--name", f"expected a name, as {' '.join(overrides)} makes none, got none")
+        raise ArgumentError("name", f"expected a name, as {' '.join(overrides)} makes none, got none")
     return made
 
 
 def light_overrides(config: Config) -> tuple[str, ...]:
-    """Overrides that leave out what judging a rig does not need: training, validation, losses that ask for a fit."""
+    """Overrides that disable what rescoring does not need: training, validation, losses that need a fit."""
     return (
         f"scenes.train_seeds=[{_unused_seed(config)}]",
         "scenes.validation_seeds=null",
         "scenes.mirror=false",
         "run.batch_size=1",
-        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in (*OBJECTIVES, DETECTOR_GRADIENT)),
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in LOSSES),
     )
 
 
@@ -153,16 +152,16 @@ def run_rescore(
     *,
     name: str,
     resamples: int = RESAMPLES,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
-    """Judge all rigs of an experiment anew, show the table, and say whether the arms come in the same order.
+    """Rescore all rigs of an experiment, show the table, and report whether the arms keep their order.
 
     Args:
         folder: Folder of the experiment.
-        config: Its configuration, changed as rigs are to be judged now.
+        config: Its configuration with the changed evaluation options.
         name: The new results go to ``<folder>/rescored_<name>``.
         resamples: Of the bootstraps.
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: The folder holds no experiment, or something cannot be used.
@@ -175,21 +174,21 @@ def run_rescore(
     load_networks(config)  # what is wrong with the detector shows before anything else begins
     waiting = [task for task in tasks if not _is_there(task)]
     if waiting:
-        make_scenes_ready(config, display)  # and likewise what is wrong with the scenes
+        make_scenes_ready(config, progress)  # and likewise what is wrong with the scenes
     (out / RESULTS).mkdir(parents=True, exist_ok=True)
     title = f"{described['experiment']} rescored {name}"
     write_json(out / DESCRIPTION, {**described, "experiment": title, "options": json.loads(unseeded(config))})
     write_json(out / "env.json", environment(config, device_name(config.device)))
     if len(waiting) < len(tasks):
-        display.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
+        progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
     failed = []
     done = outcomes(rescore_rig, waiting, config, out)
-    for outcome in display.steps("rigs", done, count=len(waiting)) if waiting else ():
+    for outcome in progress.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
             failed.append(f"{outcome.task.name}: {outcome.error}")
     after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
     for task in tasks:
-        if _is_there(task):  # what another judge said before is none of it
+        if _is_there(task):  # results of other evaluation options do not count
             result = read_json(task.file)
             after[result["arm"]].append(result)
     there = [arm for arm, runs in after.items() if runs]
@@ -202,12 +201,12 @@ def run_rescore(
         write_text(out / "rescored.md", text)
         write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
         write_summary(out, after, text, goals)
-        display.show(table.terminal())
+        progress.show(table.terminal())
         for goal in goals:
-            display.say(str(goal))
+            progress.say(str(goal))
     for failure in failed:
-        display.say(f"failed: {failure}")
-    display.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
+        progress.say(f"failed: {failure}")
+    progress.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
     return Finished(out, after, failed, len(waiting) - len(failed))
 
 
@@ -230,15 +229,15 @@ def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def rescore_rig(task: RescoreTask) -> dict[str, Any]:
-    """Judge a rig, write the new result and return it."""
+    """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
-    traffic = traffic_of_process(config, QUIET)
-    problem = problem_on(traffic, config, load_networks(config), None)
+    traffic = traffic_of_process(config, NullProgress())
+    placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
-    metrics = asdict(evaluate_rig(rig, problem.test, problem.objective, with_objective=False))
+    metrics = asdict(evaluate_rig(rig, placement.test, placement.objective, with_objective=False))
     old = read_json(task.source / RESULTS / f"{task.name}.json")
-    for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, whoever judges it
+    for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
     result = {
         "schema": SCHEMA,
@@ -246,7 +245,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in problem.test],
+        "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)
@@ -254,7 +253,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
 
 
 def resized(rig: Rig, config: Config) -> Rig:
-    """The same rig with images of the configuration's size; places, directions and fields of view stay."""
+    """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
     camera = config.camera
     return Rig.create(
         [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
@@ -262,7 +261,7 @@ def resized(rig: Rig, config: Config) -> Rig:
 
 
 def same_order(before: Results, after: Results) -> list[Goal]:
-    """Whether arms come in the same order by recall, and the default method stays ahead."""
+    """Whether the arms keep their order by recall, and the default method stays ahead."""
     old, new = (_mean_recalls(results) for results in (before, after))
     arms = [arm for arm in old if arm in new]
     order = [sorted(arms, key=lambda arm: -values[arm]) for values in (old, new)]
@@ -276,10 +275,10 @@ def same_order(before: Results, after: Results) -> list[Goal]:
     rank = rank_correlation([old[arm] for arm in arms], [new[arm] for arm in arms]).value if len(arms) > 1 else None
     numbers = " > ".join(f"{arm} {new[arm]:.3f}" for arm in order[1])
     if swapped:
-        numbers += f"; {len(swapped)} of {pairs} pairs change places: {', '.join(swapped)}"
+        numbers += f"; {len(swapped)} of {pairs} pairs swap ranks: {', '.join(swapped)}"
     if rank is not None:
         numbers += f"; rank correlation of the arms' means {rank:.3f}"
-    goals = [Goal("the arms come in the same order by recall as before", not swapped, numbers)]
+    goals = [Goal("the arms keep their order by recall", not swapped, numbers)]
     rivals = [arm for arm in RIVALS if arm in arms]
     if _REFERENCE in arms and rivals:
         numbers = f"{new[_REFERENCE]:.4f} against " + ", ".join(f"{arm} {new[arm]:.4f}" for arm in rivals)
@@ -302,7 +301,7 @@ def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path) -> Re
 
 
 def _is_there(task: RescoreTask) -> bool:
-    """Whether a rig has been judged so already; a result that was made otherwise is made again."""
+    """Whether a rig has been rescored with the same options; other results are replaced."""
     if not task.file.is_file():
         return False
     result = read_json(task.file)

@@ -1,7 +1,7 @@
-"""What is published of an experiment: every run's numbers and seeds, its table and goals, how it was made; no pictures.
+"""The published record of an experiment: metrics and seeds of every run, table, goals and command; no figures.
 
-``<folder>/summary.json`` is small enough to be kept beside a text that quotes it; `write_results_page` makes such a
-text of the summaries of some experiments.
+``<folder>/summary.json`` is small enough to be kept next to a page that quotes it; `write_results_page` writes such a
+page from the summaries of several experiments.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json, write_text
 from warpav.experiments.experiment import DESCRIPTION, read_json
 from warpav.experiments.goals import Goal
 from warpav.experiments.tables import COMPARED, Results
-from warpav.runs.run_folder import command_line, write_json, write_text
+from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"
@@ -27,13 +28,13 @@ _DIGITS = 5
 
 
 def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goal]) -> None:
-    """Write what is published of an experiment.
+    """Write the published record of an experiment.
 
     Args:
         folder: Its folder, with its description and its environment.
         results: Results by arm.
-        text: Its table as Markdown; lines with pictures are left out.
-        goals: What it was to reach.
+        text: Its table as Markdown; lines with images are omitted.
+        goals: Its goals.
     """
     described, made = read_json(folder / DESCRIPTION), read_json(folder / "env.json")
     write_json(
@@ -57,7 +58,7 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
 
 
 def _without_folders(word: str) -> str:
-    """A word of a command, or a value, with the name alone of a file that it gives with an absolute path."""
+    """A word of a command, or a value, with an absolute path reduced to the file name."""
     key, equals, value = word.rpartition("=")
     return f"{key}{equals}{Path(value).name}" if value.startswith("/") else word
 
@@ -83,7 +84,7 @@ def _run(run: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _gradients(run: Mapping[str, Any]) -> dict[str, Any]:
-    """A run that has measured gradients and found no rig."""
+    """A run that measured gradients and found no rig."""
     return {name: run[name] for name in ("arm", "seed", "gradients", "renders")}
 
 
@@ -129,12 +130,16 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
         if names.count(name) > 1:
             raise InputError(f"{page}: expected experiments of different names, got {name} twice")
     if page.suffix != ".md":
-        raise InputError(f"{page}: --out: expected a Markdown file such as docs/results.md, got {page.name!r}")
+        raise ArgumentError(
+            place=page, option="out", text=f"expected a Markdown file such as docs/results.md, got {page.name!r}"
+        )
     parts = [_HEAD, _overview(summaries)]
     try:
         (page.parent / page.stem).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{page}: --out: expected a folder that can be made, got: {error.strerror}") from None
+        raise ArgumentError(
+            place=page, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
+        ) from None
     for summary in summaries:
         file = page.parent / page.stem / f"{_file_stem(summary['experiment'])}.json"
         write_json(file, summary)
@@ -145,8 +150,8 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
 
 _HEAD = """# Results
 
-What `warpav experiment` found, every number from the runs named below; nothing is edited by hand. Goals that are not
-reached are said to be so. `warpav experiment results FOLDER... --out PAGE` writes this page.
+Results of `warpav experiment`, generated from the runs listed below without manual edits. Goals are reported whether
+reached or not. `warpav experiment results FOLDER... --out PAGE` writes this page.
 """
 
 
@@ -171,9 +176,9 @@ def _section(summary: Mapping[str, Any], file: Path) -> str:
             f"- Command: `{summary['command']}`",
             f"- Date: {summary['date']}; warpav {versions['warpav']}{commit}, Python {versions['python']}, "
             f"{versions['platform']}, {versions['device']}",
-            f"- Scenes: {options.get('scenes.source')}; seeds of training {seeds['train']}, validation "
+            f"- Scenes: {options.get('scenes.source')}; training seeds {seeds['train']}, validation "
             f"{seeds['validation']}, test {seeds['test']}; run seeds {_seeds_text(runs)}",
-            f"- Every run with its numbers, seeds, cameras and all options: [{file.as_posix()}]({file.as_posix()})",
+            f"- All runs with metrics, seeds, cameras and options: [{file.as_posix()}]({file.as_posix()})",
             "",
             summary["table"].strip(),
             "",

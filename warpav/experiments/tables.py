@@ -34,15 +34,14 @@ _CONSTRAINTS = {"constraint_loss": "constraint loss", "min_pair_distance_m": "mi
 _GRADIENTS = {"positional": "positional", "rotational": "rotational"}
 
 NOTES = {
-    "I": "Ours: mean over all gradient values that are not 0, of all runs together, ± standard deviation of the runs' "
-    "own means.",
-    "II": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
+    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs.",
+    "II": "± standard deviation over runs (none for a single run); all numbers are on the test scenes.",
     "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
-    "in the thesis; the rig that is handed over is the nearest one within the constraints.",
-    "IV": "± standard deviation over runs, - where there is one run; all numbers on the test scenes.",
-    "V": "As table I, with all losses taking part.",
+    "in the thesis; the returned rig is the nearest feasible one.",
+    "IV": "± standard deviation over runs (none for a single run); all numbers are on the test scenes.",
+    "V": "As table I, with all losses optimised.",
 }
-"""What a reader has to know about our numbers."""
+"""Notes on our numbers, by table."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +216,7 @@ COMPARED = {
     "ap50_pooled": "AP50",
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
-    "false_alarms_per_frame": "false alarms a frame",
+    "false_alarms_per_frame": "false alarms per frame",
     "objective": "objective",
 }
 """Metrics in which arms are compared, and their headings; all of them exist scene by scene."""
@@ -257,14 +256,15 @@ class ArmsTable:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader has to know."""
+        """Notes for the reader."""
         gone = (f"No result: {', '.join(self.missing)}.",) if self.missing else ()
         return (
-            "An arm's first line: mean over runs ± standard deviation from run to run; second: its 95 % interval; "
-            f"third: {self.reference} - arm [95 % interval], p by Holm's method, * where p < 0.05.",
-            "Intervals: bootstrap (BCa) over test scenes, paired, and over runs; rates of objects weigh scenes by "
-            "their objects, all else is a mean over scenes there, which stands before the interval if it is another.",
-            "Violation: the worst run. Renders (scenes, in all cameras) and seconds: of a search, on average.",
+            "First line of an arm: mean over runs ± standard deviation over runs. Second line: 95 % interval. Third "
+            f"line: {self.reference} - arm [95 % interval], p-value corrected by Holm's method, * if p < 0.05.",
+            "Intervals: paired bootstrap (BCa) over test scenes and runs. Rates of objects weight each scene by its "
+            "number of objects; other metrics are means over scenes, printed before the interval if they differ from "
+            "the first line.",
+            "Violation: worst run. Renders (scenes, each in all cameras) and seconds: mean per search.",
             *self.remarks,
             *gone,
         )

@@ -5,20 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from warpav.core.files import write_json, write_text
+from warpav.core.progress import Progress
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import GRADIENTS, Experiment, Finished, run_experiment
 from warpav.experiments.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import result_table
 from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.losses import DETECTOR_GRADIENT, OBJECTIVES
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json, write_text
-
-if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
 
 RUNS = 5
 """Runs of an arm in the thesis's tables II to IV."""
@@ -36,7 +33,7 @@ def loss_overrides(expression: str) -> tuple[str, ...]:
     Raises:
         ValueError: It names another loss.
     """
-    weights: dict[str, float] = dict.fromkeys((*OBJECTIVES, DETECTOR_GRADIENT), 0.0)
+    weights: dict[str, float] = dict.fromkeys(LOSSES, 0.0)
     for term in expression.removesuffix("*").split("+"):  # the mark of a footnote
         factor, _, name = term.rpartition("*")
         if name not in LOSS_OF or LOSS_OF[name] not in weights:
@@ -111,7 +108,7 @@ def run_table(
     render_budget: int | None = None,
     out: Path | None = None,
     quick: bool = False,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Finished:
     """Do what is missing of an experiment of the thesis, show its table, and write it as Markdown and JSON.
 
@@ -123,7 +120,7 @@ def run_table(
         render_budget: As of `run_experiment`.
         out: As of `run_experiment`.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
-        display: Where to show it.
+        progress: Where to show it.
 
     Raises:
         InputError: Something in the input is wrong.
@@ -132,7 +129,7 @@ def run_table(
     if quick:
         experiment = experiment.made_quick()
     done = run_experiment(
-        experiment, config, arms=arms, runs=runs, render_budget=render_budget, out=out, display=display
+        experiment, config, arms=arms, runs=runs, render_budget=render_budget, out=out, progress=progress
     )
     texts = []
     for number in TABLES_OF[name]:
@@ -142,9 +139,9 @@ def run_table(
         write_text(done.folder / f"{stem}.md", texts[-1])
         write_json(done.folder / f"{stem}.json", table.data())
         if number == TABLES_OF[name][0]:
-            display.show(table.terminal())
+            progress.show(table.terminal())
     write_summary(done.folder, done.results, "\n".join(texts), goals=[])
     for failure in done.failed:
-        display.say(f"failed: {failure}")
-    display.say(f"{done.done} new results; tables and results: {done.folder}")
+        progress.say(f"failed: {failure}")
+    progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done

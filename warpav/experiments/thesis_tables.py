@@ -1,4 +1,4 @@
-"""The thesis's own tables, to be printed beside ours."""
+"""The thesis's own tables, printed next to ours."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 TABLES = ("I", "II", "III", "IV", "V")
 WARNING = (
-    "The thesis's scenes, vehicle and detector are not these, so the two columns say whether things behave alike, "
-    "not which is better."
+    "The thesis used other scenes, another vehicle and another detector: compare the trends of the two rows, not the "
+    "values."
 )
 
 

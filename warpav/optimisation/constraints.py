@@ -8,13 +8,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from warpav.core.errors import OptionError
-from warpav.optimisation.mount import RISE_M, X_M, Y_M, HeldCameras, PlacedViews
+from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, FrozenCameras, PlacedViews
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
 from warpav_kernels.placement import constraint_losses
@@ -72,13 +72,13 @@ class Constraints(ABC):
 
     are_inequalities: bool
 
-    def __init__(self, surface: MountSurface, *, min_spacing_m: float, held: HeldCameras | None = None) -> None:
+    def __init__(self, surface: MountSurface, *, min_spacing_m: float, frozen: FrozenCameras | None = None) -> None:
         """Constraints on a surface.
 
         Args:
             surface: What the cameras stand on.
             min_spacing_m: Least distance between two camera centres [m], positive.
-            held: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
+            frozen: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
                 them.
 
         Raises:
@@ -89,7 +89,7 @@ class Constraints(ABC):
         self.surface = surface
         self.min_spacing_m = min_spacing_m
         self.margin_m = 0.0
-        self.held = held
+        self.frozen = frozen
 
     @property
     @abstractmethod
@@ -119,69 +119,69 @@ class Constraints(ABC):
     def violation_m(self, rig: Rig) -> float:
         """By how much a rig breaks the constraints [m]: all excess over the borders plus all missing spacing.
 
-        Exactly 0 if it breaks none. The rig may have any number of cameras. What is held breaks none by itself.
+        Exactly 0 if it breaks none. The rig may have any number of cameras. Frozen cameras break none by themselves.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
-        is_held = self._stands_held(position_m)
+        is_frozen = self._stands_frozen(position_m)
         missing = sum(
             max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
             for i, j in itertools.combinations(range(len(position_m)), 2)
-            if not (is_held[i] and is_held[j])
+            if not (is_frozen[i] and is_frozen[j])
         )
-        violation = float(self._excess_m(position_m[~is_held, :2]).sum() + missing)
+        violation = float(self._excess_m(position_m[~is_frozen, :2]).sum() + missing)
         return violation if violation > _ROUNDING_M else 0.0
 
     def margins(self, rig: Rig) -> list[Margin]:
         """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.
 
-        The rig may have any number of cameras. What is held has none of its own.
+        The rig may have any number of cameras. Frozen cameras have none of their own.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
-        is_held = self._stands_held(position_m)
+        is_frozen = self._stands_frozen(position_m)
         border_m = self._border_distance_m(position_m[:, :2])
         free = [
             Margin.of("border", [camera], border_m[k], self.margin_m)
             for k, camera in enumerate(rig.cameras)
-            if not is_held[k]
+            if not is_frozen[k]
         ]
         pairs = [
             Margin.of("spacing", [one, other], math.dist(one.position_m, other.position_m), self.min_spacing_m)
             for (i, one), (j, other) in itertools.combinations(enumerate(rig.cameras), 2)
-            if not (is_held[i] and is_held[j])
+            if not (is_frozen[i] and is_frozen[j])
         ]
         return free + pairs
 
-    def project(self, place_m: np.ndarray, rise_m: np.ndarray | None = None) -> np.ndarray:
+    def project(self, place_m: np.ndarray, height_delta_m: np.ndarray | None = None) -> np.ndarray:
         """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
 
         Args:
             place_m: x and y of the cameras [m], float [camera, 2].
-            rise_m: Height above the surface of each over that of the others [m], float [camera]; None: all alike.
+            height_delta_m: Height above the surface of each over that of the others [m], float [camera]; None: 0.
 
         Returns:
             float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
             distance in the plane, which is never more than the distance in space. Cameras that are held stand where
-            they are held.
+            they are frozen.
 
         Raises:
             InputError: The cameras do not fit.
         """
         place = np.array(place_m, np.float64)
-        rise = np.zeros(len(place)) if rise_m is None else np.array(rise_m, np.float64)
-        is_held = self._put_held(place, rise)
+        height_delta = np.zeros(len(place)) if height_delta_m is None else np.array(height_delta_m, np.float64)
+        is_frozen = self._put_frozen(place, height_delta)
         wanted_m = self.min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
         rng = np.random.default_rng(0)
         for projection_round in range(1, PROJECTION_ROUNDS + 1):
             if projection_round % SHAKE_EVERY == 0:
                 # cameras on one line, such as an edge of the surface, would push each other along it for ever
                 shaken = rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
-                place[~is_held] += shaken[~is_held]
-            place[~is_held] = self._brought_in(place[~is_held])
+                place[~is_frozen] += shaken[~is_frozen]
+            place[~is_frozen] = self._brought_in(place[~is_frozen])
             moved = False
             for i, j in itertools.combinations(range(len(place)), 2):
-                if is_held[i] and is_held[j]:
+                if is_frozen[i] and is_frozen[j]:
                     continue
-                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]]) + rise[[i, j]]]
+                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]]) + height_delta[[i, j]]]
                 if math.dist(points[0], points[1]) >= self.min_spacing_m + 1e-6:
                     continue
                 between = place[j] - place[i]
@@ -189,9 +189,9 @@ class Constraints(ABC):
                 # two cameras at one point part along x
                 direction = between / distance if distance > 1e-9 else np.array([1.0, 0.0])
                 push = (wanted_m - distance) * direction
-                # one that is held stays, and the other one goes the whole way
-                place[i] -= (0.0 if is_held[i] else 1.0 if is_held[j] else 0.5) * push
-                place[j] += (0.0 if is_held[j] else 1.0 if is_held[i] else 0.5) * push
+                # a frozen one stays, and the other one goes the whole way
+                place[i] -= (0.0 if is_frozen[i] else 1.0 if is_frozen[j] else 0.5) * push
+                place[j] += (0.0 if is_frozen[j] else 1.0 if is_frozen[i] else 0.5) * push
                 moved = True
             if not moved:
                 return place
@@ -211,33 +211,33 @@ class Constraints(ABC):
             InputError: The cameras do not fit.
         """
         for _ in range(RANDOM_TRIES):
-            place, rise = self._drawn(camera_count, rng), np.zeros(camera_count)
-            is_held = self._put_held(place, rise)
-            point_m = np.c_[place, self.surface.height_at_m(place) + rise]
+            place, height_delta = self._drawn(camera_count, rng), np.zeros(camera_count)
+            is_frozen = self._put_frozen(place, height_delta)
+            point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
             if all(
                 math.dist(point_m[i], point_m[j]) >= self.min_spacing_m
                 for i, j in itertools.combinations(range(camera_count), 2)
-                if not (is_held[i] and is_held[j])
+                if not (is_frozen[i] and is_frozen[j])
             ):
                 return place
         raise self.do_not_fit(camera_count)
 
-    def _put_held(self, place: np.ndarray, rise: np.ndarray) -> np.ndarray:
-        """Put what is held into places [camera, 2] and rises [camera]; tells which cameras that are, bool [camera]."""
-        held = self.held
-        if held is None:
+    def _put_frozen(self, place: np.ndarray, height_delta: np.ndarray) -> np.ndarray:
+        """Put frozen cameras into positions [camera, 2] and height deltas [camera]; returns which these are."""
+        frozen = self.frozen
+        if frozen is None:
             return np.zeros(len(place), bool)
-        if len(place) != len(held.is_held):
-            raise ValueError(f"expected {len(held.is_held)} cameras, some of them held, got {len(place)}")
-        place[held.is_held] = held.mount_pose[held.is_held][:, [X_M, Y_M]]
-        rise[held.is_held] = held.mount_pose[held.is_held, RISE_M]
-        return held.is_held
+        if len(place) != len(frozen.is_frozen):
+            raise ValueError(f"expected {len(frozen.is_frozen)} cameras, some of them frozen, got {len(place)}")
+        place[frozen.is_frozen] = frozen.mount_pose[frozen.is_frozen][:, [X_M, Y_M]]
+        height_delta[frozen.is_frozen] = frozen.mount_pose[frozen.is_frozen, HEIGHT_DELTA_M]
+        return frozen.is_frozen
 
-    def _stands_held(self, position_m: np.ndarray) -> np.ndarray:
-        """Which cameras stand exactly where some are held, bool [camera]; position_m [camera, 3]."""
-        if self.held is None:
+    def _stands_frozen(self, position_m: np.ndarray) -> np.ndarray:
+        """Which cameras stand exactly where some are frozen, bool [camera]; position_m [camera, 3]."""
+        if self.frozen is None:
             return np.zeros(len(position_m), bool)
-        offset_m = position_m[:, None] - self.held.position_m
+        offset_m = position_m[:, None] - self.frozen.position_m
         return (np.linalg.norm(offset_m, axis=-1) <= _ROUNDING_M).any(axis=1)
 
     @abstractmethod
@@ -334,7 +334,7 @@ class ZoneAndSpacing(Constraints):
         camera_count: int,
         min_spacing_m: float = 0.2,
         margin_m: float = 0.0,
-        held: HeldCameras | None = None,
+        frozen: FrozenCameras | None = None,
     ) -> None:
         """Constraints for rigs of ``camera_count`` cameras.
 
@@ -343,15 +343,15 @@ class ZoneAndSpacing(Constraints):
             camera_count: Number of cameras, at least 1.
             min_spacing_m: Least distance between two camera centres [m], positive.
             margin_m: Least distance of a camera's centre to the border of the zone [m], at least 0.
-            held: As in `Constraints`.
+            frozen: As in `Constraints`.
 
         Raises:
             InputError: No place of the zone is so far from its border.
             ValueError: An option is out of its range.
         """
-        super().__init__(surface, min_spacing_m=min_spacing_m, held=held)
-        if held is not None and len(held.is_held) != camera_count:
-            raise ValueError(f"held must be of a rig of {camera_count} cameras, got {len(held.is_held)}")
+        super().__init__(surface, min_spacing_m=min_spacing_m, frozen=frozen)
+        if frozen is not None and len(frozen.is_frozen) != camera_count:
+            raise ValueError(f"frozen must be of a rig of {camera_count} cameras, got {len(frozen.is_frozen)}")
         if camera_count < 1:
             raise ValueError(f"camera_count must be at least 1, got {camera_count}")
         if not margin_m >= 0.0:
@@ -365,26 +365,37 @@ class ZoneAndSpacing(Constraints):
                 f"expected less than {widest_m:.3g} m, the largest distance to the border of the mountable zone, "
                 f"got {margin_m:g}",
             )
-        self._raster: dict[str, wp.array] = {}
+        self._arrays: dict[tuple[str, str], wp.array] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """``zone_<camera>``, then ``spacing_<camera>_<camera>``, as in `Constraints`; none of held cameras alone."""
-        cameras, is_held = range(self.camera_count), self._is_held
-        zone = (f"zone_{camera}" for camera in cameras if not is_held[camera])
+        """``zone_<camera>``, then ``spacing_<camera>_<camera>``, as in `Constraints`; none of frozen cameras alone."""
+        cameras, is_frozen = range(self.camera_count), self._is_held
+        zone = (f"zone_{camera}" for camera in cameras if not is_frozen[camera])
         pairs = itertools.combinations(cameras, 2)
-        return (*zone, *(f"spacing_{i}_{j}" for i, j in pairs if not (is_held[i] and is_held[j])))
+        return (*zone, *(f"spacing_{i}_{j}" for i, j in pairs if not (is_frozen[i] and is_frozen[j])))
 
     @property
     def _is_held(self) -> np.ndarray:
-        return np.zeros(self.camera_count, bool) if self.held is None else self.held.is_held
+        return np.zeros(self.camera_count, bool) if self.frozen is None else self.frozen.is_frozen
 
     @property
     def _kept(self) -> np.ndarray:
         """Which of the losses of all cameras and pairs count, int32 [constraint]."""
-        is_held = self._is_held
+        is_frozen = self._is_held
         pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
-        return np.flatnonzero(~np.concatenate([is_held, is_held[pairs].all(axis=1)])).astype(np.int32)
+        return np.flatnonzero(~np.concatenate([is_frozen, is_frozen[pairs].all(axis=1)])).astype(np.int32)
+
+    def _on_device(self, name: str, device: Any) -> wp.array:  # noqa: ANN401 (Warp's)
+        """``raster``, the distances to the border, or ``kept``, the losses that count; copied to a device once."""
+        key = (name, str(device))
+        if key not in self._arrays:
+            self._arrays[key] = (
+                wp.array(self.surface.border_distance_m, dtype=float, device=device)
+                if name == "raster"
+                else wp.array(self._kept, dtype=wp.int32, device=device)
+            )
+        return self._arrays[key]
 
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
         """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close.
@@ -395,16 +406,18 @@ class ZoneAndSpacing(Constraints):
         if views.mount_pose.shape[0] != self.camera_count:
             raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
         device = views.mount_pose.device
-        raster = self._raster.get(str(device))
-        if raster is None:
-            raster = wp.array(self.surface.border_distance_m, dtype=float, device=device)
-            self._raster[str(device)] = raster
         count = self.camera_count * (self.camera_count + 1) // 2
         excess_m = wp.zeros(count, dtype=float, device=device, requires_grad=True)
         wp.launch(
             constraint_losses.zone_excess_kernel,
             dim=self.camera_count,
-            inputs=[views.mount_pose, raster, wp.vec2(*self.surface.origin_m), self.surface.cell_m, self.margin_m],
+            inputs=[
+                views.mount_pose,
+                self._on_device("raster", device),
+                wp.vec2(*self.surface.origin_m),
+                self.surface.cell_m,
+                self.margin_m,
+            ],
             outputs=[excess_m],
             device=device,
         )
@@ -415,13 +428,13 @@ class ZoneAndSpacing(Constraints):
             outputs=[excess_m],
             device=device,
         )
-        if self.held is None:
+        if self.frozen is None:
             return excess_m
         kept_m = wp.zeros(len(self.names), dtype=float, device=device, requires_grad=True)
         wp.launch(
             constraint_losses.keep_excess_kernel,
             dim=len(kept_m),
-            inputs=[excess_m, wp.array(self._kept, dtype=wp.int32, device=device)],
+            inputs=[excess_m, self._on_device("kept", device)],
             outputs=[kept_m],
             device=device,
         )

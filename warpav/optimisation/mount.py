@@ -18,7 +18,7 @@ from warpav_kernels.placement import mount_pose as kernels
 
 X_M, Y_M, YAW_RAD = int(kernels.X_M), int(kernels.Y_M), int(kernels.YAW_RAD)
 PITCH_RAD, ROLL_RAD = int(kernels.PITCH_RAD), int(kernels.ROLL_RAD)
-RISE_M, LOG_ZOOM = int(kernels.RISE_M), int(kernels.LOG_ZOOM)
+HEIGHT_DELTA_M, LOG_ZOOM = int(kernels.HEIGHT_DELTA_M), int(kernels.LOG_ZOOM)
 MOUNT_POSE_SIZE = int(kernels.MOUNT_POSE_SIZE)
 
 _ROUNDING = 1e-9
@@ -29,7 +29,7 @@ class PlacedViews:
     """Poses of all views of a rig: view = camera * rotation_count + rotational addition.
 
     Attributes:
-        mount_pose: x, y [m], yaw, pitch, roll [rad], rise [m], log zoom of every camera, float [camera, 7].
+        mount_pose: x, y [m], yaw, pitch, roll [rad], height delta [m], log zoom of every camera, float [camera, 7].
         position_ego_m: Centre of every view [m], vec3 [view].
         camera_from_ego: Rotation from ego to camera axes of every view, mat33 [view].
         log_zoom: Logarithm of every view's focal length over that of the mount's camera, float [view].
@@ -39,6 +39,23 @@ class PlacedViews:
     position_ego_m: wp.array
     camera_from_ego: wp.array
     log_zoom: wp.array
+
+    @classmethod
+    def zeros(cls, mount_pose: wp.array, rotation_count: int) -> PlacedViews:
+        """Arrays with gradients for the views of cameras at ``mount_pose``, not placed yet."""
+        view_count, device = mount_pose.shape[0] * rotation_count, mount_pose.device
+        return cls(
+            mount_pose,
+            wp.zeros(view_count, dtype=wp.vec3, device=device, requires_grad=True),
+            wp.zeros(view_count, dtype=wp.mat33, device=device, requires_grad=True),
+            wp.zeros(view_count, dtype=float, device=device, requires_grad=True),
+        )
+
+    def zero_grad(self) -> None:
+        """Gradients of 0, but for that of the mount poses."""
+        for array in (self.position_ego_m, self.camera_from_ego, self.log_zoom):
+            assert array.grad is not None
+            array.grad.zero_()
 
 
 @dataclass(frozen=True)
@@ -62,31 +79,32 @@ class FreeRanges:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldCameras:
+class FrozenCameras:
     """Cameras of a rig that stay as they are, wherever they stand.
 
     Attributes:
         camera: Every camera of the rig in its order; those that may move give their names alone.
-        is_held: Which of them stay, bool [camera].
+        is_frozen: Which of them stay, bool [camera].
         mount_pose: Their mount poses, float32 [camera, 7]; those of the others mean nothing.
     """
 
     camera: tuple[RigCamera, ...]
-    is_held: np.ndarray
+    is_frozen: np.ndarray
     mount_pose: np.ndarray
 
     @property
     def position_m(self) -> np.ndarray:
-        """Centres of those that stay [m], float64 [held, 3]."""
-        places = [camera.position_m for camera, held in zip(self.camera, self.is_held, strict=True) if held]
+        """Centres of those that stay [m], float64 [frozen, 3]."""
+        places = [camera.position_m for camera, frozen in zip(self.camera, self.is_frozen, strict=True) if frozen]
         return np.array(places, np.float64).reshape(-1, 3)
 
 
 class CameraMount:
     """A mount surface on the device, and the cameras that stand above it.
 
-    A camera is seven numbers, its mount pose: x, y [m], yaw, pitch, roll [rad]; its rise, by how much it stands higher
-    above the surface than configured [m]; its log zoom, the logarithm of its focal length over the configured one.
+    A camera is seven numbers, its mount pose: x, y [m], yaw, pitch, roll [rad]; its height delta, by how much it
+    stands higher above the surface than configured [m]; its log zoom, the logarithm of its focal length over the
+    configured one.
     """
 
     def __init__(
@@ -103,7 +121,7 @@ class CameraMount:
         Args:
             surface: Height map of the ego vehicle.
             camera: The model of all cameras at log zoom 0; the narrowest field of view gives the rotational additions.
-            height_offset_m: Height of the camera centres above the surface at rise 0 [m].
+            height_offset_m: Height of the camera centres above the surface at height delta 0 [m].
             device: Warp device.
             free: What else may differ from camera to camera; None: nothing.
 
@@ -119,7 +137,7 @@ class CameraMount:
         if free.fov_rad is not None and camera.lens is not Lens.PINHOLE:
             raise ValueError(f"the field of view of a {camera.lens} lens cannot be free")
         narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
-        self.held: HeldCameras | None = None
+        self.frozen: FrozenCameras | None = None
         self._narrowest_rad = narrowest_rad
         self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
         self.low, self.high = self._ends()
@@ -133,7 +151,7 @@ class CameraMount:
         if free.pitch_rad is not None:
             ranges[PITCH_RAD] = free.pitch_rad
         if free.height_m is not None:
-            ranges[RISE_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
+            ranges[HEIGHT_DELTA_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
         if free.fov_rad is not None:
             tangent = math.tan(0.5 * camera.fov_rad)
             ranges[LOG_ZOOM] = (
@@ -156,7 +174,7 @@ class CameraMount:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
         return np.isfinite(self.low)
 
-    def holding(self, rig: Rig, names: Collection[str]) -> CameraMount:
+    def freezing(self, rig: Rig, names: Collection[str]) -> CameraMount:
         """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere.
 
         Args:
@@ -167,47 +185,50 @@ class CameraMount:
             ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
                 camera: all share image size and lens.
         """
-        is_held = np.array([camera.name in names for camera in rig.cameras])
-        if is_held.sum() != len(set(names)) or is_held.all():
+        is_frozen = np.array([camera.name in names for camera in rig.cameras])
+        if is_frozen.sum() != len(set(names)) or is_frozen.all():
             raise ValueError(f"names must be some of the rig's cameras and not all, got {sorted(names)}")
-        held = [camera for camera in rig.cameras if camera.name in names]
-        for camera in held:
+        frozen = [camera for camera in rig.cameras if camera.name in names]
+        for camera in frozen:
             if not camera.model.fits_beside(self.camera):
                 raise ValueError(
                     f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
                 )
         mount = copy.copy(self)
-        mount.held = HeldCameras(rig.cameras, is_held, self.mount_pose_of_rig(rig))
-        narrowest_rad = min(self._narrowest_rad, *(camera.model.fov_rad for camera in held))
+        mount.frozen = FrozenCameras(rig.cameras, is_frozen, self.mount_pose_of_rig(rig))
+        narrowest_rad = min(self._narrowest_rad, *(camera.model.fov_rad for camera in frozen))
         mount.rotation_count, mount.rotation_step_rad = rotational_additions(narrowest_rad)
         return mount
 
     @property
     def has_one_field(self) -> bool:
         """Whether all cameras have one field of view: none is free, and none that stays has another."""
-        zooms = () if self.held is None else self.held.mount_pose[self.held.is_held, LOG_ZOOM]
+        zooms = () if self.frozen is None else self.frozen.mount_pose[self.frozen.is_frozen, LOG_ZOOM]
         return self.free.fov_rad is None and not np.any(zooms)
 
     def within(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The nearest mount poses [camera, 7] within the free ranges, of the same type; what is held is as it is."""
+        """The nearest mount poses [camera, 7] within the free ranges, of the same type; what is frozen is as it is."""
         pose = np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
-        if self.held is not None:
-            pose[self.held.is_held] = self.held.mount_pose[self.held.is_held]
+        if self.frozen is not None:
+            pose[self.frozen.is_frozen] = self.frozen.mount_pose[self.frozen.is_frozen]
         return pose
 
     def has_model(self, model: CameraModel) -> bool:
         """Whether a camera of this model can be one of the mount's."""
         if model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera)):
             return True
-        held = self.held
-        return held is not None and any(held.camera[k].model == model for k in np.flatnonzero(held.is_held))
+        frozen = self.frozen
+        return frozen is not None and any(frozen.camera[k].model == model for k in np.flatnonzero(frozen.is_frozen))
 
-    def place(self, mount_pose: wp.array, rotation_count: int | None = None) -> PlacedViews:
+    def place(
+        self, mount_pose: wp.array, rotation_count: int | None = None, *, into: PlacedViews | None = None
+    ) -> PlacedViews:
         """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
 
         Args:
             mount_pose: Of every camera, float [camera, 7].
             rotation_count: Views of every camera; None: all rotational additions.
+            into: Arrays to write to; None: new ones.
 
         Raises:
             ValueError: Not so many numbers for a camera.
@@ -216,10 +237,7 @@ class CameraMount:
             raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
         camera_count = mount_pose.shape[0]
         rotation_count = self.rotation_count if rotation_count is None else rotation_count
-        view_count = camera_count * rotation_count
-        position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=self.device, requires_grad=True)
-        camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=self.device, requires_grad=True)
-        log_zoom = wp.zeros(view_count, dtype=float, device=self.device, requires_grad=True)
+        views = PlacedViews.zeros(mount_pose, rotation_count) if into is None else into
         wp.launch(
             kernels.place_on_surface_kernel,
             dim=camera_count,
@@ -232,10 +250,10 @@ class CameraMount:
                 rotation_count,
                 self.rotation_step_rad,
             ],
-            outputs=[position_ego_m, camera_from_ego, log_zoom],
+            outputs=[views.position_ego_m, views.camera_from_ego, views.log_zoom],
             device=self.device,
         )
-        return PlacedViews(mount_pose, position_ego_m, camera_from_ego, log_zoom)
+        return views
 
     @property
     def windows_move(self) -> bool:
@@ -274,16 +292,18 @@ class CameraMount:
     def rig(self, mount_pose: np.ndarray) -> Rig:
         """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
 
-        Where some are held, all have the names of the rig that these are of, and these are the same to the last bit.
+        Where some are frozen, all have the names of the rig that these are of, and these are the same to the last bit.
         """
-        held = self.held
-        height_m = self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, RISE_M]
+        frozen = self.frozen
+        height_m = (
+            self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
+        )
         return Rig.create(
             [
-                held.camera[i]
-                if held is not None and held.is_held[i]
+                frozen.camera[i]
+                if frozen is not None and frozen.is_frozen[i]
                 else RigCamera(
-                    name=f"camera_{i}" if held is None else held.camera[i].name,
+                    name=f"camera_{i}" if frozen is None else frozen.camera[i].name,
                     position_m=np.array([pose[X_M], pose[Y_M], height_m[i]], np.float64),
                     yaw_rad=float(pose[YAW_RAD]),
                     pitch_rad=float(pose[PITCH_RAD]),
@@ -302,9 +322,9 @@ class CameraMount:
         rows = []
         for camera in rig.cameras:
             x_m, y_m, z_m = camera.position_m
-            rise_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
+            height_delta_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
             log_zoom = camera.model.log_zoom_over(self.camera)
-            rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, rise_m, log_zoom])
+            rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, height_delta_m, log_zoom])
         return np.array(rows, np.float32)
 
     def start_pose_of_rig(self, rig: Rig) -> np.ndarray:
@@ -313,7 +333,7 @@ class CameraMount:
         Height and field of view are as configured where they are not free.
         """
         pose = self.mount_pose_of_rig(rig)
-        for number in (RISE_M, LOG_ZOOM):
+        for number in (HEIGHT_DELTA_M, LOG_ZOOM):
             if not self.is_free[number]:
                 pose[:, number] = 0.0
         return self.within(pose)

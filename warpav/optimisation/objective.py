@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from functools import reduce
+from operator import or_
 
 import numpy as np
 import warp as wp
 
-from warpav.detection.detector import Detections, Detector
-from warpav.detection.differentiable import DifferentiableDetector
-from warpav.detection.in_loop import DetectorInLoop, Picture
-from warpav.detection.observe import Observation, Sight, matched_boxes_px, observe, see
-from warpav.detection.probability import DetectionProbability
+from warpav.core.errors import InputError
+from warpav.detection.detector import Detections as DetectedBoxes
+from warpav.detection.detector import Detector
+from warpav.detection.in_loop import DetectorInLoop, RenderedImage
+from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
-from warpav.optimisation.detector_loss import detector_loss_of
-from warpav.optimisation.losses import MISSED, OBJECTIVES, LossSettings, lagrangian_of
-from warpav.optimisation.missed import Stage, StageOnDevice
+from warpav.optimisation.exchange import Exchange
+from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.loss import Detections, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
+from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
+from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
-from warpav.optimisation.scene_step import AssignedScene, SceneLosses, SceneStep, losses_of_look
+from warpav.optimisation.scene_step import Objective, RigViews, SceneLosses, SceneStep
 from warpav.raster.areas import Measures
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -39,14 +44,14 @@ class Evaluation:
 
     Attributes:
         total: The Lagrangian.
-        objective: Scaled sum of the objectives, without constraints.
-        terms: Every loss by name, unscaled; without those that have no scale and would have to be measured first.
+        objective: Weighted sum of the losses, without constraints.
+        terms: Every loss by name, without its weight; then every constraint's.
         gradient: Of the total to the mount poses, float32 [camera, 7]; None if it was not asked for.
         multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
         seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
             total [s].
-        chance: Probability that each camera finds each object, by p(detected) alone; float [camera, object], the
-            objects scene by scene. None if it was not asked for, or where ``missed`` is left out.
+        detection_probability: That each camera detects each object, by the model alone; float [camera, object], the
+            objects scene by scene. None if it was not asked for, or where no loss needs it.
     """
 
     total: float
@@ -55,11 +60,11 @@ class Evaluation:
     gradient: np.ndarray | None
     multiplier_gradient: np.ndarray | None
     seconds: dict[str, float]
-    chance: np.ndarray | None = None
+    detection_probability: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
-class _Looked:
+class _Observed:
     """A scene that has been rendered and waits for its detections.
 
     Attributes:
@@ -69,39 +74,20 @@ class _Looked:
     """
 
     step: SceneStep
-    sight: Sight | None
+    sight: VisibleObjects | None
     camera: list[int]
 
 
-class _Views:
-    """The views of a rig that losses look at: renderers, each of which can hold a scene, and the steps on them.
+class RigObjective:
+    """What a rig is worth on some scenes: a weighted sum of losses, under constraints.
 
     Attributes:
-        rotation_count: Views of every camera.
-        ahead: The view of each camera in which it really looks.
-        renderers: One for each scene that is held at a time.
-    """
-
-    def __init__(self, rotation_count: int, camera_count: int, renderers: list[Renderer]) -> None:
-        self.rotation_count = rotation_count
-        self.ahead = [camera * rotation_count for camera in range(camera_count)]
-        self.renderers = renderers
-        self._steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
-
-    def step(
-        self, assigned: AssignedScene, slot: int, make: Callable[[AssignedScene, Renderer], SceneStep]
-    ) -> SceneStep:
-        """The step of a scene on one of the renderers, with what it has recorded."""
-        steps = self._steps.setdefault(assigned, {})
-        if slot not in steps:
-            steps[slot] = make(assigned, self.renderers[slot])
-        return steps[slot]
-
-
-class RigObjective:
-    """What a rig is worth on some scenes: the expected missed objects and the losses of the thesis, under constraints.
-
-    The losses of the thesis are those of its section III.C and appendix IX; `LossSettings` says which take part.
+        mount: Where the cameras stand.
+        detector: Runs on what the cameras see ahead.
+        losses: Every loss with its weight.
+        constraints: Where the cameras may stand.
+        camera_count: Number of cameras.
+        final_schedule: How the losses are at the end of an optimisation; rigs are compared with it.
     """
 
     def __init__(
@@ -110,14 +96,14 @@ class RigObjective:
         detector: Detector,
         *,
         camera_count: int,
-        settings: LossSettings,
+        losses: Sequence[tuple[float, Loss | LossFunction]],
+        camera_probability: CameraProbability | None = None,
         constraints: Constraints | None = None,
+        multiplier_damping: float = 0.0,
         confidence_min: float = 0.1,
         iou_min: float = 0.5,
         occlusion: Occlusion = Occlusion.PAIRWISE,
         supersampling: int = 1,
-        probability: DetectionProbability | None = None,
-        differentiable_detector: DifferentiableDetector | None = None,
     ) -> None:
         """Objective for rigs of ``camera_count`` cameras of the mount's model.
 
@@ -125,30 +111,26 @@ class RigObjective:
             mount: Where the cameras stand.
             detector: Runs on what the cameras see ahead; no gradient flows through it.
             camera_count: Number of cameras, at least 1.
-            settings: Scales and parameters of the losses.
+            losses: Every loss with its weight, at least 0; those of weight 0 are left out. A function of the detection
+                probabilities and the objects is a loss as well, see `LossFunction`.
+            camera_probability: How likely a camera is to detect; some losses need it.
             constraints: Where the cameras may stand; None: the thesis's bounds, 0.2 m apart.
+            multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
             confidence_min: Least confidence of a true positive.
             iou_min: Least intersection over union of a true positive.
             occlusion: What hides a vehicle.
             supersampling: Samples per pixel along each axis.
-            probability: Of detection, for the loss ``missed``; needed where its scale is not 0.
-            differentiable_detector: The network of the loss ``detector_gradient``; needed where its scale is not 0.
 
         Raises:
-            ValueError: One of them is needed and not there, or a loss of the thesis is to take part while the mount's
-                fields of view are free: all of these take one field of view for all cameras.
+            InputError: There is no loss, two have one name, or one needs something that is not there: the detection
+                probability, or one field of view for all cameras while the mount's are free.
         """
-        if settings.detector_gradient > 0.0 and differentiable_detector is None:
-            raise ValueError("settings.detector_gradient needs a differentiable_detector")
-        if settings.missed > 0.0 and probability is None:
-            raise ValueError("settings.missed needs the probability of detection")
-        if settings.needs_panorama and not mount.has_one_field:
-            raise ValueError("the losses of the thesis need one field of view for all cameras, got several")
         self.mount = mount
-        self.differentiable_detector = differentiable_detector if settings.detector_gradient > 0.0 else None
-        self.probability = probability if settings.missed > 0.0 else None
         self.detector = detector
-        self.settings = settings
+        self.losses: list[tuple[float, Loss]] = [
+            (weight, loss if isinstance(loss, Loss) else UserLoss.of(loss)) for weight, loss in losses if weight != 0.0
+        ]
+        self._check(camera_probability)
         self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
         self.camera_count = camera_count
         self.confidence_min = confidence_min
@@ -156,21 +138,62 @@ class RigObjective:
         self.occlusion = occlusion
         self.supersampling = supersampling
         self.device = mount.device
+        self.final_schedule = LossSchedule(detector_share=max(loss.detector_share for _, loss in self.losses))
+        self._objective = Objective(
+            tuple(loss for _, loss in self.losses if isinstance(loss, DeviceLoss)),
+            tuple(loss for _, loss in self.losses if isinstance(loss, HostLoss)),
+            camera_probability if self._needs(self.final_schedule).detection_probability else None,
+        )
+        device_weights = [weight for weight, loss in self.losses if isinstance(loss, DeviceLoss)]
         self._loop = DetectorInLoop(detector)
-        self._views: dict[int, _Views] = {}
-        self._pose = wp.zeros((camera_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device, requires_grad=True)
-        self._seed = wp.zeros(len(OBJECTIVES), dtype=float, device=mount.device)
-        self._stage = StageOnDevice(mount.device)
+        self._views: dict[int, RigViews] = {}
+        constraint_count = len(self.constraints.names)
+        self._exchange = Exchange(camera_count, constraint_count, len(device_weights), device=mount.device)
+        self._lagrangian = Lagrangian(
+            device_weights,
+            constraint_count,
+            damping=multiplier_damping,
+            are_inequalities=self.constraints.are_inequalities,
+            scale=self.constraint_scale,
+            repeats=len(self.losses),
+            device=mount.device,
+        )
+
+    def _check(self, camera_probability: CameraProbability | None) -> None:
+        names = [loss.name for _, loss in self.losses]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if not names:
+            raise InputError("losses: expected at least one of weight above 0, got none")
+        if twice:
+            raise InputError(f"losses: expected a name of its own for each, got {twice[0]} twice")
+        negative = [loss.name for weight, loss in self.losses if not weight > 0.0]
+        if negative:
+            raise InputError(f"losses: {negative[0]}: expected a weight of at least 0")
+        for _, loss in self.losses:
+            needs = loss.needs(LossSchedule())
+            if needs.detection_probability and camera_probability is None:
+                raise InputError(f"losses: {loss.name} needs the model of detection probability, got none")
+            if needs.one_field and not self.mount.has_one_field:
+                raise InputError(f"losses: {loss.name} takes one field of view for all cameras, got several")
 
     @property
-    def ahead_view(self) -> list[int]:
+    def forward_view(self) -> list[int]:
         """The view of each camera, among those of `observe_rig`, in which it really looks."""
-        return self._views_for(self.last_stage).ahead
+        return self._views_for(self.final_schedule).ahead
 
     @property
-    def last_stage(self) -> Stage:
-        """The stage at the end of an optimisation, in which rigs are compared."""
-        return Stage(detector_share=self.settings.detector_share)
+    def needs_panorama(self) -> bool:
+        """Whether a loss looks round from every camera to the end, as those of the thesis do."""
+        return self._needs(self.final_schedule).panorama
+
+    @property
+    def constraint_scale(self) -> float:
+        """Scale of every constraint of the thesis: the largest of the weights."""
+        return max(weight for weight, _ in self.losses)
+
+    def _needs(self, schedule: LossSchedule) -> Needs:
+        """What the losses need together."""
+        return reduce(or_, (loss.needs(schedule) for _, loss in self.losses), Needs())
 
     def evaluate(
         self,
@@ -179,135 +202,137 @@ class RigObjective:
         *,
         multiplier: np.ndarray | None = None,
         gradient: bool = False,
-        stage: Stage | None = None,
-        chances: bool = False,
+        schedule: LossSchedule | None = None,
+        detection_probability: bool = False,
+        with_constraints: bool = True,
     ) -> Evaluation:
         """Losses of cameras on the mount surface on some scenes; scenes are summed in the order given.
 
-        The losses of the thesis are means over scenes, ``missed`` is the mean over all their objects.
+        Everything goes to the device in one copy and comes back in one, unless the detector or a loss of the host takes
+        part.
 
         Args:
             mount_pose: As `CameraMount` counts them, float [camera, 7].
             scenes: The batch.
             multiplier: Lagrange multipliers, float [constraint]; None: 0.
-            gradient: Whether to differentiate; to cameras that the mount holds the gradient is 0.
-            stage: How far along the optimisation is, for ``missed``; None: the last one.
-            chances: Whether to tell which camera finds which object.
+            gradient: Whether to differentiate; to frozen cameras the gradient is 0.
+            schedule: How the losses are at this point of the optimisation; None: as at its end.
+            detection_probability: Whether to say which camera detects which object.
+            with_constraints: Whether constraints are part of the total and of the gradient; their losses are known
+                either way.
         """
         started = time.perf_counter()
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
-        stage = stage or self.last_stage
-        self._pose.assign(np.asarray(mount_pose, np.float32))
-        self._stage.set(stage)
+        schedule = schedule or self.final_schedule
+        pose = np.asarray(mount_pose, np.float32)
+        views, exchange = self._views_for(schedule), self._exchange
+        multiplier = np.zeros(len(self.constraints.names), np.float32) if multiplier is None else multiplier
+        count = {loss.name: max(sum(loss.count(assigned.scene) for assigned in scenes), 1) for _, loss in self.losses}
         # the mean over scenes is linear, so every scene can send its share of the gradient back at once
-        share = self._shares(scenes)
-        self._seed.assign((np.array(self.settings.placement_scale) * share[: len(OBJECTIVES)]).astype(np.float32))
-        views = self._views_for(stage)
+        share = {loss.name: weight * (1.0 / count[loss.name]) for weight, loss in self.losses}
+        device, host = self._objective.device, self._objective.host
         while True:
-            assert self._pose.grad is not None
-            self._pose.grad.zero_()
-            losses = self._losses(views, scenes, stage, seconds, gradient=gradient)
-            objectives = share * np.array([[*each.value.numpy(), *more] for each, more in losses], np.float64).sum(
-                axis=0
+            exchange.send(
+                pose,
+                multiplier,
+                schedule,
+                weight=[share[loss.name] for loss in device],
+                count=[count[loss.name] for loss in device],
+                host_weight=[share[loss.name] for loss in host],
             )
+            tape = views.place()
+            losses = self._losses(pose, views, scenes, schedule, seconds, gradient=gradient)
+            closed = time.perf_counter()
+            with tape if with_constraints else contextlib.nullcontext():
+                constraint_loss = self.constraints.losses_of(views.placed, views.rotation_count)
+                total = self._lagrangian.on_tape(exchange.mean_loss(), constraint_loss, exchange.multiplier)
+            if gradient:
+                tape.backward(total if with_constraints else None)
+            fetched = exchange.fetch(constraint_loss, total)
+            seconds["backward"] += time.perf_counter() - closed
             grown = [renderer.grew() for renderer in views.renderers]
             if not any(grown):
                 break
 
-        multiplier_array = wp.array(
-            np.zeros(len(self.constraints.names), np.float32) if multiplier is None else multiplier,
-            dtype=float,
-            device=self.device,
-            requires_grad=True,
-        )
-        objective_loss = wp.array(objectives.astype(np.float32), dtype=float, device=self.device)
-        tape = wp.Tape()
-        with tape:
-            constraint_loss = self._constraint_loss()
-            total = lagrangian_of(
-                objective_loss,
-                constraint_loss,
-                multiplier_array,
-                self.settings,
-                are_inequalities=self.constraints.are_inequalities,
-            )
-        pose_gradient = multiplier_gradient = None
-        if gradient:
-            backward_started = time.perf_counter()
-            tape.backward(total)
-            assert multiplier_array.grad is not None
-            pose_gradient, multiplier_gradient = self._pose.grad.numpy().copy(), multiplier_array.grad.numpy().copy()
-            if self.mount.held is not None:
-                pose_gradient[self.mount.held.is_held] = 0.0
-            seconds["backward"] += time.perf_counter() - backward_started
-        values = dict(zip(self.settings.objectives, objectives.tolist(), strict=True))
-        terms = {name: values[name] for name in self.settings.measured_objectives}
-        terms |= dict(zip(self.constraints.names, constraint_loss.numpy().tolist(), strict=True))
+        sums = dict(zip((loss.name for loss in device), fetched.batch_loss, strict=True))
+        for k, loss in enumerate(host):
+            sums[loss.name] = sum(each.host_value[k] for each in losses)
+        mean = {name: (1.0 / count[name]) * value for name, value in sums.items()}
+        values = [float(mean[loss.name]) for _, loss in self.losses]
+        terms = {loss.name: value for (_, loss), value in zip(self.losses, values, strict=True)}
+        terms |= dict(zip(self.constraints.names, fetched.constraint_loss.tolist(), strict=True))
+        objective = float(np.dot(values, [weight for weight, _ in self.losses]))
+        of_host = sum(weight * mean[loss.name] for weight, loss in self.losses if isinstance(loss, HostLoss))
+        pose_gradient = fetched.pose_gradient
+        if self.mount.frozen is not None:
+            pose_gradient[self.mount.frozen.is_frozen] = 0.0
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
-            total=float(total.numpy()[0]),
-            objective=float(np.dot(objectives, self.settings.objective_scale)),
+            total=fetched.total + of_host if with_constraints else objective,
+            objective=objective,
             terms=terms,
-            gradient=pose_gradient,
-            multiplier_gradient=multiplier_gradient,
+            gradient=pose_gradient if gradient else None,
+            multiplier_gradient=fetched.multiplier_gradient if gradient else None,
             seconds=seconds,
-            chance=_side_by_side(losses) if chances else None,
+            detection_probability=_side_by_side(losses) if detection_probability else None,
         )
 
-    def _shares(self, scenes: Sequence[AssignedScene]) -> np.ndarray:
-        """What each scene's losses weigh in the batch, float64 [objective]."""
-        share = np.full(len(self.settings.objectives), 1.0 / len(scenes))
-        share[MISSED] = 1.0 / max(sum(assigned.scene.vehicle_count for assigned in scenes), 1)
-        return share
-
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
-        """Gradient of every loss by itself, unscaled, to the mount poses; float32 [camera, 7] by name.
+        """Gradient of every loss by itself, without its weight, to the mount poses; float32 [camera, 7] by name.
 
-        Of the objectives those of ``settings.measured_objectives`` whose gradient comes through the placement losses,
-        each the mean over the scenes; then the constraints.
+        Of the losses those of the device, each the mean over the scenes; then the constraints.
 
         Args:
             mount_pose: As in `evaluate`.
             scenes: The batch.
         """
-        self._pose.assign(np.asarray(mount_pose, np.float32))
-        self._stage.set(self.last_stage)
-        views = self._views_for(self.last_stage)
-        pose_gradient = self._pose.grad
-        assert pose_gradient is not None
-        names = [name for name in OBJECTIVES if name in self.settings.measured_objectives]
-        share = self._shares(scenes)[: len(OBJECTIVES)]
+        pose, exchange, schedule = np.asarray(mount_pose, np.float32), self._exchange, self.final_schedule
+        views = self._views_for(schedule)
+        device = self._objective.device
+        share = [1.0 / max(sum(loss.count(each.scene) for each in scenes), 1) for loss in device]
+        constraint_count = len(self.constraints.names)
+
+        def send(weight: np.ndarray) -> wp.Tape:
+            exchange.send(
+                pose,
+                np.zeros(constraint_count),
+                schedule,
+                weight=weight,
+                count=np.ones(len(device)),
+                host_weight=[0.0] * len(self._objective.host),
+            )
+            return views.place()
+
+        def fetched(tape: wp.Tape, constraint: int | None = None) -> np.ndarray:
+            if constraint is not None:
+                with tape:
+                    loss = self.constraints.losses_of(views.placed, views.rotation_count)
+                seed = np.eye(constraint_count, dtype=np.float32)[constraint]
+                tape.backward(grads={loss: wp.array(seed, dtype=float, device=self.device)})
+            else:
+                tape.backward()
+            assert exchange.pose.grad is not None
+            return exchange.pose.grad.numpy().reshape(self.camera_count, MOUNT_POSE_SIZE).copy()
+
         while True:
-            result = {name: np.zeros((self.camera_count, MOUNT_POSE_SIZE), np.float32) for name in names}
+            result = {loss.name: np.zeros((self.camera_count, MOUNT_POSE_SIZE), np.float32) for loss in device}
             for scene in scenes:
-                seconds = {"render": 0.0, "detect": 0.0}
-                [looked], answers = self._look(views, [(scene, 0)], self.last_stage, seconds)
-                self._match(looked, answers())
-                for name in names:
-                    self._seed.assign(np.where([name == each for each in OBJECTIVES], share, 0.0).astype(np.float32))
-                    pose_gradient.zero_()
-                    looked.step.learn()
-                    result[name] += pose_gradient.numpy()
+                send(np.zeros(len(device)))
+                [observed], answers = self._observe(pose, views, [(scene, 0)], schedule, {"render": 0.0, "detect": 0.0})
+                self._match(observed, answers())
+                for k, loss in enumerate(device):
+                    tape = send(np.where(np.arange(len(device)) == k, share[k], 0.0))
+                    observed.step.loss_and_grad()
+                    result[loss.name] += fetched(tape)
             if not views.renderers[0].grew():
                 break
         for k, name in enumerate(self.constraints.names):
-            pose_gradient.zero_()
-            tape = wp.Tape()
-            with tape:
-                constraint_loss = self._constraint_loss()
-            seed = np.eye(len(self.constraints.names), dtype=np.float32)[k]
-            tape.backward(grads={constraint_loss: wp.array(seed, dtype=float, device=self.device)})
-            result[name] = np.array(pose_gradient.numpy(), np.float32)
+            result[name] = fetched(send(np.zeros(len(device))), k)
         return result
 
-    def _constraint_loss(self) -> wp.array:
-        """The constraint losses of the present poses, recorded on the active tape; float [constraint]."""
-        return self.constraints.losses_of(self.mount.place(self._pose), self.mount.rotation_count)
-
-    def _views_for(self, stage: Stage) -> _Views:
-        """The views that the losses look at in a stage: of every camera all rotational additions, or the one ahead."""
-        look_round = self.settings.needs_panorama or stage.panorama_share > 0.0
-        rotation_count = self.mount.rotation_count if look_round else 1
+    def _views_for(self, schedule: LossSchedule) -> RigViews:
+        """The views that the losses need: of every camera all rotational additions, or the one ahead."""
+        rotation_count = self.mount.rotation_count if self._needs(schedule).panorama else 1
         if rotation_count not in self._views:
             renderers = [
                 Renderer(
@@ -315,17 +340,17 @@ class RigObjective:
                     supersampling=self.supersampling,
                     occlusion=self.occlusion,
                     device=self.device,
-                    foreground_layer=self.settings.surface_blockage > 0.0,
+                    foreground_layer=self._needs(schedule).unblocked_area,
                 )
                 for _ in range(self._renderer_count(rotation_count))
             ]
-            self._views[rotation_count] = _Views(rotation_count, self.camera_count, renderers)
+            self._views[rotation_count] = RigViews(self.mount, self._exchange.pose, rotation_count, renderers)
         return self._views[rotation_count]
 
     def _renderer_count(self, rotation_count: int) -> int:
         """Scenes whose renders are held at once.
 
-        While the detector looks at some, the next are rendered. On a GPU rendering takes less time than it would save.
+        While the detector works on some, the next are rendered. On a GPU rendering takes less time than it would save.
         """
         camera = self.mount.camera
         pixels = self.camera_count * rotation_count * camera.width_px * camera.height_px
@@ -334,180 +359,168 @@ class RigObjective:
         return 2 * _SCENES_PER_QUESTION
 
     def _losses(
-        self, views: _Views, scenes: Sequence[AssignedScene], stage: Stage, seconds: dict[str, float], *, gradient: bool
-    ) -> list[tuple[SceneLosses, list[float]]]:
-        """Placement losses of every scene, and the detection network's own where it takes part.
+        self,
+        pose: np.ndarray,
+        views: RigViews,
+        scenes: Sequence[AssignedScene],
+        schedule: LossSchedule,
+        seconds: dict[str, float],
+        *,
+        gradient: bool,
+    ) -> list[SceneLosses]:
+        """Losses of every scene.
 
-        The detector looks at the images of some scenes while the next scenes are rendered; scenes are finished, and
+        The detector works on the images of some scenes while the next scenes are rendered; scenes are finished, and
         their gradients added, in the order given.
         """
         slots = len(views.renderers)
         per_question = max(1, slots // 2)
-        asked: deque[tuple[list[_Looked], Callable[[], list[Detections]]]] = deque()
-        losses: list[tuple[SceneLosses, list[float]]] = []
+        asked: deque[tuple[list[_Observed], Callable[[], list[DetectedBoxes]]]] = deque()
+        losses: list[SceneLosses] = []
         for first in range(0, len(scenes), per_question):
             while (len(asked) + 1) * per_question > slots:  # until their renderers are free
-                losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
+                losses += self._finish(*asked.popleft(), seconds, gradient=gradient)
             group = range(first, min(first + per_question, len(scenes)))
-            asked.append(self._look(views, [(scenes[k], k % slots) for k in group], stage, seconds))
+            asked.append(self._observe(pose, views, [(scenes[k], k % slots) for k in group], schedule, seconds))
         while asked:
-            losses += self._finish(*asked.popleft(), seconds, gradient=gradient, share=1.0 / len(scenes))
+            losses += self._finish(*asked.popleft(), seconds, gradient=gradient)
         return losses
 
-    def _look(
-        self, views: _Views, scenes: Sequence[tuple[AssignedScene, int]], stage: Stage, seconds: dict[str, float]
-    ) -> tuple[list[_Looked], Callable[[], list[Detections]]]:
+    def _observe(
+        self,
+        pose: np.ndarray,
+        views: RigViews,
+        scenes: Sequence[tuple[AssignedScene, int]],
+        schedule: LossSchedule,
+        seconds: dict[str, float],
+    ) -> tuple[list[_Observed], Callable[[], list[DetectedBoxes]]]:
         """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
-        looked, pictures = [], []
+        observed, images = [], []
         started = time.perf_counter()
-        pose = self._pose.numpy()
-        asks = self.settings.detected_area > 0.0 or (self.settings.missed > 0.0 and stage.detector_share > 0.0)
+        needs = self._needs(schedule)
         for assigned, slot in scenes:
             step = self._step_of(views, assigned, slot)
-            step.look()
+            step.observe()
             sight, cameras = None, []
-            if asks or self.differentiable_detector is not None:
-                sight = see(step.frame, step.scene, ahead_view=views.ahead)
-            if sight is not None and asks:
-                cameras = self._cameras_that_matter(sight, assigned, stage)
-            looked.append(_Looked(step, sight, cameras))
-            pictures += [
-                Picture(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1]) for camera in cameras
+            if needs.detections or needs.true_boxes:
+                sight = visible_objects(step.frame, step.scene, forward_view=views.ahead)
+                step.set_true_boxes(sight.truth_box_px)
+                cameras = self._cameras_that_matter(sight, assigned, needs.detections)
+            observed.append(_Observed(step, sight, cameras))
+            images += [
+                RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
+                for camera in cameras
             ]
         rendered = time.perf_counter()
-        answers = self._loop.ask(pictures)
+        answers = self._loop.ask(images)
         seconds["render"] += rendered - started
         seconds["detect"] += time.perf_counter() - rendered
-        return looked, answers
+        return observed, answers
 
-    def _cameras_that_matter(self, sight: Sight, assigned: AssignedScene, stage: Stage) -> list[int]:
+    def _cameras_that_matter(self, sight: VisibleObjects, assigned: AssignedScene, detections: Detections) -> list[int]:
         """Cameras that see enough of an object that some loss asks them for."""
+        if detections is Detections.NONE:
+            return []
         is_seen = np.isfinite(sight.truth_box_px[..., 0])
-        if not (self.settings.missed > 0.0 and stage.detector_share > 0.0):
-            # the thesis asks each camera for its own objects only
+        if detections is Detections.ASSIGNED:
             is_seen &= assigned.assigned_camera == np.arange(self.camera_count)[:, None]
         return [int(camera) for camera in np.nonzero(is_seen.any(axis=1))[0]]
 
-    def _step_of(self, views: _Views, assigned: AssignedScene, slot: int) -> SceneStep:
-        """The step of a scene on one of the renderers."""
-
-        def make(assigned: AssignedScene, renderer: Renderer) -> SceneStep:
-            return SceneStep(
-                self.mount,
-                renderer,
-                assigned,
-                pose=self._pose,
-                seed=self._seed,
-                ahead_view=views.ahead,
-                settings=self.settings,
-                probability=self.probability,
-                stage=self._stage,
-            )
-
-        return views.step(assigned, slot, make)
+    def _step_of(self, views: RigViews, assigned: AssignedScene, slot: int) -> SceneStep:
+        """The step of a scene on one of the renderers, with what it has recorded."""
+        steps = views.steps.setdefault(assigned, {})
+        if slot not in steps:
+            steps[slot] = SceneStep(views, views.renderers[slot], assigned, self._exchange, self._objective)
+        return steps[slot]
 
     def _finish(
         self,
-        looked: Sequence[_Looked],
-        answers: Callable[[], list[Detections]],
+        observed: Sequence[_Observed],
+        answers: Callable[[], list[DetectedBoxes]],
         seconds: dict[str, float],
         *,
         gradient: bool,
-        share: float,
-    ) -> list[tuple[SceneLosses, list[float]]]:
-        """Match, measure, differentiate scenes that were looked at."""
+    ) -> list[SceneLosses]:
+        """Match, measure, differentiate scenes that were observed."""
         started = time.perf_counter()
         found = iter(answers())
         seconds["detect"] += time.perf_counter() - started
         losses = []
-        for each in looked:
+        for each in observed:
             start = time.perf_counter()
             self._match(each, [next(found) for _ in each.camera])
             matched = time.perf_counter()
-            judged = each.step.learn() if gradient else each.step.judge()
-            more = []
-            if self.differentiable_detector is not None and each.sight is not None:
-                weight = share * self.settings.detector_gradient if gradient else None
-                more.append(
-                    each.step.detector_loss(self.differentiable_detector, each.sight.truth_box_px, weight=weight)
-                )
-            losses.append((judged, more))
+            losses.append(each.step.loss_and_grad() if gradient else each.step.loss())
             seconds["detect"] += matched - start
             seconds["backward"] += time.perf_counter() - matched
         return losses
 
-    def _match(self, looked: _Looked, found: Sequence[Detections]) -> None:
-        """Hand what matches a vehicle to the scene's step; ``found`` in the order of ``looked.camera``."""
-        if looked.sight is None:
+    def _match(self, observed: _Observed, found: Sequence[DetectedBoxes]) -> None:
+        """Hand what matches a vehicle to the scene's step; ``found`` in the order of ``observed.camera``."""
+        if observed.sight is None:
             return
-        detections = [Detections.none()] * self.camera_count
-        for camera, each in zip(looked.camera, found, strict=True):
+        detections = [DetectedBoxes.none()] * self.camera_count
+        for camera, each in zip(observed.camera, found, strict=True):
             detections[camera] = each
-        match = looked.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
-        looked.step.set_boxes(matched_boxes_px(match, detections))
-        looked.step.set_detected(match >= 0)
+        match = observed.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
+        observed.step.set_boxes(matched_boxes_px(match, detections))
+        observed.step.set_detected(match >= 0)
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
         """What a rig that stands anywhere sees of one scene.
 
         Returns:
-            The detections, the measures of all views, and the scaled objective of this scene alone.
+            The detections, the measures of all views, and the objective of this scene alone.
         """
-        looks = self._views_for(self.last_stage)
-        self._stage.set(self.last_stage)
+        at = self._views_for(self.final_schedule)
         views = views_of_rig(
             rig,
-            rotation_count=looks.rotation_count,
+            rotation_count=at.rotation_count,
             rotation_step_rad=self.mount.rotation_step_rad,
             device=self.device,
             mount=self.mount,
         )
-        scene, renderer = assigned.scene, looks.renderers[0]
+        scene, renderer = assigned.scene, at.renderers[0]
         frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom)
         observation = observe(
             frame,
             scene,
             self.detector,
-            ahead_view=looks.ahead,
+            forward_view=at.ahead,
             confidence_min=self.confidence_min,
             iou_min=self.iou_min,
         )
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
-        box_px[looks.ahead] = observation.matched_box_px()
+        box_px[at.ahead] = observation.matched_box_px()
         measures = frame.measure(wp.array(box_px, dtype=wp.vec4, device=self.device))
-        loss, _ = losses_of_look(
+        seen = SceneOnTape(
             self.mount,
             frame,
             scene,
             views,
             measures,
+            assigned.assigned_camera,
             wp.array(assigned.assigned_camera, dtype=wp.int32, device=self.device),
-            assigned_count=int(np.count_nonzero(assigned.assigned_camera >= 0)),
-            settings=self.settings,
-            probability=self.probability,
-            detected=wp.array((observation.match >= 0).astype(np.float32), dtype=float, device=self.device),
-            stage=self._stage,
-            image=observation.image,
+            wp.array((observation.match >= 0).astype(np.float32), dtype=float, device=self.device),
+            wp.array([self.final_schedule.panorama_share], dtype=float, device=self.device),
+            wp.array([self.final_schedule.detector_share], dtype=float, device=self.device),
+            at.ahead,
+            observation.image,
+            self._objective.camera_probability,
+            observation.truth_box_px,
         )
-        losses = list(loss.numpy())
-        if self.differentiable_detector is not None:
-            losses.append(
-                detector_loss_of(
-                    frame,
-                    scene,
-                    views,
-                    measures,
-                    self.differentiable_detector,
-                    truth_box_px=observation.truth_box_px,
-                    assigned_camera=assigned.assigned_camera,
-                    ahead_view=looks.ahead,
-                )
-            )
-        scaled = np.array(losses, np.float64) * self._shares([assigned]) * self.settings.objective_scale
-        return observation, measures, float(scaled.sum())
+        value = 0.0
+        for weight, loss in self.losses:
+            if isinstance(loss, DeviceLoss):
+                found = float(loss.on_tape(seen).numpy()[0])
+            else:
+                assert isinstance(loss, HostLoss)
+                found, _ = loss.on_host(seen, None, None)
+            value += weight * (1.0 / max(loss.count(scene), 1)) * found
+        return observation, measures, value
 
 
-def _side_by_side(losses: Sequence[tuple[SceneLosses, list[float]]]) -> np.ndarray | None:
-    """Chances of all scenes, float [camera, object]; None where no loss knows them."""
-    chances = [each.chance.numpy() for each, _ in losses if each.chance is not None]
-    return np.concatenate(chances, axis=1) if chances else None
+def _side_by_side(losses: Sequence[SceneLosses]) -> np.ndarray | None:
+    """Detection probabilities of all scenes, float [camera, object]; None where no loss knows them."""
+    found = [each.detection_probability.numpy() for each in losses if each.detection_probability is not None]
+    return np.concatenate(found, axis=1) if found else None

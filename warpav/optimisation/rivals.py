@@ -9,17 +9,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.core.errors import OptionError
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.gradient import Descent, OptimiserSettings
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import BudgetedValue, BudgetSpentError
+from warpav.optimisation.settings import OptimiserSettings
 
 FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
@@ -258,21 +260,21 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
     return finest
 
 
-def gradient_renders(settings: OptimiserSettings, scene_count: int) -> int:
+def gradient_renders(settings: OptimiserSettings, scene_count: int, *, iterations: int, batch_size: int) -> int:
     """Scene renders of a whole run at most, with all looks at all of so many scenes on which its rigs are compared."""
     looks = settings.starts if settings.starts > 1 else 0
     looks += 2 * settings.descents  # before the first step and after the last
     looks += settings.descents > 1  # at the mixture of what the descents found
     if settings.keep == "best":
         # as many as there can be: patience may end a descent early and leave its steps to the next
-        looks += max(settings.iterations - settings.descents, 0) // settings.check_every
-    return settings.iterations * settings.batch_size + looks * scene_count
+        looks += max(iterations - settings.descents, 0) // settings.check_every
+    return iterations * batch_size + looks * scene_count
 
 
-def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int) -> int:
+def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int, *, batch_size: int) -> int:
     """Iterations of a descent that so many renders pay for, see `gradient_renders`; maybe none."""
     count = 0
-    while gradient_renders(replace(settings, iterations=count + 1), scene_count) <= renders:
+    while gradient_renders(settings, scene_count, iterations=count + 1, batch_size=batch_size) <= renders:
         count += 1
     return count
 
@@ -287,16 +289,18 @@ class GradientStage:
     Attributes:
         objective: What is lowered; on ``scenes`` it is the value of the search.
         scenes: The scenes of the value, from which batches are drawn.
-        settings: How to step; ``iterations`` is replaced, and with it the schedule's length.
+        settings: How to step.
+        batch_size: Scenes per step, at least 1.
     """
 
     objective: RigObjective
     scenes: Sequence[AssignedScene]
     settings: OptimiserSettings
+    batch_size: int = 4
 
     def iterations(self, renders: int) -> int:
         """Number of iterations that so many renders pay for, with all looks."""
-        return affordable_iterations(self.settings, len(self.scenes), renders)
+        return affordable_iterations(self.settings, len(self.scenes), renders, batch_size=self.batch_size)
 
     def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
         """Descend from a rig, float [camera, 7], with what is left of the budget.
@@ -308,14 +312,21 @@ class GradientStage:
         iterations = self.iterations(value.render_budget - value.renders)
         if iterations == 0:
             raise BudgetSpentError
-        settings = replace(self.settings, iterations=iterations)
-        descent = Descent(self.objective, self.scenes, settings, np.asarray(start, np.float32), rng)
+        descent = Descent(
+            self.objective,
+            self.scenes,
+            self.settings,
+            np.asarray(start, np.float32),
+            rng,
+            iterations=iterations,
+            batch_size=self.batch_size,
+        )
         recorded = 0
         try:
             for _ in range(iterations):
                 descent.step()
                 recorded = self._record(descent, value, recorded)
-                value.spend(settings.batch_size)
+                value.spend(self.batch_size)
             descent.finish()
         finally:
             self._record(descent, value, recorded)

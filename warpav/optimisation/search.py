@@ -11,10 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import random_mount_pose
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.mount import MOUNT_POSE_SIZE, RISE_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import RigObjective
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +61,9 @@ class SearchSpace:
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
         low[:, mount.is_free], high[:, mount.is_free] = mount.low[mount.is_free], mount.high[mount.is_free]
-        if mount.held is not None:
-            is_held = mount.held.is_held
-            low[is_held] = high[is_held] = mount.held.mount_pose[is_held]
+        if mount.frozen is not None:
+            is_frozen = mount.frozen.is_frozen
+            low[is_frozen] = high[is_frozen] = mount.frozen.mount_pose[is_frozen]
         return cls(mount, constraints, low, high)
 
     def __post_init__(self) -> None:
@@ -79,10 +80,10 @@ class SearchSpace:
         return len(self.low)
 
     @property
-    def is_held(self) -> np.ndarray:
+    def is_frozen(self) -> np.ndarray:
         """Which cameras stay as they are, bool [camera]."""
-        held = self.mount.held
-        return np.zeros(self.camera_count, bool) if held is None else held.is_held
+        frozen = self.mount.frozen
+        return np.zeros(self.camera_count, bool) if frozen is None else frozen.is_frozen
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -128,8 +129,8 @@ class SearchSpace:
             InputError: The cameras do not fit on the mount surface.
         """
         pose = np.array(mount_pose, np.float64)
-        rise_m = self.mount.within(pose.astype(np.float32))[:, RISE_M]
-        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]], rise_m)
+        height_delta_m = self.mount.within(pose.astype(np.float32))[:, HEIGHT_DELTA_M]
+        pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]], height_delta_m)
         pose[:, YAW_RAD] = (pose[:, YAW_RAD] + math.pi) % (2.0 * math.pi) - math.pi
         return self.mount.within(pose.astype(np.float32))
 
@@ -155,14 +156,14 @@ class SearchSpace:
         return pose
 
     def in_order(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The same rig with its cameras in the order of the ranges of yaw; those that are held keep their places.
+        """The same rig with its cameras in the order of the ranges of yaw; frozen ones keep their places.
 
         Cameras that were chosen one by one, or come from elsewhere, may be asked to answer for the vehicles in certain
         directions. The sum of the squared angles to the middles of the ranges is smallest.
         """
         from scipy.optimize import linear_sum_assignment
 
-        pose, movable = np.array(mount_pose), np.flatnonzero(~self.is_held)
+        pose, movable = np.array(mount_pose), np.flatnonzero(~self.is_frozen)
         middle_rad = 0.5 * (self.low + self.high)[movable, YAW_RAD]
         difference = middle_rad[:, None] - pose[None, movable, YAW_RAD]
         _, order = linear_sum_assignment(np.angle(np.exp(1j * difference)) ** 2)

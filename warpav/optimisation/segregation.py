@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav.optimisation.objective import AssignedScene
+from warpav.optimisation.assignment import AssignedScene
 from warpav.raster.areas import AMODAL_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
@@ -85,26 +85,16 @@ def choose_orientations(
     return Segregation(winner * (2.0 * math.pi / rotation_count), winner, best_seen, best_duplicates)
 
 
-def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) -> list[AssignedScene]:
-    """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it.
-
-    Args:
-        scenes: The scenes.
-        areas: Area of every vehicle in the orientation of every camera (`areas_around`), one [vehicle, camera] per
-            scene.
-    """
-    assigned = []
-    for scene, area in zip(scenes, areas, strict=True):
-        camera_of_vehicle = np.where((area > 0.0).any(axis=1), area.argmax(axis=1), -1) if len(area) else np.zeros(0)
-        assigned.append(AssignedScene(scene, camera_of_vehicle.astype(np.int32)))
-    return assigned
-
-
 class BatchChooser:
-    """Informed batches: every camera gets scenes with a vehicle of its own."""
+    """Informed batches: every camera gets scenes with a vehicle of its own.
+
+    Attributes:
+        waiting: Scenes of the order that is not used up; always none here.
+    """
 
     def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
         """Chooser over ``scenes``; cameras without any vehicle in any scene are left out."""
+        self.waiting: list[int] = []
         self._scenes = scenes
         self._rng = rng
         self._scenes_of_camera = [
@@ -128,18 +118,22 @@ class BatchChooser:
 
 
 class ShuffledBatches:
-    """Batches that go through all scenes in random order before any comes again."""
+    """Batches that go through all scenes in random order before any comes again.
+
+    Attributes:
+        waiting: Scenes of the present order that are still to come.
+    """
 
     def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
         """Chooser over ``scenes``; which camera answers for what does not matter."""
         del camera_count
         self._count = len(scenes)
         self._rng = rng
-        self._waiting: list[int] = []
+        self.waiting: list[int] = []
 
     def choose(self, batch_size: int) -> list[int]:
         """Indices of the scenes of the next batch."""
-        while len(self._waiting) < batch_size:
-            self._waiting += [int(k) for k in self._rng.permutation(self._count)]
-        batch, self._waiting = self._waiting[:batch_size], self._waiting[batch_size:]
+        while len(self.waiting) < batch_size:
+            self.waiting += [int(k) for k in self._rng.permutation(self._count)]
+        batch, self.waiting = self.waiting[:batch_size], self.waiting[batch_size:]
         return batch

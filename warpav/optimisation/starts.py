@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.mount import YAW_RAD
-from warpav.optimisation.objective import AssignedScene, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.search import SearchSpace
 
 HIGHEST_TURNS = 4
-"""Turns at which the cameras around the highest point are looked at, over the angle from one camera to the next."""
+"""Turns at which the cameras around the highest point are evaluated, over the angle from one camera to the next."""
 
 
 def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndarray]:
@@ -39,18 +40,18 @@ def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndar
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A rig that was looked at.
+    """A rig that was evaluated.
 
     Attributes:
         mount_pose: It satisfies all constraints, float32 [camera, 7].
-        value: Its objective on the scenes where it was looked at.
+        value: Its objective on the scenes where it was evaluated.
     """
 
     mount_pose: np.ndarray
     value: float
 
 
-def look_at_starts(
+def evaluate_starts(
     objective: RigObjective,
     scenes: Sequence[AssignedScene],
     space: SearchSpace,
@@ -59,68 +60,70 @@ def look_at_starts(
     *,
     known: np.ndarray,
 ) -> list[Start]:
-    """Look at a known rig, at `first_rigs`, and at one made of the best cameras of all of them; the best come first.
+    """Evaluate a known rig, `first_rigs`, and one made of the best cameras of all of them; the best come first.
 
     The last one is made where the objective tells which camera finds which object: single cameras are exchanged for
     those of other rigs as long as that lowers the expected number of missed objects (`exchange_cameras`). It costs no
-    more renders than its own look.
+    more renders than its own evaluation.
 
     Args:
         objective: What rigs are compared by.
         scenes: On these.
         space: All rigs that may be.
-        count: How many are looked at, at least 1, the known one among them.
+        count: How many are evaluated, at least 1, the known one among them.
         rng: Scrambles the sequence.
-        known: A rig that is looked at first, float [camera, 7].
+        known: A rig that is evaluated first, float [camera, 7].
 
     Raises:
         ValueError: No rig had a finite value.
     """
-    looked: list[Start] = []
-    chances: list[np.ndarray] = []
+    starts: list[Start] = []
+    probability: list[np.ndarray] = []
 
-    def look(mount_pose: np.ndarray) -> None:
+    def evaluate(mount_pose: np.ndarray) -> None:
         pose = space.feasible(space.in_order(mount_pose))
-        found = objective.evaluate(pose, scenes, chances=True)
-        looked.append(Start(pose, found.objective))
-        if found.chance is not None:
-            chances.append(found.chance)
+        found = objective.evaluate(pose, scenes, detection_probability=True)
+        starts.append(Start(pose, found.objective))
+        if found.detection_probability is not None:
+            probability.append(found.detection_probability)
 
-    look(known)
+    evaluate(known)
     rigs = first_rigs(space, rng)
-    while len(looked) < count:
-        if len(looked) == count - 1 and len(looked) == len(chances) > 1:
-            best = int(np.argmin([each.value for each in looked]))
+    while len(starts) < count:
+        if len(starts) == count - 1 and len(starts) == len(probability) > 1:
+            best = int(np.argmin([each.value for each in starts]))
             first = best * space.camera_count + np.arange(space.camera_count)
-            chosen = exchange_cameras(np.concatenate(chances), first, is_held=space.is_held)
-            look(np.concatenate([each.mount_pose for each in looked])[chosen])
+            chosen = exchange_cameras(np.concatenate(probability), first, is_frozen=space.is_frozen)
+            evaluate(np.concatenate([each.mount_pose for each in starts])[chosen])
         else:
-            look(next(rigs))
-    finite = [each for each in looked if math.isfinite(each.value)]
+            evaluate(next(rigs))
+    finite = [each for each in starts if math.isfinite(each.value)]
     if not finite:
         raise ValueError(f"none of {count} rigs had a finite value")
     return sorted(finite, key=lambda each: each.value)
 
 
-def exchange_cameras(chance: np.ndarray, chosen: np.ndarray, *, is_held: np.ndarray | None = None) -> np.ndarray:
+def exchange_cameras(
+    detection_probability: np.ndarray, chosen: np.ndarray, *, is_frozen: np.ndarray | None = None
+) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
-    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - chance over its
+    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - p over its
     cameras; no exchange of a single camera lowers that of the result.
 
     Args:
-        chance: Probability that each candidate finds each object, float [candidate, object].
+        detection_probability: Probability p that each candidate finds each object, float [candidate, object].
         chosen: Candidates that the rig begins with, int [camera].
-        is_held: Cameras that are not exchanged, bool [camera]; None: none.
+        is_frozen: Cameras that are not exchanged, bool [camera]; None: none.
 
     Returns:
         Candidates, int [camera]; one may be there twice.
     """
-    missed = 1.0 - np.asarray(chance, np.float64)
+    missed = 1.0 - np.asarray(detection_probability, np.float64)
     chosen = np.array(chosen)
     while True:
         before = chosen.copy()
-        for camera in range(len(chosen)) if is_held is None else np.flatnonzero(~is_held):
+        for camera in range(len(chosen)) if is_frozen is None else np.flatnonzero(~is_frozen):
             others = np.prod(missed[np.delete(chosen, camera)], axis=0)
             loss = missed @ others
             best = int(np.argmin(loss))

@@ -1,4 +1,4 @@
-"""What is odd about a rig: sides that contradict names, cameras under the ground or far away, cameras at one place."""
+"""Plausibility checks of a rig: sides that contradict names, cameras below ground or far away, coincident cameras."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def side_of_name(name: str) -> str | None:
 
 
 def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
-    """What contradicts a camera's name, one text for every camera that lies or looks to the other side.
+    """One message per camera whose name contradicts its side or direction.
 
-    A file in a left-handed frame that is read as a right-handed one gives such a rig.
+    Reading a left-handed file as right-handed gives such a rig.
     """
     for camera in cameras:
         side = side_of_name(camera.name)
@@ -41,13 +41,13 @@ def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
         if is_wrong:
             yaw_deg = math.degrees(math.atan2(forward_y, camera.ego_from_camera[0, 2]))
             yield (
-                f"camera {camera.name!r}: expected it on the {side} (y {'>' if side == 'left' else '<'} 0) and looking "
-                f"there, got y = {camera.position_m[1]:.3f} m and a yaw of {yaw_deg:.1f} deg (left is positive)"
+                f"camera {camera.name!r}: expected it on the {side} (y {'>' if side == 'left' else '<'} 0) and "
+                f"pointing there, got y = {camera.position_m[1]:.3f} m and yaw {yaw_deg:.1f} deg (left is positive)"
             )
 
 
 def description(camera: RigCamera) -> str:
-    """A camera in one line: place, angles, lens, image."""
+    """A camera in one line: position, angles, lens, image size."""
     x, y, z = camera.position_m
     yaw, pitch, roll = (
         math.degrees(math.remainder(angle, 2.0 * math.pi))
@@ -61,7 +61,7 @@ def description(camera: RigCamera) -> str:
 
 
 def oddities(rig: Rig) -> Iterator[str]:
-    """What else is odd but may be meant, one text each."""
+    """Other implausible properties that may be intended, one message each."""
     for camera in rig.cameras:
         if camera.position_m[2] < 0.0:
             yield f"camera {camera.name!r} lies {-camera.position_m[2]:.3f} m below the ground"
@@ -71,4 +71,4 @@ def oddities(rig: Rig) -> Iterator[str]:
             yield f"camera {camera.name!r} is mounted upside down (roll {math.degrees(camera.roll_rad):.1f} deg)"
     for one, other in itertools.combinations(rig.cameras, 2):
         if np.linalg.norm(one.position_m - other.position_m) < _SAME_PLACE_M:
-            yield f"cameras {one.name!r} and {other.name!r} share one place"
+            yield f"cameras {one.name!r} and {other.name!r} share one position"

@@ -96,9 +96,9 @@ class MountSurface:
         return near * (1.0 - u) + far * u
 
     def highest_point_m(self) -> np.ndarray:
-        """The highest cell centre [m], shape [3]; on a flat top, the one nearest the middle of the top.
+        """The highest cell centre [m], shape [3]; on a flat top, the one nearest the centre of the top.
 
-        Cells within 1 mm of the maximum count as the top, which hides the noise of rounding.
+        Cells within 1 mm of the maximum count as the top, which absorbs rounding noise.
         """
         cell = np.argwhere(self.height_m >= self.height_m.max() - 1e-3)
         row, column = cell[np.linalg.norm(cell - cell.mean(axis=0), axis=1).argmin()]
@@ -117,15 +117,15 @@ def mount_surface_from_mesh(
 ) -> MountSurface:
     """The surface that faces upwards and is seen from straight above: roof and bonnet (thesis, 3D Surface Positioning).
 
-    Points are taken where vertical lines first meet the mesh from above, and kept where the face looks upwards. Each
+    Points are the first hits of vertical rays from above, kept where the face points upwards. Each
     cell of the raster takes the height of its highest point. Cells without points, such as those over the glass, are
     filled from the cells around them and smoothed until nothing moves by more than the tolerance.
 
-    Cells with points can carry a camera if what they show looks upwards by ``min_zone_normal`` too. Gaps of up to two
+    Cells with points can carry a camera if their faces also point upwards by ``min_zone_normal``. Gaps of up to two
     cells, such as a crease of the roof, are no border.
 
     Args:
-        mesh: The vehicle in the ego frame [m]; faces may look either way, the surface seen from above counts.
+        mesh: The vehicle in the ego frame [m]; faces may have either orientation; the surface seen from above counts.
         cell_m: Edge of a cell [m], positive.
         min_upward_normal: Least z of a face's unit normal, in (0, 1]: 0.9 keeps slopes up to 26 degrees, which a
             windscreen exceeds.
@@ -139,7 +139,7 @@ def mount_surface_from_mesh(
         The surface, cropped to the cells that hold points.
 
     Raises:
-        InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
+        InputError: No face points upwards, or the mesh is too large to be a vehicle in metres.
         ValueError: An option is out of its range.
     """
     if not smoothing_tolerance_m > 0.0:
@@ -170,7 +170,7 @@ def measured_surface(
         min_height_m: Lower points are left out [m].
 
     Raises:
-        InputError: No face looks upwards, or the mesh is too large to be a vehicle in metres.
+        InputError: No face points upwards, or the mesh is too large to be a vehicle in metres.
         ValueError: An option is out of its range.
     """
     measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
@@ -196,7 +196,7 @@ def _measured(
         raise InputError(
             f"ego mesh: expected a vehicle in metres, got {extent_m[0]:.6g} x {extent_m[1]:.6g}; scale it to metres"
         )
-    # The raster lies symmetrically about the middle of the mesh, so a symmetric vehicle keeps its symmetry.
+    # The raster lies symmetrically about the centre of the mesh, so a symmetric vehicle keeps its symmetry.
     size = np.maximum(2, np.ceil(extent_m / cell_m - 1e-3).astype(int))
     origin_m = 0.5 * (low_m + high_m) - 0.5 * (size - 1) * cell_m
 
@@ -211,7 +211,7 @@ def _measured(
     is_measured = _without_small_patches(np.isfinite(height_m))
     if not is_measured.any():
         raise InputError(
-            f"ego mesh: expected faces that look upwards (normal z of at least {min_upward_normal}, "
+            f"ego mesh: expected faces that point upwards (normal z of at least {min_upward_normal}, "
             f"height of at least {min_height_m} m), got none among {len(mesh.triangle)}; check that z points up"
         )
     kept = (_used_range(is_measured, 0), _used_range(is_measured, 1))
@@ -231,17 +231,17 @@ def _used_range(is_measured: np.ndarray, axis: int) -> slice:
 def _first_upward_height(
     mesh: Mesh, corner_m: np.ndarray, size: np.ndarray, step_m: float, min_upward_normal: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where vertical lines first meet the mesh from above, and how much the face looks upwards there.
+    """First hits of vertical rays from above, and the upward component of the face normal there.
 
     Args:
         mesh: The vehicle.
-        corner_m: Low corner of the first sample's square [m], shape [2]; a line runs through the middle of each square.
+        corner_m: Low corner of the first sample's square [m], shape [2]; a line runs through the centre of each square.
         size: Number of lines along x and y.
         step_m: Distance between lines [m].
         min_upward_normal: Least absolute z of the unit normal.
 
     Returns:
-        Height [m], -inf where a line misses or the face looks sideways; absolute z of the face's unit normal, -inf
+        Height [m], -inf where a ray misses or the face points sideways; absolute z of the face's unit normal, -inf
         likewise; both float64 [row, column].
     """
     corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]  # [triangle, corner, xyz]
@@ -270,7 +270,7 @@ def _first_upward_height(
         edge = (plane[:, (i + 1) % 3] - start) * turn[:, None]
         at_zero = edge[:, 1] * start[:, 0] - edge[:, 0] * start[:, 1]
         side = edge[face, 0] * column - edge[face, 1] * row + at_zero[face]
-        is_inside = side >= -1e-9  # a line through a shared edge meets at least one of its faces
+        is_inside = side >= -1e-9  # a ray through a shared edge hits at least one of its faces
         face, row, column = face[is_inside], row[is_inside], column[is_inside]
     slope = -normal[:, :2] / normal[:, 2:] * step_m  # height change per sample
     offset = np.stack([row, column], axis=1) - plane[face, 0]

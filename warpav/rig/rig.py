@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
 from warpav.core.yaml_file import Location, dotted, parse_yaml, read_yaml
@@ -20,14 +21,10 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 
 if TYPE_CHECKING:
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.scene.scene import Scene
-
     MultiBlock = Any
 
 MAX_IMAGE_PX = 16384
-"""Wider or higher images are refused: no detector reads them, and a size of this kind is a slip of the pen."""
+"""Maximum image width and height [px]: no detector reads larger images, so a larger size is a typing error."""
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")  # camera names become file names
 _DECIMALS = 6  # micrometres and microdegrees: below what any mount holds
@@ -112,58 +109,26 @@ class Rig:
                 )
         return cls(checked)
 
-    def plot(
-        self,
-        out: str | Path | None = None,
-        *,
-        ego: Mesh | None = None,
-        scene: Scene | None = None,
-        mount_surface: MountSurface | None = None,
-        trajectory_m: np.ndarray | None = None,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the rig in a window or in a notebook, or write its picture to a file.
-
-        Args:
-            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
-            ego: The vehicle that carries the cameras; by default that of the scene, else the axes of the ego frame.
-            scene: Traffic and street around it; an empty ground when None.
-            mount_surface: Drawn on the vehicle in colours of height.
-            trajectory_m: Camera positions over the iterations of an optimisation [m], [iteration, camera, 3].
-            sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
-
-        Raises:
-            InputError: The file cannot be written, or nothing can be drawn or shown here.
-        """
-        from warpav.view.picture import plot_rig
-
-        return plot_rig(
-            self,
-            out,
-            ego=ego,
-            scene=scene,
-            mount_surface=mount_surface,
-            trajectory_m=trajectory_m,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
+    def _repr_html_(self) -> str:
+        """What Jupyter shows: the cameras as a table."""
+        rows = "".join(
+            f"<tr><td style='text-align:left'>{html.escape(camera.name)}</td>"
+            + "".join(f"<td>{text}</td>" for text in _table_row(camera))
+            + "</tr>"
+            for camera in self.cameras
         )
+        count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *_TABLE_COLUMNS))
+        return (
+            f"<table><caption>Rig of {count}, ego frame: x forward, y left, z up</caption>"
+            f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the rig in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        from warpav.view import plot
+
+        return plot(self, out=out, **options)
 
     def to_pyvista(self, *, depth_m: float = 1.25) -> MultiBlock:
         """The rig as ``pyvista.MultiBlock``: for every camera ``body``, ``frustum`` and ``axis``.
@@ -178,16 +143,38 @@ class Rig:
         return rig_to_pyvista(self, depth_m=depth_m)
 
 
+_TABLE_COLUMNS = (
+    "x [m]",
+    "y [m]",
+    "z [m]",
+    "yaw [°]",
+    "pitch [°]",
+    "roll [°]",
+    "field of view [°]",
+    "image [px]",
+    "lens",
+)
+
+
+def _table_row(camera: RigCamera) -> list[str]:
+    """What a table says of a camera, in the order of `_TABLE_COLUMNS`."""
+    model = camera.model
+    position = [f"{value:.3f}" for value in camera.position_m]
+    angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
+    size = f"{model.width_px} x {model.height_px}"
+    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens)]
+
+
 def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
-    place = f"{rig_name}: camera {camera.name!r}"
+    location = f"{rig_name}: camera {camera.name!r}"
     if not _NAME.fullmatch(camera.name):
-        raise InputError(f"{place}: name: expected {_NAME_TEXT}, got {camera.name!r}")
+        raise InputError(f"{location}: name: expected {_NAME_TEXT}, got {camera.name!r}")
     position_m = np.array(camera.position_m, dtype=np.float64)
     if position_m.shape != (3,) or not np.isfinite(position_m).all():
-        raise InputError(f"{place}: position_m: expected three finite numbers, got {camera.position_m!r}")
+        raise InputError(f"{location}: position_m: expected three finite numbers, got {camera.position_m!r}")
     for field in ("yaw_rad", "pitch_rad", "roll_rad"):
         if not math.isfinite(getattr(camera, field)):
-            raise InputError(f"{place}: {field}: expected a finite number, got {getattr(camera, field)!r}")
+            raise InputError(f"{location}: {field}: expected a finite number, got {getattr(camera, field)!r}")
     return RigCamera(
         camera.name, position_m, float(camera.yaw_rad), float(camera.pitch_rad), float(camera.roll_rad), camera.model
     )
@@ -262,10 +249,10 @@ def replace_file(file: Path, content: bytes) -> None:
         InputError: The folder does not exist or cannot be written to.
     """
     try:
-        with replacing(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_bytes(content)
     except OSError as error:
-        raise InputError(f"{file}: expected a place to write the rig to, got: {error.strerror}") from None
+        raise InputError(f"{file}: expected a writable path for the rig, got: {error.strerror}") from None
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -329,10 +316,10 @@ def _model_lines(model: CameraModel) -> list[str]:
 
 
 class _RigReader:
-    """Checks a rig's data, keeping every mistake with its place."""
+    """Validates a rig's data and collects every mistake with its location."""
 
-    def __init__(self, place: str, line_of: Mapping[Location, int]) -> None:
-        self.place = place
+    def __init__(self, location: str, line_of: Mapping[Location, int]) -> None:
+        self.location = location
         self.line_of = line_of
         self.mistakes: list[str] = []
 
@@ -340,19 +327,19 @@ class _RigReader:
         if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
             is_config = isinstance(data, dict) and "rig" in data
             hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
-            self.refuse((), "a mapping with frame, cameras", data, f"; {hint}")
+            self.report((), "a mapping with frame, cameras", data, f"; {hint}")
             raise InputError(self.mistakes[0])
         root = self.mapping(data, (), ("frame", "cameras"))
         if "frame" in root and root["frame"] != "ego":
-            self.refuse(("frame",), "ego (x forward, y left, z up)", root["frame"])
+            self.report(("frame",), "ego (x forward, y left, z up)", root["frame"])
         cameras = root.get("cameras", [None])
         if not isinstance(cameras, list) or not cameras:
-            self.refuse(("cameras",), "a list of at least one camera", cameras)
+            self.report(("cameras",), "a list of at least one camera", cameras)
             cameras = []
         read = [self.camera(item, ("cameras", str(i))) for i, item in enumerate(cameras) if "cameras" in root]
         if self.mistakes:
             raise InputError("\n".join(self.mistakes))
-        return Rig.create((camera for camera in read if camera), name=self.place)
+        return Rig.create((camera for camera in read if camera), name=self.location)
 
     def camera(self, data: object, location: Location) -> RigCamera | None:
         known_count = len(self.mistakes)
@@ -361,7 +348,7 @@ class _RigReader:
         for field, value in item.items():
             if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
                 near = difflib.get_close_matches(str(value), list(Lens), 1, 0.5) if field == "lens" else []
-                self.refuse((*location, field), _EXPECTED[field], value, f"; did you mean {near[0]}?" if near else "")
+                self.report((*location, field), _EXPECTED[field], value, f"; did you mean {near[0]}?" if near else "")
         model = self.model(item, location) if len(self.mistakes) == known_count else None
         if model is None:
             return None
@@ -381,8 +368,8 @@ class _RigReader:
         try:
             return CameraModel(item["width_px"], item["height_px"], **angle, **given)
         except ValueError as error:
-            place = f"{self.line(location)}: {dotted(location)}"
-            self.mistakes.append(f"{place}: expected numbers that make a camera, got: {error}")
+            where = f"{self.line(location)}: {dotted(location)}"
+            self.mistakes.append(f"{where}: expected valid camera parameters, got: {error}")
             return None
 
     def mapping(
@@ -390,20 +377,20 @@ class _RigReader:
     ) -> dict[str, Any]:
         """The known fields of a mapping; unknown ones and missing ones that are not optional are mistakes."""
         if not isinstance(data, dict):
-            self.refuse(location, f"a mapping with {', '.join(fields)}", data)
+            self.report(location, f"a mapping with {', '.join(fields)}", data)
             return {}
         missing = [field for field in fields if field not in data and field not in optional]
         for field in data:
             if field not in fields:
                 near = difflib.get_close_matches(field, missing or fields, 1, 0.5)
                 hint = f"; did you mean {near[0]}?" if near else ""
-                self.refuse((*location, field), f"one of {', '.join(fields)}", field, hint)
+                self.report((*location, field), f"one of {', '.join(fields)}", field, hint)
         for field in missing:
             hint = "; write frame: ego" if field == "frame" else ""
-            self.refuse((*location, field), _EXPECTED.get(field, f"the field {field}"), None, hint)
+            self.report((*location, field), _EXPECTED.get(field, f"the field {field}"), None, hint)
         return {field: data[field] for field in fields if field in data}
 
-    def refuse(self, location: Location, expected: str, value: object, hint: str = "") -> None:
+    def report(self, location: Location, expected: str, value: object, hint: str = "") -> None:
         field = f"{dotted(location)}: " if location else ""
         shown = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
         self.mistakes.append(f"{self.line(location)}: {field}expected {expected}, got {shown}{hint}")
@@ -411,7 +398,7 @@ class _RigReader:
     def line(self, location: Location) -> str:
         """The file, and the line at which a value stands or should stand."""
         known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
-        return self.place if known is None else f"{self.place}:{self.line_of[known]}"
+        return self.location if known is None else f"{self.location}:{self.line_of[known]}"
 
 
 def _is_number(value: object) -> bool:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
-from warpav.runs.sources import load_detector
+from warpav.runs.networks import load_detector
+from warpav.view.figures.style import checked_png
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
-from warpav.view.scene_figures.panels import checked_png
 
 SMALL_PX = 256
 OWN_SIZE_PX = 640
@@ -26,26 +26,26 @@ REPEAT_WITHIN_S = 1.0
 def check_detector(
     model: str, config: Config, *, image_file: Path | None = None, out: Path | None = None
 ) -> Iterator[str]:
-    """Describe a detector, time it, and try it on a picture.
+    """Describe a detector, time it, and try it on an image.
 
     Args:
         model: An ONNX file, or ``builtin``.
         config: How to use it; its own `detector.model` is left aside.
-        image_file: A picture to find road users in.
-        out: PNG file to draw them into; None: ``<picture>_boxes.png`` in the working directory.
+        image_file: An image to find road users in.
+        out: PNG file to draw them into; None: ``<image>_boxes.png`` in the working directory.
 
     Yields:
         Lines to print.
 
     Raises:
-        InputError: The file or the picture cannot be used.
+        InputError: The file or the image cannot be used.
     """
     if out is not None and image_file is None:
-        raise InputError("command line (--out): expected --image beside it, for boxes are drawn on a picture")
+        raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)
     target = None if image_file is None else checked_png(out or Path(f"{image_file.stem}_boxes.png"))
     if target is not None and not target.absolute().parent.is_dir():
-        raise InputError(f"{target}: --out: expected an existing folder to write to, got {str(target.parent)!r}")
+        raise ArgumentError("out", f"expected an existing folder to write to, got {str(target.parent)!r}", place=target)
     config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})
     detector = load_detector(config, every_road_user=True)
     if not set(config.scenes.targets) <= set(detector.road_users):
@@ -117,37 +117,37 @@ def _list(found: Detections, confidence_min: float) -> Iterator[str]:
 
 
 def _read_image(file: Path) -> np.ndarray:
-    """A picture, uint8 [row, column, 3]."""
+    """An image, uint8 [row, column, 3]."""
     import cv2
 
     try:
         data = np.frombuffer(file.read_bytes(), np.uint8)
     except OSError as error:
-        raise InputError(f"{file}: --image: expected a picture, got none: {error.strerror}") from error
+        raise ArgumentError("image", f"expected an image, got none: {error.strerror}", place=file) from error
     image_bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     if image_bgr is None:
-        raise InputError(
-            f"{file}: --image: expected a picture such as PNG or JPEG, got a file of {len(data)} bytes that is none"
+        raise ArgumentError(
+            "image", f"expected an image such as PNG or JPEG, got a file of {len(data)} bytes that is none", place=file
         )
     return np.ascontiguousarray(image_bgr[..., ::-1])
 
 
 def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
-    """Write a copy of a picture with boxes and labels."""
+    """Write a copy of an image with boxes and labels."""
     import cv2
 
-    picture = image_rgb.copy()
-    scale = max(0.4, min(picture.shape[:2]) / 1400.0)
+    drawn = image_rgb.copy()
+    scale = max(0.4, min(drawn.shape[:2]) / 1400.0)
     width_px = max(1, round(2.0 * scale))
     for k in reversed(range(len(found))):  # the most confident lie on top
         x0, y0, x1, y1 = (round(float(edge)) for edge in found.box_px[k])
         colour = CAMERA_RGB[int(found.road_user_index[k])]
-        cv2.rectangle(picture, (x0, y0), (x1, y1), colour, width_px)
+        cv2.rectangle(drawn, (x0, y0), (x1, y1), colour, width_px)
         text = f"{found.label[k]} {found.confidence[k]:.2f}"
         (text_px, height_px), below_px = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, width_px)
-        left = min(max(x0, 0), max(0, picture.shape[1] - text_px))
+        left = min(max(x0, 0), max(0, drawn.shape[1] - text_px))
         foot = max(y0 - below_px, height_px)
-        cv2.rectangle(picture, (left, foot - height_px), (left + text_px, foot + below_px), colour, cv2.FILLED)
-        cv2.putText(picture, text, (left, foot), cv2.FONT_HERSHEY_SIMPLEX, scale, PAPER_RGB, width_px, cv2.LINE_AA)
-    if not cv2.imwrite(str(target), np.ascontiguousarray(picture[..., ::-1])):
-        raise InputError(f"{target}: --out: expected a file that can be written, got one that cannot")
+        cv2.rectangle(drawn, (left, foot - height_px), (left + text_px, foot + below_px), colour, cv2.FILLED)
+        cv2.putText(drawn, text, (left, foot), cv2.FONT_HERSHEY_SIMPLEX, scale, PAPER_RGB, width_px, cv2.LINE_AA)
+    if not cv2.imwrite(str(target), np.ascontiguousarray(drawn[..., ::-1])):
+        raise ArgumentError("out", "expected a file that can be written, got one that cannot", place=target)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shlex
 import time
+import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,32 +13,42 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.devices import checked_device
+from warpav.core.errors import ArgumentError
+from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
-from warpav.detection.probability_fit import BIN_COUNT, Sightings, fit_probability, look, random_cameras, score
+from warpav.detection.probability_fit import (
+    BIN_COUNT,
+    DetectionSamples,
+    Scores,
+    fit_probability,
+    random_cameras,
+    sample_detections,
+    score,
+)
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.runs.config import Config
-from warpav.runs.sources import (
-    camera_model,
-    checked_device,
-    detector_use,
-    free_ranges,
-    load_detector,
-    load_scenes,
-    mount_surface,
-)
+from warpav.runs.config import Config, changed_config
+from warpav.runs.mounts import camera_model, free_ranges, mount_surface
+from warpav.runs.networks import detector_use, load_detector
+from warpav.runs.scene_set import load_scenes
 from warpav.scene.device_scene import DeviceScene
-from warpav.view.figures import detection_curves, reliability_diagram
 
 if TYPE_CHECKING:
-    from warpav.runs.progress import RunDisplay
+    from warpav.detection.detector import Detector
+    from warpav.raster.mesh import Mesh
 
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 TOWN_SEEDS = tuple(range(500_000, 500_050))
 TOWN_HELD_OUT = tuple(range(500_050, 500_080))
 VIEWS_PER_SCENE = 24
+LEAST_FIT_SCENES = 20
+"""Training scenes of the user's own on which a fit can be made and judged."""
+
+_FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
+"""What was fitted for detectors that are objects, by what it was fitted for."""
+
 # streams of random numbers
 _CAMERAS, _FOLDS = 11, 12
 
@@ -67,22 +78,89 @@ def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[in
     seeds = FitSeeds(usual.fit if fit is None else fit, usual.held_out if held_out is None else held_out)
     shared = sorted(set(seeds.fit) & set(seeds.held_out))
     if shared:
-        raise InputError(
-            f"command line (--held-out): expected scenes that the curves are not fitted on, got {len(shared)} of "
-            f"them, such as {shared[0]}; change --scenes or --held-out"
+        raise ArgumentError(
+            "held_out",
+            f"expected scenes that the curves are not fitted on, got {len(shared)} of them, such as {shared[0]}; "
+            "change `scenes` or `held_out`",
         )
     tested = sorted(set(seeds.fit) & set(config.scenes.test_seeds))
     if tested:
-        raise InputError(
-            f"command line (--scenes): expected other scenes than scenes.test_seeds, got {len(tested)} of them, such "
-            f"as {tested[0]}; change --scenes or scenes.test_seeds"
+        raise ArgumentError(
+            "scenes",
+            f"expected other scenes than scenes.test_seeds, got {len(tested)} of them, such as {tested[0]}; change "
+            "`scenes` or scenes.test_seeds",
         )
     if not seeds.held_out:
-        raise InputError(
-            f"scenes.train_seeds: expected at least 4 scenes to fit and to judge by, got {len(seeds.fit)}; "
-            "give --scenes and --held-out"
+        raise ArgumentError(
+            "scenes.train_seeds",
+            f"expected at least 4 scenes to fit and to judge by, got {len(seeds.fit)}; give `scenes` and `held_out`",
         )
     return seeds
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model of detection probability, and what it was fitted on and judged by.
+
+    Attributes:
+        model: The model, with its record.
+        known: What the detector made of the scenes that it was fitted on.
+        unseen: The same of those that it was judged by.
+        probability: What it says of these, float64 [sighting].
+        scores: How good that is.
+    """
+
+    model: DetectionProbability
+    known: DetectionSamples
+    unseen: DetectionSamples
+    probability: np.ndarray
+    scores: Scores
+
+
+def ensure_fit(
+    config: Config,
+    *,
+    detector: Detector | None = None,
+    ego: Mesh | None = None,
+    progress: Progress | None = None,
+) -> DetectionProbability:
+    """The model of detection probability of a detector and its surroundings: the stored one, else fitted and stored.
+
+    Where there are too few scenes of the user's own to fit it on, embedded ones take their place. What is fitted for a
+    detector or a vehicle that is an object is kept while the object lives.
+
+    Args:
+        config: Detector, camera, scenes.
+        detector: The detector, where it is an object and not ``config.detector``.
+        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
+        progress: Told that it has to be fitted, and how far that is.
+
+    Raises:
+        InputError: It cannot be fitted or read, or was fitted on scenes that a result is judged by.
+    """
+    progress = progress or NullProgress()
+    scene_count = len(config.scenes.train_seeds)
+    if config.scenes.source != "town" and scene_count < LEAST_FIT_SCENES:
+        progress.say(
+            f"detection probability is that of the embedded scenes: to fit it on others takes {LEAST_FIT_SCENES}, "
+            f"scenes.train_seeds has {scene_count}"
+        )
+        config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
+    use = detector_use(config, ego)
+    fitting = "detection probability has not been fitted for this detector and camera yet; that is done once, now"
+    if detector is not None:
+        kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
+        if use.identity not in kept:
+            progress.say(fitting)
+            seeds = chosen_seeds(config, None, None)
+            kept[use.identity] = fit(config, seeds, detector=detector, ego=ego, progress=progress).model
+        return kept[use.identity]
+    if stored_file(use) is None:
+        progress.say(fitting)
+        found = fit(config, chosen_seeds(config, None, None), ego=ego, progress=progress)
+        _write(found.model, use, None)
+        _show(found.model.record, progress)
+    return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
 
 def fit_detector(
@@ -93,9 +171,9 @@ def fit_detector(
     held_out_seeds: tuple[int, ...] | None,
     out: Path | None,
     again: bool,
-    display: RunDisplay,
+    progress: Progress,
 ) -> Path:
-    """Fit p(detected), or take the stored fit, and show how good it is.
+    """Fit the detection probability of a detector, or take the stored fit, and show how good it is.
 
     Args:
         config: Detector, camera, scenes.
@@ -104,24 +182,23 @@ def fit_detector(
         held_out_seeds: Scenes to judge by; None: see `chosen_seeds`.
         out: Folder to keep it in; None: beside the detector's file, or in the user's cache.
         again: Whether to fit even if there is a stored fit.
-        display: Where to show it.
+        progress: Where to show it.
 
     Returns:
-        The file of the model.
+        The file of the model; its figures lie beside it.
 
     Raises:
         InputError: The input is wrong, or there are too few objects to fit or to judge by.
     """
-    began = time.perf_counter()
+    from warpav.view.figures.statistics import detection_curves, reliability_diagram
+
     use = detector_use(config)
     seeds = chosen_seeds(config, fit_seeds, held_out_seeds)
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(
-                f"command line (--out): expected a folder to write to, got {str(out)!r} ({error.strerror})"
-            ) from None
+            raise ArgumentError("out", f"expected a folder to write to, got {str(out)!r} ({error.strerror})") from None
     stored = stored_file(use) if out is None else _existing(out / use.file_name)
     if stored is not None and not again:
         model = DetectionProbability.read(stored, use=use)
@@ -129,53 +206,91 @@ def fit_detector(
             held_out_seeds is None or list(held_out_seeds) == model.record["held_out"]["seeds"]
         )
         if as_asked and not set(model.record["fit"]["seeds"]) & set(config.scenes.test_seeds):
-            display.say(f"{stored} fits this detector, camera and source of scenes already; --again fits it again")
-            _show(model.record, display)
+            progress.say(f"{stored} fits this detector, camera and source of scenes already and is used as it is")
+            _show(model.record, progress)
             return stored
-    sightings = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), display)
-    display.stage("fitting")
-    known, unseen = sightings.of_seeds(seeds.fit), sightings.of_seeds(seeds.held_out)
+    found = fit(config, seeds, words=words, progress=progress)
+    file = _write(found.model, use, out)
+    scores = found.scores
+    reliability_diagram(
+        scores.bins,
+        found.probability,
+        found.unseen.is_detected,
+        file.with_name(f"{file.stem}_reliability.png"),
+        title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
+    )
+    detection_curves(found.model, found.known.feature, file.with_name(f"{file.stem}_curves.png"))
+    _show(found.model.record, progress)
+    return file
+
+
+def fit(
+    config: Config,
+    seeds: FitSeeds,
+    *,
+    detector: Detector | None = None,
+    ego: Mesh | None = None,
+    words: Sequence[str] = ("warpav", "detector", "fit"),
+    progress: Progress,
+) -> Fit:
+    """Fit the detection probability of a detector; nothing is written.
+
+    Args:
+        config: Detector, camera, scenes.
+        seeds: Scenes to fit and to judge by.
+        detector: The detector, where it is an object and not ``config.detector``.
+        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
+        words: The command, for the record.
+        progress: Where to show it.
+
+    Raises:
+        InputError: There are too few objects to fit or to judge by.
+    """
+    began = time.perf_counter()
+    name = config.detector.model if detector is None else type(detector).__name__
+    detector = load_detector(config) if detector is None else detector
+    samples = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
+    progress.stage("fitting")
+    known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
         model, penalty = fit_probability(known, rng=np.random.default_rng([config.run.seed, _FOLDS]))
     except ValueError as error:
-        raise InputError(
-            f"{use.model}: p(detected): {error}; give more scenes by --scenes, or other sizes of image"
+        raise ArgumentError(
+            "scenes", f"{error}; give more `scenes`, or other sizes of image", place=f"{name}: detection probability"
         ) from None
     probability = model.of_features(unseen.feature)
     try:
         scores = score(probability, unseen.is_detected)
     except ValueError as error:
-        raise InputError(f"{use.model}: held-out scenes: {error}; give more scenes by --held-out") from None
-    model = replace(
-        model,
-        record={
-            "command": shlex.join(words),
-            "seconds": round(time.perf_counter() - began, 1),
-            "fit": {"seeds": list(seeds.fit), "views_per_scene": VIEWS_PER_SCENE, **_counts(known), "penalty": penalty},
-            "held_out": {"seeds": list(seeds.held_out), **_counts(unseen), **asdict(scores)},
-        },
-    )
-    file = _write(model, use, out)
-    reliability_diagram(
-        scores.bins,
-        probability,
-        unseen.is_detected,
-        file.with_name(f"{file.stem}_reliability.png"),
-        title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
-    )
-    detection_curves(model, known.feature, file.with_name(f"{file.stem}_curves.png"))
-    _show(model.record, display)
-    return file
+        raise ArgumentError("held_out", f"{error}; give more scenes as `held_out`", place=name) from None
+    record = {
+        "command": shlex.join(words),
+        "seconds": round(time.perf_counter() - began, 1),
+        "fit": {"seeds": list(seeds.fit), "views_per_scene": VIEWS_PER_SCENE, **_counts(known), "penalty": penalty},
+        "held_out": {"seeds": list(seeds.held_out), **_counts(unseen), **asdict(scores)},
+    }
+    return Fit(replace(model, record=record), known, unseen, probability, scores)
+
+
+def _is_weak(detector: object) -> bool:
+    """Whether a fit can be kept for as long as an object lives."""
+    try:
+        weakref.ref(detector)
+        hash(detector)
+    except TypeError:
+        return False
+    return True
 
 
 def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -> Sightings:
+def _look_at_scenes(
+    config: Config, seeds: Sequence[int], detector: Detector, ego: Mesh | None, progress: Progress
+) -> DetectionSamples:
     """What the detector finds of the scenes through random cameras on the mount surface."""
     device = checked_device(config.device)
-    detector = load_detector(config)
     model = camera_model(config)
     at_once = min(VIEWS_PER_SCENE, chunk_view_count(model, supersampling=config.camera.supersampling))
     renderer = Renderer(
@@ -185,13 +300,13 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
         device=device,
     )
 
-    def parts() -> Iterator[Sightings]:
+    def parts() -> Iterator[DetectionSamples]:
         surface = None
-        for seed, scene in zip(seeds, load_scenes(config, seeds), strict=True):
+        for seed, scene in zip(seeds, load_scenes(config, seeds, ego=ego), strict=True):
             surface = surface or mount_surface(config, scene.ego)
             packed = DeviceScene.pack(scene, device=device)
             if packed.vehicle_count == 0:
-                yield Sightings.join([])
+                yield DetectionSamples.join([])
                 continue
             cameras = random_cameras(
                 np.random.default_rng([config.run.seed, _CAMERAS, seed]),
@@ -201,9 +316,9 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 count=-(-VIEWS_PER_SCENE // at_once) * at_once,
                 **vars(free_ranges(config)),
             )
-            yield Sightings.join(
+            yield DetectionSamples.join(
                 [
-                    look(
+                    sample_detections(
                         renderer,
                         packed,
                         cameras[first : first + at_once],
@@ -216,11 +331,11 @@ def _look_at_scenes(config: Config, seeds: Sequence[int], display: RunDisplay) -
                 ]
             )
 
-    return Sightings.join(list(display.steps("looking at scenes", parts(), count=len(seeds))))
+    return DetectionSamples.join(list(progress.steps("looking at scenes", parts(), count=len(seeds))))
 
 
-def _counts(sightings: Sightings) -> dict[str, int]:
-    return {"objects": len(sightings), "detected": int(sightings.is_detected.sum())}
+def _counts(samples: DetectionSamples) -> dict[str, int]:
+    return {"objects": len(samples), "detected": int(samples.is_detected.sum())}
 
 
 def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> Path:
@@ -239,16 +354,18 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
     try:
         return model.write(folders[-1], use)
     except OSError as error:
-        raise InputError(f"{folders[-1]}: expected a folder to write to, got {error.strerror}; give --out") from None
+        raise ArgumentError(
+            "out", f"expected a folder to write to, got {error.strerror}; give another as `out`", place=folders[-1]
+        ) from None
 
 
-def _show(record: Any, display: RunDisplay) -> None:  # noqa: ANN401 (JSON)
+def _show(record: Any, progress: Progress) -> None:  # noqa: ANN401 (JSON)
     fit, held_out = record["fit"], record["held_out"]
     for name, part in (("fitted on", fit), ("judged on", held_out)):
-        display.say(
+        progress.say(
             f"{name} {part['objects']} objects in views of {len(part['seeds'])} scenes, {part['detected']} detected"
         )
-    display.say(
+    progress.say(
         f"AUC {held_out['auc']:.3f}, Brier score {held_out['brier']:.4f} (of the base rate "
         f"{held_out['brier_base_rate']:.4f}), "
         f"expected calibration error {held_out['calibration_error']:.4f} ({BIN_COUNT} bins of equal number)"

@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
-from warpav.detection.training.data import SUBSETS, load_pictures, write_pictures
+from warpav.detection.training.data import SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
-from warpav.runs.run_folder import write_json
-from warpav.runs.sources import load_detector
+from warpav.runs.networks import load_detector
 
 LEAST_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
@@ -84,16 +84,14 @@ def train_detector(
         if value < least:
             raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
     if not stop_after_minutes > 0.0:
-        raise InputError(f"command line (--stop-after-minutes): expected more than 0, got {stop_after_minutes:g}")
+        raise ArgumentError("stop_after_minutes", f"expected more than 0, got {stop_after_minutes:g}")
     import torch  # pyright: ignore[reportMissingImports]
 
     from warpav.detection.training import train
 
     devices = ("cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count())))
     if device not in devices:
-        raise InputError(
-            f"command line (--device): expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}"
-        )
+        raise ArgumentError("device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     picture_folder = _made_folders(out, pictures)
     file = train.train_detector(
@@ -143,10 +141,10 @@ def measure_detector(
     report: dict[str, dict[str, dict[str, Any]]] = {}
     for name, title in _SUBSETS.items():
         say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
-        write_pictures(SUBSETS[name], folder / name, processes=processes)
+        write_images(SUBSETS[name], folder / name, processes=processes)
         report[title] = {
             str(side_px): evaluate(detector, each.first(image_count))
-            for side_px, each in load_pictures(folder / name).items()
+            for side_px, each in load_images(folder / name).items()
         }
     write_json(out / "evaluation.json", report)
     text = tables(report)

@@ -14,9 +14,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError
 from warpav.core.warp_setup import load_warp
-from warpav.runs.run_folder import package_versions, required_packages
+from warpav.runs.environment import package_versions, required_packages
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120
@@ -54,7 +54,11 @@ def examine(json_file: Path | None = None) -> int:
     from rich.console import Console
 
     if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
+        raise ArgumentError(
+            place=json_file,
+            option="json",
+            text=f"expected an existing folder to write to, got {str(json_file.parent)!r}",
+        )
     console = Console(highlight=False, soft_wrap=True)
     styles = {"ok": "green", "warning": "yellow", "failed": "red"}
     findings = []
@@ -103,18 +107,24 @@ def check_devices() -> Finding:
 
 
 def check_cache() -> Finding:
-    """The folder in which Warp keeps compiled kernels."""
+    """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
+    from warpav.scene.cache import scene_cache_folder
+
     wp = load_warp()
+    scenes = list(scene_cache_folder().glob("*.npz"))
+    megabytes = sum(file.stat().st_size for file in scenes) / 1e6
+    data = {"folder": str(wp.config.kernel_cache_dir), "scenes": str(scene_cache_folder()), "scene_count": len(scenes)}
     folder = Path(wp.config.kernel_cache_dir or "")
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         text = f"{folder}: {error.strerror}; set WARP_CACHE_PATH to a folder that can be written"
-        return Finding("cache", "failed", text, {"folder": str(folder)})
-    return Finding("cache", "ok", f"compiled kernels are kept in {folder}", {"folder": str(folder)})
+        return Finding("cache", "failed", text, data)
+    text = f"kernels in {folder}, {len(scenes)} scenes ({megabytes:.0f} MB) in {scene_cache_folder()}"
+    return Finding("cache", "ok", text, data)
 
 
 def check_providers() -> Finding:

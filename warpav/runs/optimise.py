@@ -1,277 +1,187 @@
-"""The main job: a configuration becomes an optimised rig beside its baselines, in a run folder."""
+"""The optimiser on a placement: where it starts, its steps, and what comes of them."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from warpav.core.errors import InputError
-from warpav.evaluation.blind_ground import BlindGround
-from warpav.evaluation.metrics import ArmMetrics, ObjectOutcome, evaluate_rig, look_at_scenes, metrics_of
-from warpav.evaluation.statistics import paired_differences
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.gradient import Descent
-from warpav.optimisation.rivals import random_search
-from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
+from warpav.core.errors import ArgumentError
+from warpav.core.progress import Progress
+from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import IterationRecord
+from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config
-from warpav.runs.problem import Problem, Stream, begin_descent, has_ordered_start, load_problem, read_start
-from warpav.runs.progress import show_verdict
-from warpav.runs.report.report import write_report
-from warpav.runs.run_figures import draw_run
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run, write_json
-from warpav.runs.sources import arm_name, check_rig_source, device_name, find_rig, is_run_folder
-
-if TYPE_CHECKING:
-    from warpav.optimisation.objective import AssignedScene
-    from warpav.runs.progress import RunDisplay
-    from warpav.scene.device_scene import DeviceScene
+from warpav.runs.config import changed_config
+from warpav.runs.placement import Placement, Stream
+from warpav.runs.progress import shown_progress
+from warpav.runs.result import Result
 
 
-def optimise_rig(config: Config, *, name: str, display: RunDisplay) -> RunFolder:
-    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
+def optimise(
+    placement: Placement,
+    *,
+    progress: bool | Progress | None = None,
+    iterations: int | None = None,
+    seed: int | None = None,
+) -> Result:
+    """Move the cameras of a rig until the detector is expected to miss fewer road users. Nothing is written.
+
+    Gradients of the objective flow to the poses of the cameras through the boundaries of what they see.
 
     Args:
-        config: What to do.
-        name: Name of the run when ``run.out`` gives none.
-        display: Where to show it.
-
-    Returns:
-        The run folder.
+        placement: Which cameras, in which traffic, for which detector.
+        progress: True: a bar in a terminal, lines elsewhere; an object receives what happens; None or False: nothing.
+        iterations: Steps; None: ``run.iterations`` of the placement's configuration.
+        seed: Of every random choice; None: ``run.seed``.
 
     Raises:
-        InputError: Something in the input is wrong.
-        KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
+        InputError: The input is wrong: the cameras do not fit on the vehicle, or the loss is no longer finite.
+        TypeError: ``placement`` is no placement.
     """
-    laps = Laps()
-    check_new_run(config)
-    start_rig = read_start(config)
-    problem = load_problem(config, display)
-    laps.end("scenes and detector")
-    mount = problem.objective.mount
-    if config.optimiser.starts > 1:
-        display.stage(f"best of {config.optimiser.starts} rigs to start from")
-    beginning = begin_descent(problem, start_rig)
-    descent, began_as = beginning.descent, beginning.rig
-    start = descent.start
-    laps.end("looking for a start")
-
-    folder = RunFolder.create(config, name=name, device=device_name(config.device), start=start_rig)
-    display.say(f"run folder: {folder.path}")
-    folder.write_rig("initial", mount.rig(start))
-    try:
-        descend(descent, folder, display)
-        result = descent.finish()
-        folder.write_rig("best", mount.rig(descent.best.mount_pose))
-        folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
-        laps.end("descent")
-
-        arms = compare(problem, {"optimised": result.mount_pose, "start": start}, began_as, display)
-        laps.end("comparison on the test scenes")
-        display.stage("ground that no camera sees")
-        ground = BlindGround.of({arm: each.rig for arm, each in arms.items()}, scenes_of(problem.test))
-        laps.end("ground that no camera sees")
-        evaluation = {
-            **evaluation_of({arm: each.metrics for arm, each in arms.items()}),
-            "training_objective": {
-                "start": descent.candidates[0].training_objective,
-                "optimised": result.training_objective,
-            },
-            "descent": {
-                "iterations": descent.iteration,
-                "planned": config.run.iterations,
-                "ended": descent.verdict,
-                "kept": result.iteration,
-            },
-            "constraints": {arm: problem.objective.constraints.margins(each.rig) for arm, each in arms.items()},
-            "outcomes": outcomes_of(scenes_of(problem.test), {arm: each.outcomes for arm, each in arms.items()}),
-            "ground": ground.table(),
-        }
-        folder.write_evaluation({**evaluation, "seconds": laps.seconds})
-        display.stage("figures and report")
-        folder.write_ground(ground.arrays(problem.ego.bounds_m()))
-        draw_run(
-            folder,
-            {"start": mount.rig(start), "optimised": mount.rig(result.mount_pose)},
-            objective=problem.objective,
-            scene=problem.shown,
-            assigned=shown_scenes(problem.test, arms["optimised"].outcomes),
-            say=display.say,
-        )
-        laps.end("figures")
-        folder.write_evaluation({**evaluation, "seconds": laps.seconds})
-        report = write_report(folder)
-        show_verdict(display.console, evaluation)
-        display.say(f"report: {report}   took {laps.total_s():.0f} s")
-    except KeyboardInterrupt:
-        display.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
-        raise
-    return folder
+    if not isinstance(placement, Placement):
+        raise TypeError(f"placement: expected a Placement, got {type(placement).__name__}")
+    overrides = []
+    for name, option, value in (("iterations", "run.iterations", iterations), ("seed", "run.seed", seed)):
+        if value is not None:
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+                raise TypeError(f"{name}: expected a whole number, got {value!r}")
+            if value < (name == "iterations"):
+                raise ArgumentError(name, f"expected at least {int(name == 'iterations')}, got {value}")
+            overrides.append(f"{option}={int(value)}")
+    if overrides:
+        placement = placement.with_config(changed_config(placement.config, overrides, origin=None))
+    with shown_progress(progress) as shown:
+        placement.prepare(shown)
+        optimisation = Optimisation.begin(placement, progress=shown)
+        optimisation.run(progress=shown)
+        return optimisation.result()
 
 
-@dataclass(frozen=True)
-class Compared:
-    """A rig on the test scenes.
+class Optimisation:
+    """One run of the optimiser, step by step.
 
     Attributes:
-        rig: The rig.
-        metrics: Its metrics.
-        outcomes: What becomes of every object, [scene][object].
+        placement: What it runs on.
+        descent: The descent.
+        began_as: The rig whose cameras the orientations are paired with; None when camera k takes orientation k. See
+            `Placement.assigned`.
+        records: What every step did.
     """
 
-    rig: Rig
-    metrics: ArmMetrics
-    outcomes: list[list[ObjectOutcome]]
+    def __init__(self, placement: Placement, descent: Descent, began_as: Rig | None) -> None:
+        """A run before its first step."""
+        self.placement = placement
+        self.descent = descent
+        self.began_as = began_as
+        self.records: list[IterationRecord] = []
 
+    @classmethod
+    def begin(cls, placement: Placement, *, progress: Progress | None = None) -> Optimisation:
+        """Find the rig to start from.
 
-class Laps:
-    """Wall time of the stages of a run [s]."""
+        It is the rig that ``rig.start`` means, or the best of ``optimiser.starts`` rigs on the validation scenes, that
+        one among them; with ``optimiser.descents`` the next descent starts from the second best, and so on.
 
-    def __init__(self) -> None:
-        self._began = self._last = time.perf_counter()
-        self._seconds: dict[str, float] = {}
+        Args:
+            placement: What to run on.
+            progress: Told that several starts are tried.
 
-    def end(self, stage: str) -> None:
-        """The stage that began with the end of the one before ends now."""
-        now = time.perf_counter()
-        self._seconds[stage] = now - self._last
-        self._last = now
-
-    def total_s(self) -> float:
-        """Since the beginning [s]."""
-        return time.perf_counter() - self._began
+        Raises:
+            InputError: The cameras do not fit on the mount surface.
+        """
+        config, mount = placement.config, placement.mount
+        start = start_pose(placement)
+        further: list[np.ndarray] = []
+        began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
+        if config.optimiser.starts > 1:
+            if progress is not None:
+                progress.stage(f"best of {config.optimiser.starts} rigs to start from")
+            space = SearchSpace.over(
+                mount,
+                config.rig.cameras,
+                constraints=placement.objective.constraints,
+                yaw_rad=placement.yaw_rad,
+            )
+            rng = placement.random_numbers(Stream.STARTS)
+            found = evaluate_starts(
+                placement.objective, placement.validation, space, config.optimiser.starts, rng, known=start
+            )
+            # those without a finite value are no starts; then some are taken twice
+            start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
+        return cls(placement, descent_from(placement, start, began_as, further_starts=further), began_as)
 
     @property
-    def seconds(self) -> dict[str, float]:
-        """Of every stage that has ended, and ``total`` up to there."""
-        return {**self._seconds, "total": self._last - self._began}
+    def start(self) -> Rig:
+        """The rig that it starts from."""
+        return self.placement.mount.rig(self.descent.start)
+
+    def run(self, *, progress: Progress, on_step: Callable[[IterationRecord], None] | None = None) -> None:
+        """Take all steps, or as many as are of use.
+
+        Args:
+            progress: Shows every step.
+            on_step: Called with the record of every step, before the next.
+        """
+        config, descent = self.placement.config, self.descent
+        steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
+        for record in progress.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
+            self.records.append(record)
+            if on_step is not None:
+                on_step(record)
+        if descent.verdict is not None:
+            progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
+
+    def result(self) -> Result:
+        """What it has come to; the last look at all validation scenes is taken here."""
+        found = self.descent.finish()
+        return Result.of(self.placement, self.descent, found, self.records, self.began_as)
 
 
-def descend(descent: Descent, folder: RunFolder, display: RunDisplay) -> None:
-    """Take all steps, or as many as are of use, each shown and written before the next."""
-    config = folder.config()
-    mount = descent.objective.mount
-    steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
-    for record in display.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
-        state = descent.state()
-        folder.append_event(record)
-        folder.write_checkpoint(state)
-        folder.write_rig("final", mount.rig(state["pose_value"]))
-        if record.training_objective is not None:
-            folder.write_rig("best", mount.rig(descent.best.mount_pose))
-    if descent.verdict is not None:
-        display.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
-
-
-def compare(
-    problem: Problem, mount_poses: Mapping[str, np.ndarray], began_as: Rig | None, display: RunDisplay
-) -> dict[str, Compared]:
-    """Look at the test scenes with some rigs on the mount surface, that of the highest point, and the best random rig.
+def descent_from(
+    placement: Placement,
+    start: np.ndarray,
+    began_as: Rig | None,
+    *,
+    further_starts: Sequence[np.ndarray] = (),
+) -> Descent:
+    """A descent on the training scenes from a rig.
 
     Args:
-        problem: What to measure against.
-        mount_poses: Mount poses by the name of the arm, [camera, 7].
-        began_as: The rig that these began as; None when camera k took orientation k.
-        display: Where to show it.
+        placement: What to descend on.
+        start: Mount poses of the rig, float32 [camera, 7].
+        began_as: Whose cameras take the orientations, see `Placement.assigned`.
+        further_starts: Where it begins again, see `Descent`.
     """
-    config, mount = problem.config, problem.objective.mount
-    constraints = problem.objective.constraints
-    highest = mount.within(highest_mount_pose(constraints, config.rig.cameras))
-    samples, rng = config.baselines.random_samples, problem.random_numbers(Stream.SEARCH)
-    chosen = rng.choice(len(problem.train), min(config.baselines.random_scenes, len(problem.train)), replace=False)
-    display.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
-    space = SearchSpace.over(
-        mount,
-        config.rig.cameras,
-        constraints=constraints,
-        yaw_rad=problem.yaw_rad,
-        yaw_reach_rad=0.0,
+    return Descent(
+        placement.objective,
+        placement.assigned(placement.train, began_as),
+        placement.config.optimiser,
+        start,
+        placement.random_numbers(Stream.BATCHES),
+        iterations=placement.config.run.iterations,
+        batch_size=placement.config.run.batch_size,
+        validation=placement.assigned(placement.validation, began_as),
+        further_starts=further_starts,
     )
-    scenes = [problem.train[k] for k in chosen]
-    value = BudgetedValue.of(problem.objective, scenes, space, render_budget=samples * len(scenes))
-    found = run_search(random_search, value, rng)
-    poses = {**mount_poses, "highest": highest, "random": found.mount_pose}
-    beginnings = {**dict.fromkeys(mount_poses, began_as), "highest": mount.rig(highest), "random": problem.held_rig}
-    arms = {}
-    for arm, pose in display.steps("comparing", poses.items(), count=len(poses)):
-        seen = look_at_scenes(mount.rig(pose), problem.assigned(problem.test, beginnings[arm]), problem.objective)
-        arms[arm] = Compared(seen.rig, metrics_of(seen, problem.objective), [look.outcomes for look in seen.looks])
-    return arms
 
 
-def scenes_of(assigned: Sequence[AssignedScene]) -> list[DeviceScene]:
-    """The scenes, whoever their vehicles are assigned to."""
-    return [item.scene for item in assigned]
+def start_pose(placement: Placement) -> np.ndarray:
+    """Mount poses that the optimiser starts from: those of the placement's start rig, or as ``rig.start`` says.
 
-
-def outcomes_of(
-    scenes: Sequence[DeviceScene], outcomes: Mapping[str, Sequence[Sequence[ObjectOutcome]]]
-) -> list[dict[str, Any]]:
-    """Every object of the scenes, where it is, and what becomes of it before every rig, for ``evaluation.json``.
-
-    Args:
-        scenes: The scenes.
-        outcomes: By the name of the arm, [scene][object].
-    """
-    return [
-        {
-            "scene": scene.name,
-            "category": scene.category[k],
-            "distance_m": round(float(np.hypot(*scene.from_ego_m[k])), 3),
-            "bearing_deg": round(float(np.degrees(np.arctan2(*scene.from_ego_m[k][::-1]))), 2),
-            "outcome": {arm: each[number][k] for arm, each in outcomes.items()},
-        }
-        for number, scene in enumerate(scenes)
-        for k in range(scene.vehicle_count)
-    ]
-
-
-def shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[ObjectOutcome]]) -> list[AssignedScene]:
-    """The first scene, and of the others that in which a rig leaves most objects undetected, if it leaves any."""
-    undetected = [sum(outcome != ObjectOutcome.DETECTED for outcome in each) for each in outcomes]
-    hardest = max(range(1, len(scenes)), key=undetected.__getitem__, default=0)
-    return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
-
-
-def measure_rig(source: str, config: Config, *, json_file: Path | None, display: RunDisplay) -> dict[str, Any]:
-    """Metrics of one rig on the test scenes: shown, and written to a file.
-
-    Args:
-        source: Rig YAML, preset, run folder, or ``highest``.
-        config: The scenes, the detector and the objective.
-        json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
-        display: Where to show it.
+    Returns:
+        float32 [camera, 7], the precision that the optimiser keeps: a start that stays the best is the same rig.
 
     Raises:
-        InputError: The rig, the file or something in the configuration cannot be used.
+        InputError: The cameras do not fit on the mount surface.
     """
-    check_rig_source(source)
-    if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(json_file.parent)!r}")
-    problem = load_problem(config, display)
-    rig = find_rig(source, config, problem.ego)
-    began_as = rig
-    if is_run_folder(source):
-        began_as = problem.held_rig if has_ordered_start(config) else RunFolder.open(source).rig("initial")
-    metrics = evaluate_rig(rig, problem.assigned(problem.test, began_as), problem.objective)
-    evaluation = {"schema": EVALUATION_SCHEMA, **evaluation_of({arm_name(source): metrics})}
-    show_verdict(display.console, evaluation)
-    if json_file is not None:
-        write_json(json_file, evaluation)
-        display.say(f"wrote {json_file}")
-    return evaluation
-
-
-def evaluation_of(arms: Mapping[str, ArmMetrics]) -> dict[str, Any]:
-    """The content of ``evaluation.json``: metrics by arm, and how the first arm differs from every other."""
-    first, *others = arms
-    return {
-        "scenes": {"test": len(arms[first].per_scene["tp_detection_rate"])},
-        "arms": {name: asdict(metrics) for name, metrics in arms.items()},
-        "paired": {name: paired_differences(arms[first], arms[name]) for name in others},
-    }
+    config, constraints = placement.config, placement.objective.constraints
+    if placement.start_rig is not None:
+        return placement.mount.start_pose_of_rig(placement.start_rig)
+    if config.rig.start == "highest":
+        pose = highest_mount_pose(constraints, config.rig.cameras)
+    else:
+        pose = random_mount_pose(constraints, placement.segregation.yaw_rad, rng=placement.random_numbers(Stream.START))
+    return pose.astype(np.float32)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
+from rich import progress as progress_bar
 from rich.console import Console, Group
 from rich.live import Live
 from rich.measure import Measurement
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from rich.text import Text
 
-from warpav.runs.run_folder import ARM_ROWS, recall_rows
+from warpav.core.progress import NullProgress, Progress
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -42,7 +42,7 @@ class RunDisplay:
         self.console = console or Console(
             highlight=False, soft_wrap=True, force_terminal=is_terminal, force_jupyter=False
         )
-        self._progress = Progress(
+        self._bar = progress_bar.Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(bar_width=32),
@@ -122,19 +122,37 @@ class RunDisplay:
 
     def _start(self, description: str, count: int | None) -> None:
         if self._task is not None:
-            self._progress.remove_task(self._task)
+            self._bar.remove_task(self._task)
         self._numbers = None
-        self._task = self._progress.add_task(description, total=count, speed="")
+        self._task = self._bar.add_task(description, total=count, speed="")
         if not self.console.is_terminal:
             self.say(description if count is None else f"{description}: {count}")
 
     def _advance(self, number: int, began: float) -> None:
         if self._task is not None:
             speed = (time.perf_counter() - began) / number
-            self._progress.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
+            self._bar.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
 
     def _render(self) -> RenderableType:
-        return Group(self._progress, self._numbers) if self._numbers is not None else self._progress
+        return Group(self._bar, self._numbers) if self._numbers is not None else self._bar
+
+
+@contextlib.contextmanager
+def shown_progress(progress: bool | Progress | None) -> Iterator[Progress]:
+    """What a job reports to: a display for True, nothing for False and None, else the object itself.
+
+    Raises:
+        TypeError: It is something else.
+    """
+    if progress is True:
+        with RunDisplay() as display:
+            yield display
+    elif progress is None or progress is False:
+        yield NullProgress()
+    elif callable(getattr(progress, "steps", None)):
+        yield progress
+    else:
+        raise TypeError(f"progress: expected True, False or an object with the Progress protocol, got {progress!r}")
 
 
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
@@ -153,73 +171,11 @@ def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
     }
 
 
-def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
-    """A table with one row per metric and one column per arm."""
-    table = Table(title=title or None, title_justify="left", header_style="bold")
-    table.add_column("", no_wrap=True)
-    for name in arms:
-        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
-    for field, heading in ARM_ROWS.items():
-        table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
-    return table
-
-
-def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
-    """The rig's recall by distance, sector and class, one column per arm; None where the metrics do not hold it."""
-    blocks = recall_rows(arms)
-    if not blocks:
-        return None
-    table = Table(title="recall of the rig", title_justify="left", header_style="bold")
-    table.add_column("", no_wrap=True)
-    table.add_column("objects", justify="right")
-    for name in arms:
-        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
-    for block in blocks:
-        for row in block:
-            table.add_row(*map(Text, row))
-        table.add_section()
-    return table
-
-
-def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
-    """Print the arms' metrics, whether the constraints are met, and what the run has changed.
-
-    Args:
-        console: Where to.
-        evaluation: The content of ``evaluation.json``.
-    """
-    arms = evaluation["arms"]
-    console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
-    recall = recall_table(arms)
-    if recall is not None:
-        console.print(recall)
-    name, metrics = next(iter(arms.items()))
-    violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
-    met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
-    console.print(met if violation == 0.0 else f"[red]constraints broken[/] by {_number(violation)} m")
-    training = evaluation.get("training_objective")
-    if training:
-        start, end = training["start"], training["optimised"]
-        change = f" ({(end - start) / start:+.1%})" if start else ""
-        console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
-    for other, differences in evaluation.get("paired", {}).items():
-        found = differences["tp_detection_rate"]
-        if found["low"] is not None:
-            console.print(
-                f"recall of the rig, {name} - {other}: {found['mean']:+.4f} "
-                f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
-            )
-
-
 def _grid(rows: Mapping[str, str]) -> Table:
     grid = Table.grid(padding=(0, 2))
     for name, value in rows.items():
         grid.add_row(f"  {name}", value)
     return grid
-
-
-def _metric(value: float | None) -> str:
-    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
 
 
 def _number(value: float | None) -> str:

@@ -7,27 +7,34 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.devices import checked_device
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import check_folder
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
-from warpav.runs.run_folder import RunFolder, check_folder, trajectory
-from warpav.runs.sources import checked_device, find_rig, load_scene
+from warpav.runs.events import trajectory
+from warpav.runs.rig_source import find_rig
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
-    from warpav.optimisation.objective import AssignedScene, RigObjective
+    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.objective import RigObjective
+    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
 VIEW_PX = 960
-"""Longer side of the pictures that are kept of what cameras see."""
+"""Longer side of the images that are kept of what cameras see."""
 
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
@@ -52,7 +59,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     """
     from warpav.detection.images import render_images
 
-    check_folder(out, "--out")
+    check_folder(out, "out")
     scene = load_scene(source, config)
     device = checked_device(config.device)
     cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
@@ -67,58 +74,82 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
             for file in sorted(Path(draft).iterdir()):
                 os.replace(file, out / file.name)
     except OSError as error:
-        raise InputError(f"{out}: --out: expected a folder to write to, got: {error.strerror}") from None
+        raise ArgumentError("out", f"expected a folder to write to, got: {error.strerror}", place=out) from None
     return out
 
 
-def draw_run(
-    folder: RunFolder,
-    rigs: Mapping[str, Rig],
-    *,
-    objective: RigObjective,
-    scene: Scene,
-    assigned: Sequence[AssignedScene],
-    say: Callable[[str], None],
-) -> None:
-    """Draw the figures of a run into its folder, and keep what the cameras see for its report.
+@dataclass(frozen=True)
+class RigDrawing:
+    """What the figures of a run's rigs are drawn from; it travels to another process.
 
-    Args:
+    Attributes:
         folder: The run folder; its events are drawn too.
-        rigs: The start and the result, in this order, by their headings.
-        objective: Looks at the scene through the rigs.
+        start: The rig that the run started from.
+        result: The rig that it found.
         scene: A test scene.
-        assigned: The same scene on the device, and others of which views are kept.
-        say: Told when this machine cannot draw.
+        surface: Where cameras may stand.
+        min_spacing_m: Least distance of two cameras [m].
+        shows_zone: Whether the zone for cameras is drawn.
     """
-    from warpav.view import figures
-    from warpav.view.opengl import opengl_problem
-    from warpav.view.picture import inspect_rig as show
 
-    start, result = rigs.values()
-    path_m, surface = trajectory(folder.events()), objective.mount.surface
-    spacing_m = objective.constraints.min_spacing_m
-    figures.loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=spacing_m)
-    figures.rig_top_view(
+    folder: Path
+    start: Rig
+    result: Rig
+    scene: Scene
+    surface: MountSurface
+    min_spacing_m: float
+    shows_zone: bool
+
+
+def draw_rigs(drawing: RigDrawing) -> str | None:
+    """Draw the figures of a run for which nothing has to be rendered as the cameras see it.
+
+    Returns:
+        Why this machine cannot draw the rig in three dimensions; None where it can.
+    """
+    from warpav.view import plot
+    from warpav.view.figures.convergence import loss_curves
+    from warpav.view.figures.top_view import rig_top_view
+    from warpav.view.opengl import opengl_problem
+
+    folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
+    path_m = trajectory(folder.events())
+    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
+    rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,
         ego=scene.ego,
-        mount_surface=surface,
-        rig_initial=start,
+        mount_surface=drawing.surface,
+        rig_initial=drawing.start,
         trajectory_m=path_m,
-        shows_zone=objective.constraints.are_inequalities,
+        shows_zone=drawing.shows_zone,
     )
-    seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
-    figures.detections_sheet(seen[0], folder.figure_path("detections"))
-    _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
     problem = opengl_problem()
-    if problem:
-        say(f"no picture of the rig: {problem}")
-        return
-    show(result, ego=scene.ego, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+    if problem is None:
+        plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
+    return problem
+
+
+def draw_views(
+    folder: RunFolder, rigs: Mapping[str, Rig], *, objective: RigObjective, assigned: Sequence[AssignedScene]
+) -> None:
+    """Draw what the cameras see into a run folder, and keep it for the report.
+
+    Args:
+        folder: The run folder.
+        rigs: The start and the result, in this order, by their headings.
+        objective: Observes the scenes through the rigs.
+        assigned: The scene that is drawn, and others of which views are kept.
+    """
+    from warpav.view.figures.detections import detections_sheet
+
+    seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
+    detections_sheet(seen[0], folder.figure_path("detections"))
+    _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as pictures and boxes.
+    """Write what cameras see into a run folder, by scene and by rig, as images and boxes.
 
     Args:
         folder: The run folder.
@@ -157,7 +188,7 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
-    from warpav.view.figures import DetectionPanel
+    from warpav.view.figures.detections import DetectionPanel
 
     seen, _, _ = objective.observe_rig(rig, assigned)
     return [

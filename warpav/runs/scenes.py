@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.executor import ExecutorName, Outcome
-from warpav.rig.rig import Rig
+from warpav.core.files import check_folder
 from warpav.runs.config import Config
 from warpav.runs.progress import RunDisplay
-from warpav.runs.run_folder import check_folder
-from warpav.runs.sources import load_scene, plan_settings, reconstruction_settings
+from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.store import (
     CaptureTask,
     SceneTask,
@@ -33,7 +32,7 @@ def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, wor
     Raises:
         InputError: The folder cannot be written to.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
     status = _show_outcomes(
         "building scenes",
@@ -69,7 +68,7 @@ def record_scenes(
     Raises:
         InputError: The folder cannot be written to, or CARLA is not there.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
     if server is None:
         outcomes = capture_scenes(tasks, executor=executor, worker_count=worker_count)
@@ -91,7 +90,7 @@ def reconstruct_scenes(
     Raises:
         InputError: There are no captures, or the folder cannot be written to.
     """
-    check_folder(out, "--out")
+    check_folder(out, "out")
     settings = reconstruction_settings(config)
     tasks = [
         SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
@@ -108,7 +107,8 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
     Raises:
         InputError: The scene or the file cannot be used, or this machine cannot draw.
     """
-    from warpav.view.picture import inspect_rig as show
+    from warpav.view import plot
+    from warpav.view.opengl import has_display
 
     scene = load_scene(source)
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
@@ -122,11 +122,10 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
             f"  {vehicle.instance_id:3}  {vehicle.category:10} {math.hypot(x, y):5.1f} m away at "
             f"{math.degrees(math.atan2(y, x)):+6.1f} deg, {length:.1f} x {width:.1f} x {height:.1f} m"
         )
-    no_cameras = Rig(())
-    fallback = Path(f"{scene.name}.png")
-    file = show(no_cameras, ego=scene.ego, scene=scene, title=scene.name, out=out, out_without_display=fallback)
-    if file is not None:
-        yield f"wrote {file}"
+    out = out or (None if has_display() else Path(f"{scene.name}.png"))
+    plot(scene, title=scene.name, out=out)
+    if out is not None:
+        yield f"wrote {out}"
 
 
 def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:

@@ -1,20 +1,27 @@
-"""``warpav vehicle check``: whether a mesh can carry the cameras, what is wrong with it, and how to mend that."""
+"""``warpav vehicle check``: whether a mesh can carry the cameras, what is wrong with it, and how to fix that."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.runs.config import Config
-from warpav.runs.sources import mount_surface
-from warpav.scene.own_vehicle import Examination, Problem, Reading, VehicleFile, examine, read_vehicle, write_vehicle
+from warpav.runs.mounts import mount_surface
+from warpav.scene.own_vehicle import (
+    Examination,
+    Reading,
+    VehicleFile,
+    VehicleProblem,
+    examine,
+    read_vehicle,
+    write_vehicle,
+)
 
 BONNET_BELOW_M = 0.15
 """A part of the mountable zone that is lower than the roof by this does not belong to it."""
@@ -28,12 +35,15 @@ class VehicleReport:
     """What was found out about a vehicle.
 
     Attributes:
-        lines: What to tell.
-        problems: What keeps it from being used, one line each; empty: it can be used.
+        lines: What was found.
+        problems: What keeps it from being used, one line each.
+        fix: Options of this check, by name, with which it writes a vehicle that can be used; None: it can be used as it
+            is, or no options fix it.
     """
 
     lines: tuple[str, ...]
     problems: tuple[str, ...]
+    fix: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ def check_vehicle(
     out: Path | None = None,
     picture: Path | None = None,
 ) -> VehicleReport:
-    """Examine a vehicle as it is read with some options, write it mended, draw it.
+    """Examine a vehicle as it is read with some options, write it fixed, draw it.
 
     Args:
         path: A mesh file.
@@ -70,7 +80,7 @@ def check_vehicle(
         up: The file's axis that points up; None: glTF's y, of other formats z.
         forward: The file's axis that points to the front; None: x.
         scale: Metres for each unit of the file; None: 1.
-        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: the wheels tell.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: it is below the rear wheels.
         out: GLB file to write the vehicle to, as ``scenes.ego`` takes it.
         picture: PNG file to draw it into.
 
@@ -78,7 +88,7 @@ def check_vehicle(
         InputError: The file holds no vehicle, or a file cannot be written.
     """
     if out is not None and out.suffix.lower() != ".glb":
-        raise InputError(f"{out}: --out: expected a name that ends in .glb, got {out.name!r}")
+        raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
     file = read_vehicle(path)
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
@@ -91,37 +101,37 @@ def check_vehicle(
     shown = found
     if remedies:
         # what is said of its place and its roof is only right once it is read right
-        words = " ".join(f"--{name} {value}" for name, value in remedies.items())
+        words = ", ".join(f"{name.replace('-', ' ')} {value}" for name, value in remedies.items())
         lines.append(f"  read with {words} it is:")
         better = _changed_reading(reading, {name: remedies[name] for name in remedies if name != "rear-axle"})
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
     try:
-        surface = mount_surface(config, shown.mended)
+        surface = mount_surface(config, shown.corrected)
     except InputError as error:
-        problems.append(Problem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
+        problems.append(VehicleProblem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.mended)
+        lines += _mount_lines(surface, shown.corrected)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
-    is_mendable = all(problem.remedy == {} for problem in problems)
+    is_fixable = all(problem.remedy == {} for problem in problems)
     if picture is not None:
         lines.append(f"wrote {_draw(shown, surface, picture, path.name)}")
-    if out is not None and is_mendable:
-        write_vehicle(found.mended, out, source=path.name)
+    if out is not None and is_fixable:
+        write_vehicle(found.corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
         return VehicleReport(tuple(lines), ())
-    told = [f"{path}: {problem.text}" for problem in problems]
+    found_wrong = tuple(f"{path}: {problem.text}" for problem in problems)
     if needs_writing and all(problem.remedy is not None for problem in problems):
-        options = {**{name: str(value) for name, value in given.items() if value is not None}, **remedies}
+        fix = {**{name: str(value) for name, value in given.items() if value is not None}, **remedies}
         if rear_axle_m is not None:
-            options.setdefault("rear-axle", f"{rear_axle_m:g}")
-        told.append(f"{path}: to mend it: {_command(path, options, out)}")
-    if not told:
+            fix.setdefault("rear-axle", f"{rear_axle_m:g}")
+        return VehicleReport(tuple(lines), found_wrong, fix)
+    if not found_wrong:
         lines.append(f"it can be used as it is: scenes.ego={path}")
-    return VehicleReport(tuple(lines), tuple(told))
+    return VehicleReport(tuple(lines), found_wrong)
 
 
 def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
@@ -160,7 +170,7 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
 
 
 def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Reading:
-    """The reading with other axes or another scale; an axis that is in the way of a new one gives way."""
+    """The reading with other axes or another scale; an axis that clashes with a new one is replaced."""
     values = {"up": reading.up, "forward": reading.forward, "scale": reading.scale, **changes}
     up, forward = str(values["up"]), str(values["forward"])
     if up[-1] == forward[-1] and "forward" not in changes:
@@ -168,7 +178,8 @@ def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Readi
     try:
         return replace(reading, up=up, forward=forward, scale=float(values["scale"]))
     except InputError as error:
-        raise InputError(f"command line: --{error}") from None
+        option, _, text = str(error).partition(": ")
+        raise ArgumentError(option, text) from None
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:
@@ -197,8 +208,8 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     parts = zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
-    told = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
-    yield _row("cameras", f"{total:.2f} m2 can carry them: {told}" + (", ..." if len(parts) > 5 else ""))
+    shown = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
+    yield _row("cameras", f"{total:.2f} m2 can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
     names = {part.name for part in parts}
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
@@ -206,19 +217,12 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
 
-def _draw(found: Examination, surface: MountSurface | None, picture: Path, title: str) -> Path:
-    from warpav.view.vehicle_view import save_vehicle_picture
+def _draw(found: Examination, surface: MountSurface | None, image: Path, title: str) -> Path:
+    from warpav.view import plot
 
     axles: Sequence[float] = found.wheels.axle_m if found.wheels else ()
-    return save_vehicle_picture(
-        found.mended, picture, surface=surface, axle_m=[x + found.shift_m[0] for x in axles], title=title
-    )
-
-
-def _command(path: Path, options: dict[str, str], out: Path | None) -> str:
-    target = out or path.with_name(f"{path.stem}_ego.glb")
-    words = [word for name, value in options.items() for word in (f"--{name}", value)]
-    return shlex.join(["warpav", "vehicle", "check", str(path), *words, "--out", str(target)])
+    axle_m = [x + found.shift_m[0] for x in axles]
+    return plot(found.corrected, mount_surface=surface, axle_m=axle_m, title=title, out=image)
 
 
 def _row(name: str, text: str) -> str:

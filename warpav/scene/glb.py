@@ -84,8 +84,8 @@ def read_scene(path: str | Path) -> Scene:
         path: A GLB file with the nodes and extras that this module documents.
 
     Returns:
-        The scene in the ego frame; its class alone says whether a node is a vehicle (`Vehicle.road_user`), and the
-        others are among its `others`. Both are in order of instance id.
+        The scene in the ego frame; its class alone determines whether a node is a vehicle (`Vehicle.road_user`), and
+        the others are among its `others`. Both are in order of instance id.
 
     Raises:
         InputError: The file is missing, is no GLB, lacks a node or an extra, or holds a mesh without triangles or with

@@ -1,8 +1,8 @@
-"""A user's own vehicle: read from any mesh file, understood by its shape, mended, and written as GLB.
+"""A user's own vehicle: read from any mesh file, analysed by its shape, corrected, and written as GLB.
 
-A file says nothing about its units, and its axes are a matter of taste. The shape says more: vehicles are alike on
-their left and right, longer than they are high, and stand on wheels. `examine` compares what the shape says with how
-the file is read, `write_vehicle` writes the vehicle in the ego frame.
+Mesh files rarely state their units, and their axes vary. The shape is more reliable: vehicles are symmetric, longer
+than they are high, and have wheels below. `examine` compares the shape with the reading of the file, `write_vehicle`
+writes the vehicle in the ego frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 
@@ -39,13 +39,13 @@ _GREY_RGB = np.array([150, 152, 156], np.uint8)
 _SAMPLE_COUNT = 200_000
 _SYMMETRY_COUNT = 20_000
 _ALIKE = 0.004
-"""Mean distance from a mirror image to the shape, over its length, up to which the two sides are alike."""
+"""Maximum mean distance between shape and mirror image, relative to the length, of symmetric sides."""
 
 _UNLIKE = 0.001
-"""The same distance from which on front and rear differ: a box has .0002 by chance, a bus .0016, a car .008."""
+"""Minimum of the same distance for front and rear to differ: a box has .0002 by chance, a bus .0016, a car .008."""
 
 _CABIN_BEHIND = 0.04
-"""Share of its length by which the upper quarter of a vehicle stands behind its middle at least: a bus's does not."""
+"""Minimum offset of the upper quarter behind the vehicle's centre, relative to the length; buses have none."""
 
 
 @dataclass(frozen=True)
@@ -80,16 +80,16 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class VehicleFile:
-    """A mesh as it stands in a file.
+    """A mesh as stored in a file.
 
     Attributes:
         path: The file.
         vertex: Vertices in the file's own units and axes, float64 [vertex, 3].
         triangle: Vertex indices [triangle, 3].
         vertex_rgb: Colours, uint8 [vertex, 3].
-        usual: How a file of this format is read unless the user knows better.
-        is_declared: Whether warpav wrote it, so that its axes and its origin are what a user said they are.
-        part: What of the file this is, in words.
+        usual: Default reading of this file format.
+        is_declared: Whether warpav wrote the file, so that its axes and origin are as the user stated them.
+        part: Part of the file, in words.
     """
 
     path: Path
@@ -118,7 +118,7 @@ class Wheels:
 
     Attributes:
         axle_m: x of every axle, from the rear [m].
-        middle_m: y of the middle between left and right [m].
+        middle_m: y halfway between left and right [m].
     """
 
     axle_m: tuple[float, ...]
@@ -127,14 +127,14 @@ class Wheels:
 
 @dataclass(frozen=True)
 class Shape:
-    """What the shape of a mesh tells, whatever the axes mean; None where it does not tell.
+    """Axes inferred from the shape of a mesh; None where the shape is ambiguous.
 
     Attributes:
-        up: The axis that points up, out of `AXES`; without a sign that is known, the positive one.
-        forward: Likewise the axis that points to the front.
-        is_up_sure: Whether wheels tell up from down.
-        is_forward_sure: Whether the cabin tells the front from the rear: it stands nearer to the rear, as a rule.
-        asymmetry: Mean distance from the mirror image across the axis to the left to the shape, over its length.
+        up: The axis that points up, out of `AXES`; positive if the sign is unknown.
+        forward: The axis that points to the front, likewise.
+        is_up_sure: Whether wheels distinguish up from down.
+        is_forward_sure: Whether the cabin distinguishes front from rear: it is usually nearer to the rear.
+        asymmetry: Mean distance between the shape and its lateral mirror image, relative to the length.
     """
 
     up: str | None
@@ -145,13 +145,13 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Something that keeps a vehicle from being used as it is.
+class VehicleProblem:
+    """A reason why a vehicle cannot be used as it is.
 
     Attributes:
-        text: What was expected and what came.
-        remedy: Options of ``warpav vehicle check`` that mend it, by name; empty where ``--out`` alone does, None where
-            nothing does.
+        text: What was expected and what was given.
+        remedy: Options of ``warpav vehicle check`` that fix it, by name; empty if ``--out`` alone does, None if nothing
+            does.
     """
 
     text: str
@@ -160,15 +160,15 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What a vehicle is like when it is read in a certain way.
+    """Findings about a vehicle under a given reading.
 
     Attributes:
-        mesh: In the ego frame as it was read.
-        shift_m: How it has to be moved so that it stands with its rear axle above the origin [m], [3].
-        shape: What its shape tells about the axes of the ego frame.
-        wheels: Where it touches the ground; None where that is not to be seen.
-        problems: What keeps it from being used.
-        hints: What its owner should know.
+        mesh: In the ego frame, as read.
+        shift_m: Translation that puts it on the ground with its rear axle above the origin [m], [3].
+        shape: Axes inferred from its shape, in the ego frame.
+        wheels: Where it touches the ground; None if not recognised.
+        problems: Reasons why it cannot be used.
+        hints: Notes for its owner.
         open_edge_count: Edges of an odd number of triangles in the welded mesh: the rims of holes.
         flat_triangle_count: Triangles without area.
     """
@@ -177,13 +177,13 @@ class Examination:
     shift_m: np.ndarray
     shape: Shape
     wheels: Wheels | None
-    problems: tuple[Problem, ...]
+    problems: tuple[VehicleProblem, ...]
     hints: tuple[str, ...]
     open_edge_count: int
     flat_triangle_count: int
 
     @cached_property
-    def mended(self) -> Mesh:
+    def corrected(self) -> Mesh:
         """The vehicle on the ground with its rear axle above the origin, without triangles that have no area."""
         mesh = self.mesh
         moved = mesh.transformed(np.eye(3), self.shift_m) if self.shift_m.any() else mesh
@@ -194,7 +194,7 @@ def read_vehicle(path: str | Path) -> VehicleFile:
     """Read the vehicle in a mesh file; of a scene that warpav wrote, its ego vehicle.
 
     Args:
-        path: GLB, glTF, OBJ, PLY, STL, OFF or what else trimesh reads.
+        path: GLB, glTF, OBJ, PLY, STL, OFF or any other format that trimesh reads.
 
     Raises:
         InputError: The file cannot be read or holds no triangles.
@@ -228,7 +228,7 @@ def read_vehicle(path: str | Path) -> VehicleFile:
         np.concatenate([vertex for vertex, _, _ in parts]),
         np.concatenate([triangle + start for (_, triangle, _), start in zip(parts, first, strict=False)]),
         np.concatenate([colour for _, _, colour in parts]),
-        # glTF fixes its up axis; of the other formats none does, and the ego frame is as good as any
+        # glTF defines its up axis; the other formats do not, so the ego frame is assumed
         Reading("y" if is_gltf else "z", "x"),
         is_scene or (file.metadata or {}).get("schema") == SCHEMA,
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
@@ -274,21 +274,20 @@ def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
 def examine(
     file: VehicleFile, reading: Reading, *, stated: frozenset[str] = frozenset(), rear_axle_m: float | None = None
 ) -> Examination:
-    """Compare how a file is read with what the shape of the vehicle says.
+    """Compare the reading of a file with the shape of the vehicle.
 
     Args:
         file: The vehicle.
-        reading: How its numbers are read.
-        stated: What the user said in so many words, out of ``up``, ``forward`` and ``scale``: the shape does not
-            gainsay that.
-        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: the wheels tell.
+        reading: Axes and scale of the file.
+        stated: What the user stated explicitly, out of ``up``, ``forward`` and ``scale``; it overrides the shape.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: inferred from the wheels.
 
     Raises:
         InputError: Some vertices are NaN or infinite.
     """
     mesh = file.in_ego_frame(reading)
     point_m = _points_on(mesh)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     problems += _unit_problems(float(size_m.max()), reading, is_stated="scale" in stated)
@@ -298,26 +297,26 @@ def examine(
     hints += axis_hints
     wheels = None
     shift_m = np.zeros(3)
-    if not problems:  # of a vehicle that lies on its side or is 4 km long nothing more can be said
+    if not problems:  # further checks need correct axes and units
         wheels = wheels_of(point_m)
         shift_m, found, more_hints = _place_findings(mesh, wheels, file.is_declared, rear_axle_m)
         problems += found
         hints += more_hints
     open_edges, flat = _open_edge_count(mesh), int(np.count_nonzero(_is_flat(mesh)))
     if open_edges:
-        hints.append(f"not watertight ({open_edges} open edges): it can be used, but cameras may see through gaps")
+        hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
     if flat:
-        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; --out leaves them out")
+        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` leaves them out")
     if len(mesh.triangle) > MANY_TRIANGLES:
         hints.append(
-            f"{len(mesh.triangle)} triangles take time in every view: some 10 000 show as much; decimate it, as in "
-            "Blender or MeshLab"
+            f"{len(mesh.triangle)} triangles slow every render, and about 10 000 are sufficient; decimate the mesh, "
+            "for example in Blender or MeshLab"
         )
     return Examination(mesh, shift_m, shape, wheels, tuple(problems), tuple(hints), open_edges, flat)
 
 
 def shape_of(point_m: np.ndarray) -> Shape:
-    """What points spread evenly over a vehicle, [point, 3], tell about its axes."""
+    """Infer the axes of a vehicle from points spread evenly over it, [point, 3]."""
     from scipy.spatial import KDTree
 
     low, high = point_m.min(axis=0), point_m.max(axis=0)
@@ -356,7 +355,7 @@ def shape_of(point_m: np.ndarray) -> Shape:
 def wheels_of(point_m: np.ndarray) -> Wheels | None:
     """Where a vehicle in the ego frame's axes touches the ground, from points on its surface [point, 3].
 
-    Its lowest fiftieth has to lie left and right of the middle, on two axles or more that are far apart.
+    Its lowest 2 % must lie left and right of the centre line, on two or more axles that are far apart.
     """
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     size = high - low
@@ -373,7 +372,7 @@ def wheels_of(point_m: np.ndarray) -> Wheels | None:
 
 
 def unit_of(length: float) -> tuple[str, float] | None:
-    """The unit, and its metres, in which a number is the length of a vehicle; None if it is none in any."""
+    """The unit, and its length in metres, in which a number is a plausible vehicle length; None without one."""
     for least, greatest in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
         for name, metres in UNITS:
             if least <= length * metres <= greatest:
@@ -381,7 +380,7 @@ def unit_of(length: float) -> tuple[str, float] | None:
     return None
 
 
-def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[Problem]:
+def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
     if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
         return []
     least, greatest = POSSIBLE_LENGTH_M
@@ -390,21 +389,23 @@ def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> lis
     if unit is None:
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
         return [
-            Problem(f"{text}, a length in no usual unit; --scale sets it, here to 4.5 m", {"scale": f"{scale:.4g}"})
+            VehicleProblem(
+                f"{text}, a length in no usual unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
+            )
         ]
-    with_scale = " with this --scale" if is_stated else ""
+    with_scale = " with this `scale`" if is_stated else ""
     scale = reading.scale * unit[1]
-    return [Problem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
+    return [VehicleProblem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
 
 
 def _axis_findings(
     shape: Shape, reading: Reading, size_m: np.ndarray, is_declared: bool, stated: frozenset[str]
-) -> tuple[list[Problem], list[str]]:
-    """Whether the shape, seen in the ego frame as the file was read, stands as it should."""
+) -> tuple[list[VehicleProblem], list[str]]:
+    """Whether the shape has the axes of the ego frame under this reading."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
-            return [], ["no axis along which it is the same on both sides: look at a picture of it"]
-        return [], ["its shape does not tell which axis is which: look at a picture of it"]
+            return [], ["no axis of symmetry found; check the axes in a figure (--picture)"]
+        return [], ["its shape is ambiguous; check the axes in a figure (--picture)"]
     has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
     is_upside_down = shape.is_up_sure and shape.up == "-z"
     is_backwards = shape.is_forward_sure and shape.forward == "-x"
@@ -413,7 +414,7 @@ def _axis_findings(
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
                 "the cabin stands nearer to what is read as the front, as in pickups and lorries, or in vehicles that "
-                f"face backwards: if the picture shows one of these, add --forward {forward}"
+                f"face backwards: if the picture shows one of these, add `forward` {forward}"
             ]
         return [], []
     if not shape.is_up_sure and shape.up[-1] == "z":
@@ -422,36 +423,36 @@ def _axis_findings(
         forward = reading.forward
     remedy = {name: value for name, value in (("up", up), ("forward", forward)) if value != getattr(reading, name)}
     length, width, height = (f"{value:.4g}" for value in size_m)
-    what = "stands on its roof" if has_axes else f"is {length} long, {width} wide and {height} high"
-    text = f"axes: expected wheels below, and left and right alike; read with {reading.up} up and {reading.forward} "
+    what = "is upside down" if has_axes else f"is {length} long, {width} wide and {height} high"
+    text = f"axes: expected wheels below and lateral symmetry; read with {reading.up} up and {reading.forward} "
     text += f"forward it {what}"
     if is_declared or {"up", "forward"} <= stated:
-        return [], [f"{text}; taken as stated"]
-    return [Problem(text, remedy)], []
+        return [], [f"{text}; accepted as stated"]
+    return [VehicleProblem(text, remedy)], []
 
 
 def _place_findings(
     mesh: Mesh, wheels: Wheels | None, is_declared: bool, rear_axle_m: float | None
-) -> tuple[np.ndarray, list[Problem], list[str]]:
-    """How the vehicle has to be moved [m], [3], why, and what is to be known about it."""
+) -> tuple[np.ndarray, list[VehicleProblem], list[str]]:
+    """Translation of the vehicle [m], [3], the problems that require it, and hints."""
     low, high = mesh.bounds_m().astype(np.float64)
     shift_m = np.zeros(3)
-    problems: list[Problem] = []
+    problems: list[VehicleProblem] = []
     hints: list[str] = []
     if abs(low[2]) > GROUND_TOLERANCE_M:
         shift_m[2] = -low[2]
-        problems.append(Problem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
+        problems.append(VehicleProblem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
     if rear_axle_m is not None:
         if not 0.0 <= rear_axle_m <= high[0] - low[0]:
             length = f"{high[0] - low[0]:.2f} m"
-            raise InputError(
-                f"--rear-axle: expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
+            raise ArgumentError(
+                "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
         middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
         target_m = np.array([low[0] + rear_axle_m, middle_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
-            problems.append(Problem("origin: it is not below the rear axle as --rear-axle states it", {}))
+            problems.append(VehicleProblem("origin: it is not below the rear axle as `rear_axle` states it", {}))
         return shift_m, problems, hints
     is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
     if is_declared and is_inside:
@@ -460,14 +461,14 @@ def _place_findings(
         if is_inside:
             hints.append(
                 "no wheels are to be seen, so whether the origin lies below the rear axle cannot be told; "
-                "--rear-axle 0.9 would put it 0.9 m before the rear end"
+                "`rear_axle` 0.9 would put it 0.9 m before the rear end"
             )
         else:
             problems.append(
-                Problem(
+                VehicleProblem(
                     "origin: expected it below the vehicle, got "
                     f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
-                    "--rear-axle says how far before the rear end the rear axle is",
+                    "`rear_axle` says how far before the rear end the rear axle is",
                     {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
                 )
             )
@@ -476,14 +477,14 @@ def _place_findings(
     if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(
-            Problem(
-                "origin: expected it below the middle of the rear axle, got that at "
+            VehicleProblem(
+                "origin: expected below the centre of the rear axle, got that at "
                 f"x {offset_m[0]:+.2f} m, y {offset_m[1]:+.2f} m",
                 {},
             )
         )
     if len(wheels.axle_m) > 2:
-        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless --rear-axle says else")
+        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless `rear_axle` says else")
     return shift_m, problems, hints
 
 
@@ -503,7 +504,7 @@ def _part(file: trimesh.Scene, name: str) -> tuple[np.ndarray, np.ndarray, np.nd
     return vertex, triangle, _colours(geometry, len(vertex))
 
 
-def _colours(geometry: Any, count: int) -> np.ndarray:  # noqa: ANN401 (trimesh tells checkers little)
+def _colours(geometry: Any, count: int) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
     """Vertex colours, uint8 [vertex, 3]: the texture's at the vertices, the material's, or grey."""
     visual = geometry.visual
 
@@ -550,7 +551,7 @@ def _turned(point: np.ndarray, forward: int, left: int, up: int, sign: float) ->
 
 
 def _open_edge_count(mesh: Mesh) -> int:
-    """Edges of an odd number of triangles once vertices at one place are one: the rims of holes."""
+    """Edges of an odd number of triangles after merging coincident vertices: the rims of holes."""
     size = float(np.ptp(mesh.vertex_m, axis=0).max())
     _, welded = np.unique(
         np.round(mesh.vertex_m / max(1e-6 * size, 1e-12)).astype(np.int64), axis=0, return_inverse=True
@@ -582,7 +583,7 @@ def _without_flat_triangles(mesh: Mesh) -> Mesh:
 
 
 def _in_file(axis: str, reading: Reading) -> str:
-    """The file's axis that an axis of the ego frame as it was read is."""
+    """The file's axis that corresponds to an axis of the ego frame under this reading."""
     found = reading.ego_from_file.T @ _unit(axis)
     number = int(np.abs(found).argmax())
     return ("-" if found[number] < 0.0 else "") + "xyz"[number]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import html
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +14,6 @@ from warpav.raster.mesh import Mesh, merge
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from warpav.rig.rig import Rig
 
     MultiBlock = Any
 
@@ -86,7 +86,7 @@ class Box:
         return inside
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Vehicle:
     """A road user other than the ego vehicle; mostly a vehicle, hence the name.
 
@@ -103,9 +103,14 @@ class Vehicle:
     mesh: Mesh
     box: Box
 
+    def __repr__(self) -> str:
+        """Category and position; the mesh has thousands of numbers."""
+        x, y = self.box.center_m[:2]
+        return f"<Vehicle {self.instance_id}: {self.category} at x {x:.1f}, y {y:.1f} m>"
+
     @property
     def road_user(self) -> str:
-        """Its kind out of `ROAD_USERS`: whatever is neither a person nor a cyclist counts as a vehicle."""
+        """Its kind out of `ROAD_USERS`: anything else than a person or cyclist counts as a vehicle."""
         return _ROAD_USER_OF_CATEGORY.get(self.category.lower(), "vehicle")
 
     def mirrored(self) -> Vehicle:
@@ -129,11 +134,11 @@ class Sky:
 BLACK_SKY = Sky(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
     """One traffic situation, in the ego frame.
 
-    Ego frame: ISO 8855, x forward, y left, z up; origin on the ground below the middle of the rear axle.
+    Ego frame: ISO 8855, x forward, y left, z up; origin on the ground below the centre of the rear axle.
 
     Attributes:
         name: Short name, such as ``town_0007``.
@@ -143,8 +148,8 @@ class Scene:
             otherwise.
         sky: The background.
         source: Where it came from, such as ``town seed 7``.
-        others: The other road users, in order of instance id. They are drawn and hide the vehicles as the environment
-            does, but no loss and no metric asks for them.
+        others: The other road users, in order of instance id. They are rendered and occlude the vehicles like the
+            environment does, but no loss and no metric asks for them.
     """
 
     name: str
@@ -179,7 +184,7 @@ class Scene:
         )
 
     def around(self, ego: Mesh) -> Scene:
-        """The scene with another ego vehicle; road users at whose places it stands are left out."""
+        """The scene with another ego vehicle; road users that overlap with it are removed."""
         low_m, high_m = ego.bounds_m()[:, :2]
         vehicles, others = (
             tuple(user for user in users if not user.box.meets_m(low_m, high_m))
@@ -201,59 +206,53 @@ class Scene:
             others=tuple(other.mirrored() for other in self.others),
         )
 
-    def plot(
-        self,
-        out: str | Path | None = None,
-        *,
-        rig: Rig | None = None,
-        outcomes: Sequence[str] | None = None,
-        sight: bool = False,
-        title: str | None = None,
-        window_size: tuple[int, int] = (1280, 800),
-        zoom: float = 1.0,
-        off_screen: bool | None = None,
-        **show: Any,  # noqa: ANN401 (those of pyvista)
-    ) -> Any:  # noqa: ANN401
-        """Show the scene in a window or in a notebook, or write its picture to a file.
+    def __repr__(self) -> str:
+        """Name and counts; the meshes have thousands of numbers."""
+        counts = ", ".join(f"{count} {category}" for category, count in self._counts().items())
+        others = f", {len(self.others)} not targeted" if self.others else ""
+        return f"<Scene {self.name}: {len(self.vehicles)} targets{others} ({counts or 'no road user'})>"
 
-        Args:
-            out: ``.png``, ``.html``, ``.gif`` or ``.mp4``; None: show it.
-            rig: Cameras on the ego vehicle.
-            outcomes: What becomes of every vehicle, `warpav.evaluation.metrics.ObjectOutcome`; it colours them.
-            sight: Whether to paint what every camera sees, and its view up to what stands in the way.
-            title: A line in the upper left corner.
-            window_size: Width and height [px].
-            zoom: 1 fills the picture with the ego vehicle, less shows more around it.
-            off_screen: Draw without a window; by default when there is no display.
-            **show: For ``pyvista.Plotter.show``, such as ``jupyter_backend`` or ``cpos``.
-
-        Returns:
-            The file that was written, else what ``pyvista.Plotter.show`` returns.
-
-        Raises:
-            InputError: The file cannot be written, or nothing can be drawn or shown here.
-        """
-        from warpav.rig.rig import Rig
-        from warpav.view.picture import plot_rig
-
-        return plot_rig(
-            Rig(()) if rig is None else rig,
-            out,
-            scene=self,
-            outcomes=outcomes,
-            sight=sight,
-            title=title,
-            window_size=window_size,
-            zoom=zoom,
-            off_screen=off_screen,
-            show=show,
+    def _repr_html_(self) -> str:
+        """What Jupyter shows: road users by category, the nearest and the farthest of them, triangles, source."""
+        users = sorted(self.road_users, key=_distance_m)
+        counts = ", ".join(f"{count} {category}" for category, count in self._counts().items())
+        rows = {"road users": counts or "none"}
+        if self.others:
+            rows["not targeted"] = str(len(self.others))
+        for name, user in zip(("nearest", "farthest"), users[:1] + users[-1:], strict=False):
+            x, y = user.box.center_m[:2]
+            bearing_deg = np.degrees(np.arctan2(y, x))
+            rows[name] = f"{user.category} {user.instance_id}, {_distance_m(user):.1f} m away at {bearing_deg:+.0f}°"
+        meshes = (self.environment, self.ego, *(user.mesh for user in users))
+        rows["triangles"] = str(sum(len(mesh.triangle) for mesh in meshes))
+        rows |= {"source": self.source} if self.source else {}
+        cell = "style='text-align:left'"
+        body = "".join(
+            f"<tr><th {cell}>{html.escape(name)}</th><td {cell}>{html.escape(text)}</td></tr>"
+            for name, text in rows.items()
         )
+        return f"<table><caption>Scene {html.escape(self.name)}</caption><tbody>{body}</tbody></table>"
+
+    def _counts(self) -> dict[str, int]:
+        """Number of road users by category, the most frequent first."""
+        return dict(Counter(user.category for user in self.road_users).most_common())
+
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the scene in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        from warpav.view import plot
+
+        return plot(self, out=out, **options)
 
     def to_pyvista(self) -> MultiBlock:
         """The scene as ``pyvista.MultiBlock``: ``environment``, ``ego``, ``vehicle_<instance id>`` of all road users.
 
-        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the way back.
+        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the inverse.
         """
         from warpav.view.blocks import scene_to_pyvista
 
         return scene_to_pyvista(self)
+
+
+def _distance_m(user: Vehicle) -> float:
+    """Distance of a road user from the origin of the ego frame, seen from above [m]."""
+    return float(np.hypot(*user.box.center_m[:2]))

@@ -1,7 +1,7 @@
 """Collections of scenes in a folder: built, captured, reconstructed; what is there already is not made again.
 
-A folder of scenes holds ``scene_<seed>.glb`` files and ``collection.json``, which tells for each what it was made with
-(``recipe``) and its content (``sha256``). A folder of captures holds one folder ``scene_<seed>`` each.
+A folder of scenes holds ``scene_<seed>.glb`` files and ``collection.json``, which lists for each the fingerprint of its
+inputs (``recipe``) and its content (``sha256``). A folder of captures holds one folder ``scene_<seed>`` each.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.executor import ExecutorName, Outcome, Task, run_tasks
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
@@ -45,15 +45,16 @@ class SceneTask:
     settings: ReconstructionSettings | None = None
 
     @property
-    def recipe(self) -> str:
+    def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
         if self.capture is None:
-            return recipe("town", self.seed)
+            return fingerprint("town", self.seed, code=("warpav.scene.town.town", "warpav.scene.glb"))
         content = hashlib.sha256()
         for file in sorted(path for path in self.capture.rglob("*") if path.is_file()):
             content.update(file.relative_to(self.capture).as_posix().encode() + b"\0")
             content.update(file.read_bytes())
-        return recipe("captured", content.hexdigest(), self.settings)
+        code = ("warpav.scene.reconstruction.reconstruct", "warpav.scene.capture.folder", "warpav.scene.glb")
+        return fingerprint("captured", content.hexdigest(), self.settings, code=code)
 
 
 @dataclass(frozen=True)
@@ -114,23 +115,23 @@ def make_scenes(
     """Make scene files that are not there yet, and note them in their folder's index.
 
     Yields:
-        An outcome for each; the result tells whether the file had to be made.
+        An outcome for each; its result is whether the file was generated.
 
     Raises:
         InputError: A folder cannot be written to.
     """
     for folder in {task.file.parent for task in tasks}:
         _make_folder(folder)
-    recipes: dict[SceneTask, str] = {}  # of those that are not there; what a file was made with is as it was before
+    fingerprints: dict[SceneTask, str] = {}  # of the missing ones, as they are before the work starts
     for task in tasks:
-        made_with = task.recipe
+        made_with = task.fingerprint
         if _is_ready(task, made_with):
             yield Outcome(task, False)
         else:
-            recipes[task] = made_with
-    for outcome in run_tasks(_make_scene, list(recipes), executor=executor, worker_count=worker_count):
+            fingerprints[task] = made_with
+    for outcome in run_tasks(_make_scene, list(fingerprints), executor=executor, worker_count=worker_count):
         if outcome.error is None:
-            _note(outcome.task, recipes[outcome.task])
+            _note(outcome.task, fingerprints[outcome.task])
         yield _named(outcome, outcome.task.capture or outcome.task.file)
 
 
@@ -140,7 +141,7 @@ def capture_scenes(
     """Record situations of the embedded town that are not recorded yet; interrupted ones go on.
 
     Yields:
-        An outcome for each; the result tells whether images had to be taken.
+        An outcome for each; its result is whether images were recorded.
 
     Raises:
         InputError: A folder cannot be written to.
@@ -155,7 +156,7 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
     """Record situations with a CARLA server, one after the other.
 
     Yields:
-        An outcome for each; the result tells whether images had to be taken.
+        An outcome for each; its result is whether images were recorded.
 
     Raises:
         InputError: The folder cannot be written to, the package is missing, or the server does not answer.
@@ -188,7 +189,7 @@ def split_seeds(seeds: Sequence[int]) -> dict[str, list[int]]:
 
 
 def _named(outcome: Outcome[Task, bool], place: Path) -> Outcome[Task, bool]:
-    """The outcome with an error that tells where."""
+    """The outcome with the location added to its error."""
     if outcome.error is None or outcome.error.startswith(str(place)):
         return outcome
     return replace(outcome, error=f"{place}: {outcome.error}")
@@ -198,9 +199,9 @@ def _make_scene(task: SceneTask) -> bool:
     from warpav.scene.glb import write_scene
 
     if task.capture is None:
-        from warpav.scene.town.town import town_scene
+        from warpav.scene.cache import town_scenes
 
-        scene = town_scene(task.seed)
+        (scene,) = town_scenes([task.seed])
     else:
         from warpav.scene.reconstruction.reconstruct import reconstruct
 
@@ -246,12 +247,12 @@ def _note(task: SceneTask, made_with: str) -> None:
     entries = _index(task.file.parent)
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
-    with replacing(file) as draft:
+    with atomic_write(file) as draft:
         draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 
 def _index(folder: Path) -> dict[str, Any]:
-    """What a folder's index says; nothing where it is missing or no index: the files are then made again."""
+    """The entries of a folder's index; empty if it is missing or invalid, so that the files are made again."""
     try:
         content = json.loads((folder / INDEX).read_text(encoding="utf-8"))
         entries = content["scenes"]

@@ -1,1 +1,5 @@
-"""Pyvista pictures of rigs and scenes. Importing a module of this package does not import pyvista."""
+"""All that draws, in 2D and 3D; `plot` is its front door."""
+
+from warpav.view.plotting import Canvas, drawing_of, plot
+
+__all__ = ["Canvas", "drawing_of", "plot"]

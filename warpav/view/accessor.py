@@ -46,7 +46,7 @@ class SurfaceAccessor:
 
         Returns:
             ``pyvista.PolyData`` with the cell data ``height_m`` above the ground and ``border_distance_m`` to the
-            nearest place that carries none.
+            nearest position that carries none.
 
         Raises:
             InputError: No face looks upwards, or the vehicle is not given in metres.

@@ -169,23 +169,23 @@ def run_to_pyvista(frames: Sequence[Rig], *, start: Rig, end: Rig, scene: Scene)
     """A run as ``pyvista.MultiBlock``: ``start``, ``path``, ``end`` and ``scene``.
 
     ``start`` and ``end`` are rigs as `rig_to_pyvista` makes them; ``path`` holds for every camera, under its name, the
-    line of its places with the point data ``iteration`` and ``yaw_deg``.
+    line of its positions with the point data ``iteration`` and ``yaw_deg``.
 
     Args:
         frames: The rig of every iteration, in order.
         start: Where the run began.
         end: Its result.
-        scene: A scene to look at it in.
+        scene: The scene around it.
     """
     pyvista = load_pyvista_data()
     paths = pyvista.MultiBlock()
     for index, camera in enumerate(end.cameras):
-        way = [frame.cameras[index] for frame in frames]
-        point_m = np.array([each.position_m for each in way], np.float64).reshape(-1, 3)
-        lines = np.r_[len(way), np.arange(len(way))] if len(way) > 1 else None
-        line = pyvista.PolyData(point_m, lines=lines) if way else pyvista.PolyData()
-        line.point_data["iteration"] = np.arange(len(way))
-        line.point_data["yaw_deg"] = np.degrees([each.yaw_rad for each in way])
+        path = [frame.cameras[index] for frame in frames]
+        point_m = np.array([each.position_m for each in path], np.float64).reshape(-1, 3)
+        lines = np.r_[len(path), np.arange(len(path))] if len(path) > 1 else None
+        line = pyvista.PolyData(point_m, lines=lines) if path else pyvista.PolyData()
+        line.point_data["iteration"] = np.arange(len(path))
+        line.point_data["yaw_deg"] = np.degrees([each.yaw_rad for each in path])
         paths[camera.name] = line
     blocks = pyvista.MultiBlock()
     blocks["start"] = rig_to_pyvista(start)

@@ -1,4 +1,4 @@
-"""Pictures of point clouds and meshes in their own colours, from any place, without a window."""
+"""Images of point clouds and meshes in their own colours, from any position, without a window."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from warpav.scene.reconstruction.point_cloud import PointCloud
     from warpav.scene.scene import Box
 
+BACKGROUND_RGB: Rgb = (214, 205, 230)
+"""Where an image shows nothing: not the colour of a vehicle, a road or the sky."""
+
 _SUPERSAMPLING = 2
 _BOX_LINE_PX = 1.6
 _LARGEST_PX = 10.0  # of a point
@@ -27,14 +30,14 @@ _SPACING_SAMPLES = 2000
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """From where a picture is drawn.
+    """From where an image is drawn.
 
     Attributes:
         position_m: The viewer, in the ego frame [m], shape [3].
-        target_m: What is in the middle of the picture [m], shape [3].
-        up: Direction that points up in the picture, shape [3].
+        target_m: What is in the middle of the image [m], shape [3].
+        up: Direction that points up in the image, shape [3].
         height_rad: Vertical field of view [rad].
-        height_m: Instead, height of the picture [m]: lines stay parallel.
+        height_m: Instead, height of the image [m]: lines stay parallel.
     """
 
     position_m: np.ndarray
@@ -44,7 +47,7 @@ class Viewpoint:
     height_m: float | None = None
 
 
-def cloud_picture(
+def cloud_image(
     parts: Sequence[PointCloud | Mesh],
     viewpoint: Viewpoint,
     *,
@@ -60,7 +63,7 @@ def cloud_picture(
     Args:
         parts: What to draw, in the ego frame.
         viewpoint: From where.
-        size_px: Width and height of the picture [px].
+        size_px: Width and height of the image [px].
         point_px: Least size of a point [px].
         cover: Points are this many times as large as they are typically apart, so near ones are larger than far ones.
         boxes: 3D boxes, drawn as wires.
@@ -116,6 +119,30 @@ def cloud_picture(
         return np.asarray(drawn.resize(size_px, Image.Resampling.LANCZOS))
     finally:
         plotter.close()
+
+
+def towards(bearing_rad: float, elevation_rad: float) -> np.ndarray:
+    """Unit vector of a direction in the ego frame, shape [3]."""
+    level = math.cos(elevation_rad)
+    return np.array([level * math.cos(bearing_rad), level * math.sin(bearing_rad), math.sin(elevation_rad)])
+
+
+def view_of(point_m: np.ndarray, direction: np.ndarray, size_px: tuple[int, int]) -> Viewpoint:
+    """Without perspective, just so that all points are in the image.
+
+    Args:
+        point_m: Points in the ego frame [m], shape [point, 3].
+        direction: Unit vector from them to the viewer, not vertical.
+        size_px: Width and height of the image [px].
+    """
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    above = np.cross(direction, right)
+    low, high = (reduce(point_m @ np.stack([right, above], axis=1), axis=0) for reduce in (np.min, np.max))
+    middle, (width_m, height_m) = 0.5 * (low + high), high - low
+    target_m = middle[0] * right + middle[1] * above + np.median(point_m @ direction) * direction
+    height_m = 1.08 * max(width_m * size_px[1] / size_px[0], height_m)
+    return Viewpoint(target_m + 150.0 * direction, target_m, height_m=height_m)
 
 
 def _by_size(

@@ -33,8 +33,8 @@ _LEAST = 1e-2  # of the longest; shorter arrows would be all tip
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """Which way the loss falls at a rig: minus its gradient.
+class Steepest:
+    """Direction of steepest descent at a rig: minus the gradient of the loss.
 
     Attributes:
         along: To x and y of every camera on the mount surface [1/m], float64 [camera, 2].
@@ -45,7 +45,7 @@ class Descent:
     turn: np.ndarray
 
     @classmethod
-    def of_event(cls, event: Mapping[str, Any]) -> Descent | None:
+    def of_event(cls, event: Mapping[str, Any]) -> Steepest | None:
         """That of a line of ``events.jsonl``; None for runs that did not record it."""
         gradient = event.get("gradient")
         if not gradient:
@@ -56,42 +56,42 @@ class Descent:
         )
 
 
-def arrows_m(rig: Rig, descent: Descent, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
+def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
     """Arrows along the mount surface that show where the descent moves the cameras.
 
     Args:
         rig: The cameras.
-        descent: Which way the loss falls there.
+        descent: Direction of steepest descent there.
         surface: What the cameras stand on.
         longest_m: Length of the longest arrow [m].
 
     Returns:
         float64 [camera, 3] in the ego frame [m]: tangential to the surface, lengths in proportion to the gradient's
-        norm; all 0 where nothing depends on any place.
+        norm; all 0 where the loss depends on no position.
     """
     norm = np.linalg.norm(descent.along, axis=1, keepdims=True)
     if not norm.any():
         return np.zeros((len(rig.cameras), 3))
     ahead = np.divide(descent.along, norm, out=np.zeros_like(descent.along), where=norm > 0.0)
-    place_m = np.array([camera.position_m[:2] for camera in rig.cameras])
+    position_m = np.array([camera.position_m[:2] for camera in rig.cameras])
     reach_m = max(surface.cell_m, 0.05)
-    rise_m = surface.height_at_m(place_m + reach_m * ahead) - surface.height_at_m(place_m - reach_m * ahead)
+    rise_m = surface.height_at_m(position_m + reach_m * ahead) - surface.height_at_m(position_m - reach_m * ahead)
     tangent = np.column_stack([ahead, rise_m / (2.0 * reach_m)])
     length = np.linalg.norm(tangent, axis=1, keepdims=True)
     return tangent / np.maximum(length, 1e-12) * longest_m * norm / norm.max()
 
 
 def add_descent(
-    plotter: Plotter, rig: Rig, descent: Descent | None, surface: MountSurface, *, name: str = "descent"
+    plotter: Plotter, rig: Rig, descent: Steepest | None, surface: MountSurface, *, name: str = "descent"
 ) -> None:
-    """Add straight arrows for where a step moves the cameras and bent ones for which way it turns them.
+    """Add straight arrows for where a step moves the cameras and bent ones for the direction in which it turns them.
 
     Lengths and angles are in proportion to the gradient; the longest of each kind have a fixed size.
 
     Args:
         plotter: Where to draw; arrows drawn before under the same name go.
         rig: The cameras.
-        descent: Which way the loss falls there; None: no arrows.
+        descent: Direction of steepest descent there; None: no arrows.
         surface: What the cameras stand on.
         name: First part of the actors' names.
     """
@@ -105,28 +105,32 @@ def add_descent(
     turn_rad = WIDEST_RAD * descent.turn / widest if widest > 0.0 else np.zeros(len(rig.cameras))
     for camera, arrow, angle in zip(rig.cameras, arrows_m(rig, descent, surface), turn_rad, strict=True):
         start = camera.position_m + np.array([0.0, 0.0, _RISE_M])
-        ways = {}
+        curves = {}
         if np.linalg.norm(arrow) > _LEAST * LONGEST_M:
-            ways["move"] = start + np.linspace(0.0, 1.0, 2)[:, None] * arrow
+            curves["move"] = start + np.linspace(0.0, 1.0, 2)[:, None] * arrow
         if abs(angle) > _LEAST * WIDEST_RAD:
             bearing = camera.yaw_rad + np.linspace(0.0, angle, 24)
-            ways["turn"] = start + _RADIUS_M * np.stack(
+            curves["turn"] = start + _RADIUS_M * np.stack(
                 [np.cos(bearing), np.sin(bearing), np.zeros(len(bearing))], axis=1
             )
-        for kind, way_m in ways.items():
+        for kind, curve_m in curves.items():
             plotter.add_mesh(
-                _arrow(way_m), color=DESCENT_RGB, ambient=0.7, name=f"{name}/{camera.name}/{kind}", smooth_shading=False
+                _arrow(curve_m),
+                color=DESCENT_RGB,
+                ambient=0.7,
+                name=f"{name}/{camera.name}/{kind}",
+                smooth_shading=False,
             )
 
 
-def _arrow(way_m: np.ndarray) -> PolyData:
-    """An arrow along a way [point, 3], with a tip at its end."""
+def _arrow(curve_m: np.ndarray) -> PolyData:
+    """An arrow along a curve [m], shape [point, 3], with a tip at its end."""
     pyvista = load_pyvista()
-    length_m = np.linalg.norm(np.diff(way_m, axis=0), axis=1).sum()
+    length_m = np.linalg.norm(np.diff(curve_m, axis=0), axis=1).sum()
     tip_m = min(3.0 * _TIP_M, 0.6 * float(length_m))
-    ahead = (way_m[-1] - way_m[-2]) / np.linalg.norm(way_m[-1] - way_m[-2])
-    shaft = pyvista.lines_from_points(way_m).tube(radius=_SHAFT_M, n_sides=12)
+    ahead = (curve_m[-1] - curve_m[-2]) / np.linalg.norm(curve_m[-1] - curve_m[-2])
+    shaft = pyvista.lines_from_points(curve_m).tube(radius=_SHAFT_M, n_sides=12)
     tip = pyvista.Cone(
-        center=way_m[-1] + 0.5 * tip_m * ahead, direction=ahead, height=tip_m, radius=_TIP_M, resolution=20
+        center=curve_m[-1] + 0.5 * tip_m * ahead, direction=ahead, height=tip_m, radius=_TIP_M, resolution=20
     )
     return pyvista.merge([shaft, tip])

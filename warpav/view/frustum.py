@@ -19,7 +19,7 @@ def image_corners(model: CameraModel, *, depth_m: float) -> np.ndarray:
     """Corners of the image in camera coordinates, at ``depth_m`` [m] as the lens counts depth.
 
     That is along the optical axis for pinhole and Brown-Conrady lenses, else along the ray. Where a corner sees
-    nothing, as beyond a fisheye's circle, it is the place nearest to it, on the way to the middle, that does.
+    nothing, as beyond a fisheye's circle, it is the nearest point on the line to the middle that does.
 
     Returns:
         Float64, shape [4, 3]: top left, top right, bottom right, bottom left.
@@ -30,10 +30,10 @@ def image_corners(model: CameraModel, *, depth_m: float) -> np.ndarray:
     )
 
 
-def _outermost_ray(model: CameraModel, place_px: list[float]) -> np.ndarray:
-    """The first ray of the way from a place of the image to its middle."""
+def _outermost_ray(model: CameraModel, start_px: list[float]) -> np.ndarray:
+    """The first ray on the line from a point of the image to its middle."""
     middle_px = 0.5 * np.array([model.width_px, model.height_px])
-    ray = model.rays(place_px + _TOWARDS_MIDDLE[:, None] * (middle_px - place_px))
+    ray = model.rays(start_px + _TOWARDS_MIDDLE[:, None] * (middle_px - start_px))
     seen = np.isfinite(ray[:, 0])
     return ray[seen.argmax()] if seen.any() else np.array([0.0, 0.0, 1.0])
 

@@ -1,4 +1,4 @@
-"""A rig under inspection: scenes to look at, iterations to go through, cameras to move, and what follows from it.
+"""A rig under inspection: scenes to show, iterations to go through, cameras to move, and what follows from it.
 
 Nothing here draws; `warpav.view.inspector` does.
 """
@@ -21,18 +21,18 @@ from warpav.scene.device_scene import DeviceScene
 
 if TYPE_CHECKING:
     from warpav.evaluation.coverage import Coverage
-    from warpav.evaluation.metrics import RigLook, RigObserver
+    from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
-    from warpav.view.descent_view import Descent
+    from warpav.view.descent_view import Steepest
 
 KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
 
 
 class InspectedRig:
-    """A rig that is looked at and changed.
+    """A rig that is shown and changed.
 
     Attributes:
         frames: Rigs to go through, such as those of the iterations of a run; at least one.
@@ -51,7 +51,7 @@ class InspectedRig:
         constraints: Constraints,
         height_offset_m: float,
         observer_of: Callable[[Rig], RigObserver],
-        descents: Sequence[Descent | None] = (),
+        descents: Sequence[Steepest | None] = (),
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene.
@@ -62,8 +62,8 @@ class InspectedRig:
             scene_count: Number of scenes, at least 1.
             constraints: Where cameras may stand; on their surface they are moved.
             height_offset_m: How far above the surface cameras stand that have been moved there [m].
-            observer_of: Looks at scenes through a rig.
-            descents: Which way the loss falls at the frames, None where nobody knows; one for each, or none at all.
+            observer_of: Observes scenes through a rig.
+            descents: Direction of steepest descent at every frame, None where it is unknown; or none at all.
             device: Warp device.
 
         Raises:
@@ -112,19 +112,19 @@ class InspectedRig:
         self.scene_index = index % self.scene_count
         self._forget()
 
-    def move(self, camera: int, place_m: np.ndarray) -> RigCamera:
-        """Move a camera to the place on the mount surface nearest to another, and return it as it is then.
+    def move(self, camera: int, position_m: np.ndarray) -> RigCamera:
+        """Move a camera to the position on the mount surface nearest to another one, and return it as it is then.
 
         A camera that stood on the surface keeps its height above it. Other cameras stay, so two may come too close:
-        `violation_m` tells.
+        see `violation_m`.
 
         Args:
             camera: Its number.
-            place_m: x and y in the ego frame, more numbers are left out [m].
+            position_m: x and y in the ego frame, more numbers are left out [m].
         """
         surface = self._constraints.surface
         old = self.rig.cameras[camera]
-        at_m = self._constraints.project(np.asarray(place_m, np.float64)[None, :2])[0]
+        at_m = self._constraints.project(np.asarray(position_m, np.float64)[None, :2])[0]
         was_above_m = old.position_m[2] - float(surface.height_at_m(old.position_m[None, :2])[0])
         stood_there = bool(self._constraints.contains(old.position_m[None, :2])[0])
         above_m = was_above_m if stood_there else self._height_offset_m
@@ -136,8 +136,8 @@ class InspectedRig:
         return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
 
     @property
-    def descent(self) -> Descent | None:
-        """Which way the loss falls at the frame; None where nobody knows, and once a camera was moved or turned."""
+    def descent(self) -> Steepest | None:
+        """Direction of steepest descent at the frame; None if it is unknown, or once a camera was moved or turned."""
         return self._descents[self.frame] if self.rig is self.frames[self.frame] else None
 
     @property
@@ -160,9 +160,9 @@ class InspectedRig:
         return coverage
 
     @cached_property
-    def look(self) -> RigLook:
+    def observation(self) -> RigObservation:
         """What the detector makes of the scene."""
-        return self._observer_of(self.rig).look(self.packed)
+        return self._observer_of(self.rig).observe(self.packed)
 
     @property
     def violation_m(self) -> float:
@@ -203,5 +203,5 @@ class InspectedRig:
         self._forget()
 
     def _forget(self) -> None:
-        for name in ("coverage", "look"):
+        for name in ("coverage", "observation"):
             self.__dict__.pop(name, None)

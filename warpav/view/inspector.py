@@ -1,4 +1,4 @@
-"""The interactive picture of a rig: go through a run, switch scenes, look through cameras, move them, save the rig."""
+"""The interactive view of a rig: go through a run, switch scenes, look through cameras, move them, save the rig."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
-from warpav.view.picture import WIDE_ZOOM
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, add_camera, add_scene, no_render, rig_plotter
-from warpav.view.sight_view import RAYS_PX, add_camera_sight, add_coverage, add_outcomes, colour_coverage
+from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
+from warpav.view.visibility_view import RAYS_PX, add_camera_visibility, add_coverage, add_outcomes, colour_coverage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from warpav.evaluation.coverage import Ground
-    from warpav.evaluation.metrics import CameraLook
+    from warpav.evaluation.metrics import CameraObservation
     from warpav.rig.rig import RigCamera
     from warpav.view.inspected import InspectedRig
 
@@ -62,16 +61,16 @@ class Inspector:
     """A plotter whose cameras can be dragged over the mount surface.
 
     Attributes:
-        plotter: The picture; call ``show`` on it.
-        state: What is shown; change it by the methods of this class, so that the picture follows.
+        plotter: The window; call ``show`` on it.
+        state: What is shown; change it by the methods of this class, so that the window follows.
         chosen: Number of the camera whose view is shown; None: no view.
         shown_height: Which of the coverage's heights is shown; None: no coverage.
         shows_outcomes: Whether traffic is coloured by what becomes of it.
-        shows_sight: Whether the views of the cameras are painted, up to what stands in the way; the ground carries
+        shows_visibility: Whether the views of the cameras are painted, up to what hides the rest; the ground carries
             either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
 
-    What moves is changed in place: while a camera is dragged no actor is made, and the picture is drawn once.
+    What moves is changed, not drawn again: while a camera is dragged no actor is made, and one image is drawn.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class Inspector:
         *,
         save_to: Path,
         trajectory_m: np.ndarray | None = None,
-        begin_with: Literal["coverage", "outcomes", "sight"] = "coverage",
+        begin_with: Literal["coverage", "outcomes", "visibility"] = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -89,7 +88,7 @@ class Inspector:
         Args:
             state: What to show.
             save_to: File that the rig is written to; files that are there stay.
-            trajectory_m: Ways of the cameras over a run, which are drawn [m], [iteration, camera, 3].
+            trajectory_m: Trajectories of the cameras over a run [m], [iteration, camera, 3].
             begin_with: What is shown at first: how many cameras see the ground, traffic in the colours of what
                 becomes of it, or the views of the cameras.
             off_screen: Draw without a window; by default when there is no display.
@@ -102,7 +101,7 @@ class Inspector:
         self.chosen: int | None = None
         self.shown_height: int | None = 0 if begin_with == "coverage" else None
         self.shows_outcomes = begin_with == "outcomes"
-        self.shows_sight = begin_with == "sight"
+        self.shows_visibility = begin_with == "visibility"
         self.shows_descent = True
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
@@ -120,7 +119,7 @@ class Inspector:
                 zoom=WIDE_ZOOM,
             )
             coverage.result()
-        # dragging has to be smooth; pictures are made by other functions
+        # dragging has to be smooth; image files are made by other functions
         self.plotter.disable_anti_aliasing()
         self.plotter.renderer.SetUseOIT(False)
         self._drawn = list(state.rig.cameras)
@@ -132,7 +131,7 @@ class Inspector:
         self._draw_descent()
         if self.shows_outcomes:
             self._draw_scene()
-        self._draw_sight()
+        self._draw_visibility()
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do
@@ -147,7 +146,7 @@ class Inspector:
                 self._draw_camera(index)
                 self._put_ball(index)
             self._draw_descent()
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def next_scene(self) -> None:
@@ -155,7 +154,7 @@ class Inspector:
         self.state.show_scene(self.state.scene_index + 1)
         with self._one_render():
             self._draw_scene()
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def cycle_coverage(self) -> None:
@@ -163,9 +162,9 @@ class Inspector:
         heights = [*range(len(self.state.coverage.heights_m)), None]
         self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
         if self.shown_height is not None:
-            self.shows_sight = False
+            self.shows_visibility = False
         with self._one_render():
-            self._draw_sight()
+            self._draw_visibility()
             self._redraw()
 
     def toggle_outcomes(self) -> None:
@@ -175,13 +174,13 @@ class Inspector:
             self._draw_scene()
             self._redraw()
 
-    def toggle_sight(self) -> None:
-        """Paint the views of the cameras up to what stands in the way, or no longer; the coverage goes."""
-        self.shows_sight = not self.shows_sight
-        if self.shows_sight:
+    def toggle_visibility(self) -> None:
+        """Paint the views of the cameras up to what hides the rest, or no longer; the coverage goes."""
+        self.shows_visibility = not self.shows_visibility
+        if self.shows_visibility:
             self.shown_height = None
         with self._one_render():
-            self._draw_sight()
+            self._draw_visibility()
             self._draw_coverage()
 
     def toggle_descent(self) -> None:
@@ -196,14 +195,14 @@ class Inspector:
         with self._one_render():
             self._draw_view()
 
-    def drag(self, camera: int, place_m: np.ndarray) -> None:
+    def drag(self, camera: int, position_m: np.ndarray) -> None:
         """Move a camera while it is dragged: all but what needs the detector follows."""
         with self._one_render():
-            self._follow(camera, place_m)
+            self._follow(camera, position_m)
 
-    def drop(self, camera: int, place_m: np.ndarray) -> None:
+    def drop(self, camera: int, position_m: np.ndarray) -> None:
         """Move a camera and let go of it: everything follows."""
-        self.state.move(camera, place_m)
+        self.state.move(camera, position_m)
         self.chosen = camera
         self._after_change(camera)
 
@@ -230,19 +229,19 @@ class Inspector:
 
     # ------------------------------------------------------------------------------------------------ what is drawn
 
-    def _follow(self, camera: int, place_m: np.ndarray) -> None:
+    def _follow(self, camera: int, position_m: np.ndarray) -> None:
         """What a drag changes, not yet drawn."""
         was_descent = self.state.descent is not None
-        self.state.move(camera, place_m)
+        self.state.move(camera, position_m)
         self._draw_camera(camera)
         if was_descent:
             self._draw_descent()
-        if self.shows_sight:
-            self._draw_sight_of(camera, rays=DRAGGED_RAYS_PX)
+        if self.shows_visibility:
+            self._draw_visibility_of(camera, rays=DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
-        """Answer to a move of the mouse; the ball draws the picture afterwards, so nothing else has to."""
+        """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
         with no_render(self.plotter):
             self._follow(camera, np.array(ball.GetCenter()))
 
@@ -251,8 +250,8 @@ class Inspector:
             self._draw_camera(camera)
             self._put_ball(camera)
             self._draw_descent()
-            if self.shows_sight:
-                self._draw_sight_of(camera)
+            if self.shows_visibility:
+                self._draw_visibility_of(camera)
             if self.shows_outcomes:
                 self._draw_scene()
             self._redraw()
@@ -301,7 +300,7 @@ class Inspector:
             "n": self.next_scene,
             "c": self.cycle_coverage,
             "d": self.toggle_outcomes,
-            "v": self.toggle_sight,
+            "v": self.toggle_visibility,
             "g": self.toggle_descent,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
@@ -314,7 +313,7 @@ class Inspector:
     def _add_ball(self, index: int) -> None:
         """A ball around a camera that can be dragged."""
         widget = self.plotter.add_sphere_widget(
-            lambda place_m: self.drop(index, np.array(place_m)),
+            lambda position_m: self.drop(index, np.array(position_m)),
             center=tuple(self.state.rig.cameras[index].position_m),
             radius=_BALL_RADIUS_M,
             color=hex_colour(camera_rgb(index)),
@@ -341,7 +340,7 @@ class Inspector:
         return label
 
     def _draw_camera(self, index: int) -> None:
-        """Move what is drawn of a camera to where it is now; only another lens is drawn anew."""
+        """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
         camera, drawn = self.state.rig.cameras[index], self._drawn[index]
         if camera.model == drawn.model:
             moved = camera.ego_from_camera @ np.linalg.inv(drawn.ego_from_camera)
@@ -357,22 +356,22 @@ class Inspector:
         descent = self.state.descent if self.shows_descent else None
         add_descent(self.plotter, self.state.rig, descent, self.state.surface)
 
-    def _draw_sight(self) -> None:
+    def _draw_visibility(self) -> None:
         for index, camera in enumerate(self.state.rig.cameras):
-            if self.shows_sight:
-                self._draw_sight_of(index)
+            if self.shows_visibility:
+                self._draw_visibility_of(index)
             else:
-                self.plotter.remove_actor(f"sight/{camera.name}")
+                self.plotter.remove_actor(f"visibility/{camera.name}")
 
-    def _draw_sight_of(self, index: int, *, rays: int = RAYS_PX) -> None:
-        add_camera_sight(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
+    def _draw_visibility_of(self, index: int, *, rays: int = RAYS_PX) -> None:
+        add_camera_visibility(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
 
     def _draw_scene(self) -> None:
         scene, plotter = self.state.scene, self.plotter
         for name in [name for name in plotter.actors if name.startswith(("scene/", "legend/"))]:
             plotter.remove_actor(name)
         if self.shows_outcomes:
-            add_outcomes(plotter, scene, self.state.look.outcomes, legend=False)
+            add_outcomes(plotter, scene, self.state.observation.outcomes, legend=False)
             scene = dataclasses.replace(scene, vehicles=())
         add_scene(plotter, scene)
 
@@ -390,8 +389,8 @@ class Inspector:
             height_m = self.state.coverage.heights_m[self.shown_height]
             lines.append(f"ground: {height_m:g} m tall, seen by no camera (red), by one, two or more (blue)")
         if detector and (self.shows_outcomes or self.chosen is not None):
-            look = self.state.look
-            lines.append(f"{int(look.detected.sum())} of {len(look.detected)} vehicles detected")
+            observed = self.state.observation
+            lines.append(f"{int(observed.detected.sum())} of {len(observed.detected)} vehicles detected")
         return lines
 
     def _draw_coverage(self) -> None:
@@ -425,8 +424,10 @@ class Inspector:
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         assert self.chosen is not None
-        look = self.state.look.cameras[self.chosen]
-        return framed_view(look, scale=VIEW_PX / max(look.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen))
+        observed = self.state.observation.cameras[self.chosen]
+        return framed_view(
+            observed, scale=VIEW_PX / max(observed.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen)
+        )
 
 
 def _label_m(camera: RigCamera) -> tuple[float, float, float]:
@@ -436,11 +437,11 @@ def _label_m(camera: RigCamera) -> tuple[float, float, float]:
     return float(x), float(y), float(corner[:, 2].max()) + 0.12
 
 
-def framed_view(look: CameraLook, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
+def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
     """A camera's image with boxes and a coloured border.
 
     Args:
-        look: What the detector makes of the image.
+        observed: What the detector makes of the image.
         scale: By how much the image is enlarged.
         border_rgb: Colour of the border.
 
@@ -449,23 +450,23 @@ def framed_view(look: CameraLook, *, scale: float, border_rgb: tuple[int, int, i
     """
     import cv2
 
-    picture = cv2.resize(look.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    enlarged = cv2.resize(observed.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
 
     def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:
         x0, y0, x1, y1 = (int(round(float(value) * scale)) for value in box)
-        cv2.rectangle(picture, (x0, y0), (x1, y1), rgb, width)
+        cv2.rectangle(enlarged, (x0, y0), (x1, y1), rgb, width)
 
-    matched = set(look.match.tolist())
-    for k, box in enumerate(look.detections.box_px):
+    matched = set(observed.match.tolist())
+    for k, box in enumerate(observed.detections.box_px):
         draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
-    for box, found in zip(look.truth_box_px, look.match, strict=True):
+    for box, found in zip(observed.truth_box_px, observed.match, strict=True):
         if found < 0 and np.isfinite(box).all():
             draw(box, MISS_RGB, 2)
-    return cv2.copyMakeBorder(picture, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
+    return cv2.copyMakeBorder(enlarged, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
 
 
 def image_actor(image_rgb: np.ndarray, *, right_px: int, bottom_px: int) -> Any:  # noqa: ANN401 (a vtkActor2D)
-    """An image in the plane of the picture, whose lower right corner is so far from the left and lower edges [px]."""
+    """An image in the plane of the window, whose lower right corner is so far from the left and lower edges [px]."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
     pyvista = load_pyvista()

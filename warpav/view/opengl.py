@@ -34,7 +34,7 @@ def display_text() -> str:
 
 
 def opengl_problem() -> str | None:
-    """What keeps pictures from being drawn here, in one line with its cure; None when nothing does.
+    """Why nothing can be drawn here, in one line with the remedy; None when nothing does.
 
     VTK ends the whole process with a segmentation fault when it finds no OpenGL, which no ``except`` can catch. So it
     is looked for first: a library alone is not enough, it has to find something that draws.
@@ -42,7 +42,7 @@ def opengl_problem() -> str | None:
     if has_display() or _egl_draws() or _draws_in_memory():
         return None
     return (
-        f"pictures need OpenGL: there is no display ({display_text()}), and neither {EGL_LIBRARY} with a driver nor "
+        f"images need OpenGL: there is no display ({display_text()}), and neither {EGL_LIBRARY} with a driver nor "
         f"{OSMESA_LIBRARIES[0]} was found; install them with `apt install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
     )
 
@@ -62,7 +62,7 @@ def tell_vtk_where_to_draw() -> None:
 
 
 def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run time; checkers see little of it)
-    """The module ``pyvista`` for plotters, imported in a way that draws with or without a display.
+    """The module ``pyvista`` for plotters, imported so that it draws with or without a display.
 
     Raises:
         InputError: There is no display and no library that draws without one.

@@ -1,4 +1,4 @@
-"""The colours of every picture: one per camera, the same in 3D views and in figures."""
+"""The colours of every image and figure: one per camera, the same in 3D views and in figures."""
 
 from __future__ import annotations
 
@@ -45,6 +45,10 @@ COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222)
 def camera_rgb(index: int) -> Rgb:
     """Colour of the camera with this index, from 0; the colours repeat after the eighth."""
     return CAMERA_RGB[index % len(CAMERA_RGB)]
+
+
+BASELINE_RGB: dict[str, Rgb] = {"start": MUTED_RGB, "highest": camera_rgb(1), "random": camera_rgb(4)}
+"""Of rigs that a result is compared with; the result has the colour of the first camera."""
 
 
 def hex_colour(rgb: Rgb) -> str:

@@ -1,4 +1,4 @@
-"""The picture of a rig: ego vehicle, cameras with frustums and sectors, paths of the optimisation, traffic.
+"""A rig in 3D: ego vehicle, cameras with frustums and sectors, paths of the optimisation, traffic.
 
 Every function adds to a plotter that the caller owns. Actors carry stable names (``rig/<camera>/frustum``,
 ``scene/vehicles`` ...), so drawing again replaces what was drawn before.
@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.view.frustum import bearing_sector_rad, frustum_points
-from warpav.view.opengl import load_pyvista, load_pyvista_data
+from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from warpav.evaluation.metrics import ObjectOutcome
+    from warpav.evaluation.coverage import Coverage
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     PolyData = Any
 
 WINDOW_PX = (1280, 800)
+WIDE_ZOOM = 0.62
+"""Of images that show what a rig sees."""
+
 FRUSTUM_DEPTH_M = 1.25
 SECTOR_RADIUS_M = 9.0
 HAZE_START_M = 9.0
@@ -58,48 +61,36 @@ def rig_plotter(
     *,
     ego: Mesh | None = None,
     scene: Scene | None = None,
-    outcomes: Sequence[ObjectOutcome] | None = None,
-    sight: bool = False,
+    outcomes: Sequence[str] | None = None,
+    coverage: Coverage | None = None,
+    visibility: bool = False,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_PX,
     title: str | None = None,
-    zoom: float = 1.0,
+    zoom: float | None = None,
     frustum_depth_m: float = FRUSTUM_DEPTH_M,
-    sectors: bool = True,
+    sectors: bool | None = None,
     labels: bool = True,
 ) -> Plotter:
-    """A plotter with the whole picture, not yet shown: call ``.show()`` on it or `warpav.view.picture.save_picture`.
+    """A plotter with all that `warpav.view.plot` draws of a rig, not yet shown.
 
-    Args:
-        rig: The cameras.
-        ego: The vehicle that carries them, in the ego frame; that of the scene when None, and without a scene none: the
-            axes of the ego frame stand in its place.
-        scene: Traffic and street around it; an empty ground when None.
-        outcomes: What becomes of every vehicle of the scene; they are then coloured by it.
-        sight: Whether to paint what every camera sees of the scene, and its view up to what stands in the way.
-        trajectory_m: Camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
-        mount_surface: When given, drawn on the vehicle in colours of height.
-        off_screen: Draw without a window; by default when there is no display.
-        window_size: Width and height [px].
-        title: A line in the upper left corner.
-        zoom: 1 fills the picture with the vehicle, less shows more around it.
-        frustum_depth_m: How far the frustums are drawn [m].
-        sectors: Whether to draw on the ground what bearings each camera covers; ``sight`` takes their place.
-        labels: Whether to name the cameras.
+    Most options are those of `warpav.view.plot`. ``frustum_depth_m`` is how far the frustums are drawn [m], ``labels``
+    whether the cameras are named, and ``sectors`` whether the bearings that each camera covers are drawn on the ground,
+    by default unless outcomes, coverage or visibility are painted.
 
     Raises:
         InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
-        ValueError: ``sight`` or ``outcomes`` of no scene.
+        ValueError: Visibility, coverage or outcomes of no scene.
     """
-    if scene is None and (sight or outcomes is not None):
-        raise ValueError("sight, outcomes: expected a scene with what is seen, got none")
+    is_painted = visibility or coverage is not None or outcomes is not None
+    if scene is None and is_painted:
+        raise ValueError("visibility, coverage, outcomes: expected a scene with what is seen, got none")
+    zoom = (WIDE_ZOOM if is_painted else 1.0) if zoom is None else zoom
+    sectors = not is_painted if sectors is None else sectors and not visibility
     pyvista = load_pyvista()
-    if off_screen is None:
-        from warpav.view.opengl import has_display
-
-        off_screen = not has_display()
+    off_screen = not has_display() if off_screen is None else off_screen
     plotter = pyvista.Plotter(
         off_screen=off_screen, window_size=list(window_size), lighting="light kit", title="warpav"
     )
@@ -118,7 +109,7 @@ def rig_plotter(
     else:
         shown = scene
         if outcomes is not None:
-            from warpav.view.sight_view import add_outcomes
+            from warpav.view.visibility_view import add_outcomes
 
             add_outcomes(plotter, scene, outcomes)
             shown = dataclasses.replace(scene, vehicles=())
@@ -127,14 +118,18 @@ def rig_plotter(
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
-    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors and not sight, labels=labels)
-    if sight and scene is not None:
+    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    if visibility and scene is not None:
         from warpav.scene.device_scene import DeviceScene
-        from warpav.view.sight_view import add_sight
+        from warpav.view.visibility_view import add_visibility
 
-        add_sight(plotter, rig, DeviceScene.pack(scene))
+        add_visibility(plotter, rig, DeviceScene.pack(scene))
     if trajectory_m is not None:
         add_trajectory(plotter, trajectory_m)
+    if coverage is not None:
+        from warpav.view.visibility_view import add_coverage
+
+        add_coverage(plotter, coverage)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
@@ -144,7 +139,7 @@ def rig_plotter(
 
 @contextmanager
 def no_render(plotter: Plotter) -> Iterator[None]:
-    """Change the picture without drawing it after every change, as pyvista does once it was drawn."""
+    """Change a plotter without drawing after every change, as pyvista does once it was drawn."""
     plotter.suppress_rendering = True
     try:
         yield
@@ -164,10 +159,10 @@ def look_at_ego(
 
     Args:
         plotter: Where to draw.
-        bounds_m: Lowest and highest corner of the vehicle in the middle of the picture [m], shape [2, 3].
+        bounds_m: Lowest and highest corner of the vehicle in the middle of the image [m], shape [2, 3].
         azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
         elevation_rad: Height of the viewer above the horizon [rad].
-        zoom: 1 fills the picture with the vehicle, less shows more around it.
+        zoom: 1 fills the image with the vehicle, less shows more around it.
     """
     low, high = np.asarray(bounds_m, np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
@@ -207,14 +202,14 @@ def clear_azimuth_rad(scene: Scene) -> float:
 
 
 def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
-    """Where points of the ego frame appear in the plotter's picture [px], from the upper left corner.
+    """Where points of the ego frame appear in the plotter's image [px], from the upper left corner.
 
     Args:
-        plotter: The picture; it need not have been drawn yet.
+        plotter: The plotter; it need not have been drawn yet.
         point_m: Points in front of the viewer [m], shape [point, 3].
 
     Returns:
-        Column and row [px], float64, shape [point, 2]; outside the picture where the point is not in it.
+        Column and row [px], float64, shape [point, 2]; outside the image where the point is not in it.
     """
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1.0, 1.0)
@@ -361,7 +356,7 @@ def add_rig(
 
     Args:
         plotter: Where to draw.
-        rig: The cameras; each has its own colour, the same as in every other picture.
+        rig: The cameras; each has its own colour, the same as in every other image.
         name: First part of the actors' names.
         frustum_depth_m: How far the frustums are drawn [m].
         sectors: Whether to draw on the ground what bearings each camera covers.
@@ -502,7 +497,7 @@ def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) 
 
 
 def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, name: str) -> None:
-    """Names above the frustums, placed so that none hides another from where the plotter looks now."""
+    """Names above the frustums, put so that none hides another from the present view."""
     point = [frustum_points(camera, depth_m=depth_m) for camera in cameras]
     anchor = np.array([corner[1:].mean(axis=0) for corner in point])
     anchor[:, 2] = [corner[:, 2].max() + 0.12 for corner in point]
@@ -527,10 +522,10 @@ def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: floa
 
 
 def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray) -> np.ndarray:
-    """Where to anchor labels so that none overlaps another or leaves the picture, each as near its wish as possible.
+    """Anchors of labels so that none overlaps another or leaves the image, as near as possible to what is wanted.
 
     Args:
-        plotter: The picture, with its view set.
+        plotter: The plotter, with its view set.
         wanted_m: Where the middles of the labels would like to be [m], shape [label, 3].
         size_px: Width and height of each label [px], shape [label, 2].
 
@@ -544,16 +539,16 @@ def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray)
     above = np.cross(right, ahead)
     middle_px = project_px(plotter, wanted_m)
     px_per_m = np.linalg.norm(project_px(plotter, wanted_m + above) - middle_px, axis=1)
-    picture_px = np.asarray(plotter.window_size, dtype=np.float64)
+    image_px = np.asarray(plotter.window_size, dtype=np.float64)
     step = np.stack(np.meshgrid(np.arange(-60, 61) * 8.0, np.arange(-60, 61) * 5.0), axis=-1).reshape(-1, 2)
     step = step[np.argsort(np.hypot(step[:, 0], step[:, 1]), kind="stable")]
     placed_px = np.zeros((0, 2))
     placed: list[int] = []
     corner_m = np.asarray(wanted_m, dtype=np.float64).copy()
-    for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the picture first
+    for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the image first
         candidate = middle_px[index] + step
         room = size_px[index] / 2.0
-        clear = ((candidate >= room) & (candidate <= picture_px - room)).all(axis=1)
+        clear = ((candidate >= room) & (candidate <= image_px - room)).all(axis=1)
         for other, other_px in zip(placed, placed_px, strict=True):
             clear &= (np.abs(candidate - other_px) >= room + size_px[other] / 2.0).any(axis=1)
         chosen = int(np.argmax(clear))  # the first, its wish, should none be clear
@@ -599,8 +594,8 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
 
 def _bounds_without_ego_m(rig: Rig) -> np.ndarray:
     """Where a vehicle could be that carries the cameras: from the ground up around them, as long as a small car."""
-    place_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
-    low, high = np.minimum(place_m.min(axis=0), 0.0), np.maximum(place_m.max(axis=0), [0.0, 0.0, 1.0])
+    position_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
+    low, high = np.minimum(position_m.min(axis=0), 0.0), np.maximum(position_m.max(axis=0), [0.0, 0.0, 1.0])
     missing_m = np.maximum([4.0, 2.0, 0.0] - (high - low), 0.0)
     return np.stack([low - missing_m / 2, high + missing_m / 2])
 

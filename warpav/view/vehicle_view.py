@@ -1,4 +1,4 @@
-"""The picture of a vehicle that is to carry cameras: where they may stand, its origin, its axes, its wheels."""
+"""A vehicle that is to carry cameras: where they may stand, its origin, its axes, its wheels."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.opengl import load_pyvista, load_pyvista_data
+from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view.palette import INK_RGB, PAPER_RGB, hex_colour
 from warpav.view.rig_view import add_axes, add_ego, add_ground, look_at_ego
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
@@ -21,42 +20,54 @@ if TYPE_CHECKING:
     Plotter = Any
     PolyData = Any
 
-PICTURE_PX = (1280, 720)
+VEHICLE_PX = (1280, 720)
 LIFT_M = 0.03
 """By how much the mountable zone is drawn above the surface."""
 
 
 def vehicle_plotter(
-    vehicle: Mesh,
+    vehicle: Mesh | None,
     *,
     surface: MountSurface | None,
     axle_m: Sequence[float] = (),
     title: str | None = None,
-    off_screen: bool = True,
+    window_size: tuple[int, int] = VEHICLE_PX,
+    zoom: float = 1.0,
+    off_screen: bool | None = None,
 ) -> Plotter:
     """A plotter that shows a vehicle from its front left; not yet shown.
 
     Args:
-        vehicle: In the ego frame.
+        vehicle: In the ego frame; None: only the surface.
         surface: Its mount surface; the cells that can carry a camera are coloured by height. None: nothing is.
         axle_m: x of its axles, drawn as lines on the ground [m].
         title: A line in the upper left corner.
-        off_screen: Draw without a window.
+        window_size: Width and height [px].
+        zoom: 1 fills the image with the vehicle, less shows more around it.
+        off_screen: Whether to draw without a window; by default if there is no display.
 
     Raises:
         InputError: Nothing can be drawn on this machine.
+        ValueError: There is neither a vehicle nor a surface.
     """
+    if vehicle is None and surface is None:
+        raise ValueError("vehicle, surface: expected at least one of them, got neither")
     pyvista = load_pyvista()
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(PICTURE_PX), lighting="light kit")
+    off_screen = not has_display() if off_screen is None else off_screen
+    plotter = pyvista.Plotter(
+        off_screen=off_screen, window_size=list(window_size), lighting="light kit", title="warpav"
+    )
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    look_at_ego(plotter, vehicle.bounds_m(), elevation_rad=math.radians(36.0))
+    bounds_m = vehicle.bounds_m().astype(np.float64) if vehicle is not None else _bounds_of_zone_m(surface)
+    look_at_ego(plotter, bounds_m, elevation_rad=math.radians(36.0), zoom=zoom)
     plotter.camera.view_angle = 19.0
-    add_ego(plotter, vehicle)
-    add_ground(plotter, vehicle.bounds_m(), rings=False)
+    if vehicle is not None:
+        add_ego(plotter, vehicle)
+    add_ground(plotter, bounds_m, rings=False, shadow=vehicle is not None)
     if surface is not None:
         add_mountable_zone(plotter, surface)
-    low, high = vehicle.bounds_m().astype(np.float64)
+    low, high = bounds_m
     thick = float(high[0] - low[0]) / 4.5  # what is drawn of a bus is seen from farther away
     add_axes(plotter, length_m=high + thick * np.array([0.9, 0.9, 0.7]), thick=thick)  # long enough to leave it
     for number, x in enumerate(axle_m):
@@ -70,10 +81,17 @@ def vehicle_plotter(
     return plotter
 
 
+def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
+    """The box from the ground to the highest cell of a surface [m], shape [2, 3]."""
+    assert surface is not None
+    low, high = surface.bounds_m
+    return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
+
+
 def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
     """The cells that can carry a camera as ``pyvista.PolyData``, one square each.
 
-    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest place that carries none.
+    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest position that carries none.
 
     Args:
         surface: The mount surface.
@@ -84,8 +102,8 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
     half_m = 0.5 * surface.cell_m
     middle_m = surface.origin_m + cell * surface.cell_m
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
-    place_m = (middle_m[:, None] + corner).reshape(-1, 2)
-    point_m = np.column_stack([place_m, surface.height_at_m(place_m) + lift_m])
+    corner_m = (middle_m[:, None] + corner).reshape(-1, 2)
+    point_m = np.column_stack([corner_m, surface.height_at_m(corner_m) + lift_m])
     zone = load_pyvista_data().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
     zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
     zone.cell_data["height_m"] = surface.height_m[is_mountable].astype(np.float64)
@@ -113,25 +131,3 @@ def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "
             "label_font_size": 18,
         },
     )
-
-
-def save_vehicle_picture(
-    vehicle: Mesh,
-    path: Path,
-    *,
-    surface: MountSurface | None,
-    axle_m: Sequence[float] = (),
-    title: str | None = None,
-) -> Path:
-    """Write the picture of `vehicle_plotter` as PNG (also ``.html`` and ``.gif``); missing folders are made.
-
-    Raises:
-        InputError: Another suffix, a place that cannot be written to, or no OpenGL on this machine.
-    """
-    from warpav.view.picture import save_picture
-
-    plotter = vehicle_plotter(vehicle, surface=surface, axle_m=axle_m, title=title)
-    try:
-        return save_picture(plotter, path)
-    finally:
-        plotter.close()

@@ -155,7 +155,7 @@ def keep_excess_kernel(
     # out
     kept_excess_m: wp.array[float],
 ):
-    """Of all inequalities those that count: a camera that is held cannot mend what it breaks by itself.
+    """Of all inequalities those that count: a frozen camera cannot repair what it breaks by itself.
 
     Launch: ``dim=kept.shape[0]``; one thread per inequality that counts.
     Writes: every element of ``kept_excess_m`` once.

@@ -42,7 +42,7 @@ Y_M = wp.constant(1)
 YAW_RAD = wp.constant(2)
 PITCH_RAD = wp.constant(3)
 ROLL_RAD = wp.constant(4)
-RISE_M = wp.constant(5)  # above the height at which cameras stand as configured
+HEIGHT_DELTA_M = wp.constant(5)  # above the height at which cameras stand as configured
 LOG_ZOOM = wp.constant(6)  # logarithm of the focal length over that of the configured camera
 MOUNT_POSE_SIZE = wp.constant(7)
 
@@ -75,7 +75,7 @@ def place_on_surface_kernel(
     camera = wp.tid()
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
-    z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m + mount_pose[camera, RISE_M]
+    z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m + mount_pose[camera, HEIGHT_DELTA_M]
     for rotation in range(rotation_count):
         v = camera * rotation_count + rotation
         position_ego_m[v] = wp.vec3(x_m, y_m, z_m)

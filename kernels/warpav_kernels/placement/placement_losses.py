@@ -9,15 +9,6 @@ import warp as wp
 from warpav_kernels.placement.mount_pose import YAW_RAD
 from warpav_kernels.raster.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 
-# the losses, in the order of their arrays; the last is not of vehicles
-IN_FRAME_ROTATION = wp.constant(0)
-DETECTED_AREA = wp.constant(1)
-SURFACE_BLOCKAGE = wp.constant(2)
-OBJECT_VISIBILITY = wp.constant(3)
-ANGULAR_COVERAGE = wp.constant(4)
-VEHICLE_LOSS_COUNT = wp.constant(4)
-LOSS_COUNT = wp.constant(5)
-
 ALIGNED_RAD = wp.constant(1.0e-6)  # ranges whose ends are this close touch: neither overlap nor gap, no gradient
 
 # what is known of a vehicle's bearing
@@ -126,7 +117,7 @@ def in_frame_rotation_loss_kernel(
     sight: wp.array[wp.int32],
     epsilon: float,
     # out
-    vehicle_loss: wp.array2d[float],
+    vehicle_loss: wp.array[float],
 ):
     """In-frame rotation loss of every assigned vehicle: how far its camera must turn to see it.
 
@@ -136,13 +127,13 @@ def in_frame_rotation_loss_kernel(
     Equation: 12, 13 (as printed)
 
     Launch: ``dim=camera_count``; one thread per camera, so that a yaw's gradient is summed in a fixed order.
-    Writes: ``vehicle_loss[IN_FRAME_ROTATION, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    Writes: ``vehicle_loss[vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
     camera = wp.tid()
     for vehicle in range(assigned_camera.shape[0]):
         if assigned_camera[vehicle] == camera:
             if sight[vehicle] == NEVER_SEEN:
-                vehicle_loss[IN_FRAME_ROTATION, vehicle] = 1.0
+                vehicle_loss[vehicle] = 1.0
             else:
                 yaw_rad = mount_pose[camera, YAW_RAD]
                 ends_rad = bearing_rad[vehicle]
@@ -150,9 +141,9 @@ def in_frame_rotation_loss_kernel(
                     circular_distance_rad(ends_rad[0], yaw_rad), circular_distance_rad(ends_rad[1], yaw_rad)
                 )
                 if sight[vehicle] == IN_FRAME:
-                    vehicle_loss[IN_FRAME_ROTATION, vehicle] = epsilon * turn_rad / wp.pi  # Eq. 12, 13
+                    vehicle_loss[vehicle] = epsilon * turn_rad / wp.pi  # Eq. 12, 13
                 else:
-                    vehicle_loss[IN_FRAME_ROTATION, vehicle] = turn_rad / wp.pi  # Eq. 13
+                    vehicle_loss[vehicle] = turn_rad / wp.pi  # Eq. 13
 
 
 @wp.func
@@ -212,7 +203,7 @@ def detected_area_loss_kernel(
     min_visibility: float,
     epsilon: float,
     # out
-    vehicle_loss: wp.array2d[float],
+    vehicle_loss: wp.array[float],
 ):
     """Detected-area loss of every assigned vehicle.
 
@@ -225,7 +216,7 @@ def detected_area_loss_kernel(
     Equation: 16 (as printed)
 
     Launch: ``dim=vehicle_count``; one thread per vehicle.
-    Writes: ``vehicle_loss[DETECTED_AREA, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    Writes: ``vehicle_loss[vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
     vehicle = wp.tid()
     camera = assigned_camera[vehicle]
@@ -233,12 +224,12 @@ def detected_area_loss_kernel(
         return
     around = area_around[vehicle]
     if around < 0.5:
-        vehicle_loss[DETECTED_AREA, vehicle] = 1.0
+        vehicle_loss[vehicle] = 1.0
         return
     ahead = camera * rotation_count
     detected = soft_masked_area(measure[ahead, vehicle, BOX_AREA], measure[ahead, vehicle, VISIBLE_AREA], epsilon)
     visibility = detected / around  # Eq. 14
-    vehicle_loss[DETECTED_AREA, vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 15, 16
+    vehicle_loss[vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 15, 16
 
 
 @wp.kernel
@@ -250,7 +241,7 @@ def object_visibility_loss_kernel(
     rotation_count: int,
     min_visibility: float,
     # out
-    vehicle_loss: wp.array2d[float],
+    vehicle_loss: wp.array[float],
 ):
     """Object-visibility loss of every assigned vehicle: the detected-area loss of a detector that misses nothing.
 
@@ -260,7 +251,7 @@ def object_visibility_loss_kernel(
     Equation: 24 (same value: sum - (sum - S_bm) is S_bm, which is S_um at the rotational addition 0)
 
     Launch: ``dim=vehicle_count``; one thread per vehicle.
-    Writes: ``vehicle_loss[OBJECT_VISIBILITY, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    Writes: ``vehicle_loss[vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
     vehicle = wp.tid()
     camera = assigned_camera[vehicle]
@@ -268,10 +259,10 @@ def object_visibility_loss_kernel(
         return
     around = area_around[vehicle]
     if around < 0.5:
-        vehicle_loss[OBJECT_VISIBILITY, vehicle] = 1.0
+        vehicle_loss[vehicle] = 1.0
         return
     visibility = measure[camera * rotation_count, vehicle, VISIBLE_AREA] / around  # Eq. 24
-    vehicle_loss[OBJECT_VISIBILITY, vehicle] = visibility_shortfall(visibility, min_visibility)
+    vehicle_loss[vehicle] = visibility_shortfall(visibility, min_visibility)
 
 
 @wp.kernel(enable_backward=False)
@@ -315,7 +306,7 @@ def surface_blockage_loss_kernel(
     rotation_count: int,
     min_visibility: float,
     # out
-    vehicle_loss: wp.array2d[float],
+    vehicle_loss: wp.array[float],
 ):
     """Surface-blockage loss of every assigned vehicle: how much of it the ego vehicle hides, where it hides least.
 
@@ -325,18 +316,18 @@ def surface_blockage_loss_kernel(
     Equation: 17 (same value: the pixels of m + e without those of e are those of m outside e)
 
     Launch: ``dim=vehicle_count``; one thread per vehicle.
-    Writes: ``vehicle_loss[SURFACE_BLOCKAGE, vehicle]`` of every assigned vehicle once; the caller zeroes it.
+    Writes: ``vehicle_loss[vehicle]`` of every assigned vehicle once; the caller zeroes it.
     """
     vehicle = wp.tid()
     if assigned_camera[vehicle] < 0:
         return
     camera = clearest_camera[vehicle]
     if camera < 0:
-        vehicle_loss[SURFACE_BLOCKAGE, vehicle] = 1.0
+        vehicle_loss[vehicle] = 1.0
         return
     ahead = camera * rotation_count
     visibility = unblocked_area[ahead, vehicle, 0] / measure[ahead, vehicle, AMODAL_AREA]  # Eq. 17
-    vehicle_loss[SURFACE_BLOCKAGE, vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 18
+    vehicle_loss[vehicle] = visibility_shortfall(visibility, min_visibility)  # Eq. 18
 
 
 @wp.func
@@ -409,7 +400,7 @@ def angular_coverage_loss_kernel(
     Equation: 20, 23 (as printed)
 
     Launch: ``dim=1``; cameras are few, and one thread sums them in a fixed order.
-    Writes: ``loss[ANGULAR_COVERAGE]`` once.
+    Writes: ``loss[0]`` once.
     """
     camera_count = mount_pose.shape[0]
     most_rad = wp.min(float(camera_count) * fov_rad, 2.0 * wp.pi)  # Eq. 20
@@ -420,26 +411,25 @@ def angular_coverage_loss_kernel(
             further_rad = float(next_turns[camera]) * 2.0 * wp.pi
             gap_rad = mount_pose[next_camera[camera], YAW_RAD] - mount_pose[camera, YAW_RAD] + further_rad
             total += (most_rad / float(camera_count) - covered_rad(gap_rad, fov_rad)) / spare_rad  # Eq. 23
-    loss[ANGULAR_COVERAGE] = total
+    loss[0] = total
 
 
 @wp.kernel
 def mean_vehicle_loss_kernel(
     # in
-    vehicle_loss: wp.array2d[float],
+    vehicle_loss: wp.array[float],
     assigned_count: int,
     # out
     loss: wp.array[float],
 ):
-    """Mean of every loss of vehicles over the assigned ones, summed in a fixed order.
+    """Mean of a loss over the assigned vehicles, summed in a fixed order.
 
     Equation: 13, 16, 19 (as printed)
 
-    Launch: ``dim=number of losses of vehicles``; one thread per loss; vehicles that are not assigned hold 0.
-    Writes: as many first elements of ``loss`` once.
+    Launch: ``dim=1``; vehicles that are not assigned hold 0.
+    Writes: ``loss[0]`` once.
     """
-    i = wp.tid()
     total = float(0.0)
-    for vehicle in range(vehicle_loss.shape[1]):
-        total += vehicle_loss[i, vehicle] / float(assigned_count)
-    loss[i] = total
+    for vehicle in range(vehicle_loss.shape[0]):
+        total += vehicle_loss[vehicle] / float(assigned_count)
+    loss[0] = total

@@ -16,14 +16,9 @@ from warpav.experiments.bench.items import Bench
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
 from warpav.experiments.bench.workload import WEIGHT_NAMES, Truth
 
+pytestmark = pytest.mark.usefixtures("working_directory")
+
 NUMBERS = ("median_ms", "min_ms", "max_ms", "n", "threads", "setup_ms", "compile_ms")
-
-
-@pytest.fixture(autouse=True)
-def working_directory(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture

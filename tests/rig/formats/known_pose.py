@@ -21,7 +21,7 @@ CAMERA_FROM_EGO = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-# fx = fy = 320 and the principal point in the middle of 640 x 480, counted from the middle of the first pixel
+# fx = fy = 320 and the principal point in the centre of 640 x 480, counted from the centre of the first pixel
 MATRIX = [[320.0, 0.0, 319.5], [0.0, 320.0, 239.5], [0.0, 0.0, 1.0]]
 ROLL_RAD, PITCH_RAD, YAW_RAD = (math.radians(angle) for angle in (ROLL_DEG, PITCH_DEG, YAW_DEG))
 

@@ -14,7 +14,13 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import side_of_name
-from warpav.rig.formats.convert import FORMAT_NAMES, ImportOptions, export_rig, find_format, import_rig
+from warpav.rig.formats.convert import (
+    FORMAT_NAMES,
+    ImportOptions,
+    export_rig_with_notes,
+    find_format,
+    import_rig_with_notes,
+)
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.runs.config import load_config
 from warpav.runs.run_folder import RunFolder
@@ -24,10 +30,10 @@ SIZED = ImportOptions(width_px=640, height_px=480)
 
 def refusal(path, name, options=SIZED):
     with pytest.raises(InputError) as caught:
-        import_rig(path, name, options)
+        import_rig_with_notes(path, name, options)
     text = str(caught.value)
     assert "\n" not in text
-    assert text.startswith((str(path), str(path.parent), "command line"))
+    assert text.startswith((str(path), str(path.parent), "command line", "fov_deg: ", "part: "))
     return text
 
 
@@ -104,7 +110,7 @@ CORRUPT = {
         ("P0: ", "P0 ", "000000.txt:1: expected KEY: NUMBERS, got 'P0 320"),
     ],
     "opencv": [
-        ("R: ", "Q: ", "camera_from_ego: expected the camera's place: camera_from_ego (4 x 4), or R and T"),
+        ("R: ", "Q: ", "camera_from_ego: expected the camera's pose: camera_from_ego (4 x 4), or R and T"),
         ("camera_matrix", "matrix", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got nothing"),
         ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
         ("data: [ 320., ", "data: [ 320.; ", "expected an OpenCV FileStorage file"),
@@ -137,11 +143,11 @@ CORRUPT = {
 )
 def test_a_mistake_in_a_file_is_named(tmp_path, name, old, new, message):
     if (name, new) == ("urdf", "lens"):  # the camera's link itself remains
-        rig, _ = import_rig(spoilt(name, tmp_path, old, new), name)
+        rig, _ = import_rig_with_notes(spoilt(name, tmp_path, old, new), name)
         assert rig.cameras[0].name == "front_left"
         return
     if (name, new) == ("kitti", "Tr"):  # odometry's files have no rectification
-        assert len(import_rig(spoilt(name, tmp_path, old, new), name, SIZED)[0].cameras) == 2
+        assert len(import_rig_with_notes(spoilt(name, tmp_path, old, new), name, SIZED)[0].cameras) == 2
         return
     assert message in refusal(spoilt(name, tmp_path, old, new), name)
 
@@ -167,7 +173,7 @@ def test_argoverse2_without_its_package_names_the_extra(tmp_path, monkeypatch):
 
     monkeypatch.setattr(importlib, "import_module", without)
     with pytest.raises(InputError, match=r'pip install "warpav\[av2\]"'):
-        import_rig(tmp_path, "argoverse2")
+        import_rig_with_notes(tmp_path, "argoverse2")
 
 
 def test_argoverse2_refuses_what_is_no_feather(tmp_path):
@@ -178,16 +184,16 @@ def test_argoverse2_refuses_what_is_no_feather(tmp_path):
 
 def test_missing_sizes_and_lenses_are_asked_for(tmp_path):
     kitti = write_sample("kitti", tmp_path / "kitti")
-    assert "give --width-px and --height-px" in refusal(kitti, "kitti", ImportOptions())
+    assert "give `width_px` and `height_px`" in refusal(kitti, "kitti", ImportOptions())
     urdf = write_sample("urdf", tmp_path / "urdf")
     (tmp_path / "urdf/camera_info/front_left.yaml").rename(tmp_path / "info.yaml")
     (tmp_path / "urdf/camera_info").rmdir()
-    assert "give --width-px, --height-px and --fov-deg, or --intrinsics" in refusal(urdf, "urdf", ImportOptions())
-    assert "(--fov-deg): expected a number" in refusal(urdf, "urdf", ImportOptions(None, (0, 0, 0), 640, 480, 200.0))
+    assert "give `width_px`, `height_px` and `fov_deg`, or `intrinsics`" in refusal(urdf, "urdf", ImportOptions())
+    assert "fov_deg: expected a number" in refusal(urdf, "urdf", ImportOptions(None, (0, 0, 0), 640, 480, 200.0))
     given = ImportOptions(width_px=320, height_px=240, fov_deg=70.0)
-    (camera,) = import_rig(urdf, "urdf", given)[0].cameras
+    (camera,) = import_rig_with_notes(urdf, "urdf", given)[0].cameras
     assert (camera.model.width_px, math.degrees(camera.model.fov_rad)) == (320, pytest.approx(70.0))
-    (camera,) = import_rig(urdf, "urdf", ImportOptions(intrinsics=tmp_path / "info.yaml"))[0].cameras
+    (camera,) = import_rig_with_notes(urdf, "urdf", ImportOptions(intrinsics=tmp_path / "info.yaml"))[0].cameras
     assert camera.model.width_px == 640
     assert "import the file that has them" in refusal(tmp_path / "info.yaml", "camera-info")
 
@@ -197,10 +203,10 @@ def test_nuscenes_with_many_calibrations_asks_for_a_scene(tmp_path):
     other = {**rows[1], "token": "other", "translation": [1.5, 0.5, 1.6]}
     file = write_sample("nuscenes", tmp_path)
     file.write_text(json.dumps([*rows, other]))
-    assert "got 2 of front_left; --part SCENE" in refusal(file, "nuscenes")
+    assert "got 2 of front_left; `part` SCENE" in refusal(file, "nuscenes")
     (tmp_path / "scene.json").write_text(json.dumps([{"token": "t", "name": "scene-0061"}]))
     (tmp_path / "sample.json").write_text(json.dumps([{"token": "s", "scene_token": "t"}]))
-    (camera,) = import_rig(file, "nuscenes", ImportOptions(part="scene-0061"))[0].cameras
+    (camera,) = import_rig_with_notes(file, "nuscenes", ImportOptions(part="scene-0061"))[0].cameras
     assert camera.position_m[0] == 1.7
     assert "expected a scene named 'scene-1'" in refusal(file, "nuscenes", ImportOptions(part="scene-1"))
     assert "kitti files hold one rig" in refusal(write_sample("kitti", tmp_path), "kitti", ImportOptions(part="a"))
@@ -211,7 +217,7 @@ def test_large_tables_of_nuscenes_are_read_row_by_row(tmp_path):
     other = {"token": "o", "sample_token": "o", "calibrated_sensor_token": "o", "width": 8, "height": 8}
     rows = [other] * 30_000 + NUSCENES["sample_data.json"]
     (tmp_path / "sample_data.json").write_text(json.dumps(rows, indent=0))  # 3 MB, in several parts
-    (camera,) = import_rig(file, "nuscenes")[0].cameras
+    (camera,) = import_rig_with_notes(file, "nuscenes")[0].cameras
     assert (camera.model.width_px, camera.model.height_px) == (640, 480)
     text = json.dumps(rows)
     for spoilt_text, message in (
@@ -256,16 +262,16 @@ def test_a_mirrored_rig_is_refused_with_the_dialect_to_try(tmp_path):
     file = mirrored_file(tmp_path)
     text = refusal(file, "carla-ros-bridge")
     assert "camera 'front_left': expected it on the left (y > 0) and looking there, got y = -0.500 m" in text
-    assert "--format carla-python" in text
-    assert "--accept-mirrored" in text
-    rig, notes = import_rig(file, "carla-ros-bridge", ImportOptions(accept_mirrored=True))
+    assert "`format_name` carla-python" in text
+    assert "`accept_mirrored`" in text
+    rig, notes = import_rig_with_notes(file, "carla-ros-bridge", ImportOptions(accept_mirrored=True))
     assert rig.cameras[0].position_m[1] == -0.5
     assert any("800 x 600 px, 90 deg" in note for note in notes)
 
 
 def test_places_in_another_unit_are_refused(tmp_path):
     file = spoilt("nuscenes", tmp_path, "[1.7, 0.5, 1.6]", "[1700, 500, 1600]")
-    assert "expected a place within 100 m of the rear axle" in refusal(file, "nuscenes")
+    assert "expected a position within 100 m of the rear axle" in refusal(file, "nuscenes")
 
 
 @pytest.mark.parametrize(
@@ -290,7 +296,7 @@ def test_xacro_is_refused_with_the_command_to_run(tmp_path):
 
 def test_a_folder_of_files_with_several_cameras_is_refused(tmp_path):
     write_sample("kitti", tmp_path)
-    assert "000000.txt: expected one camera a file in a folder" in refusal(tmp_path, "kitti")
+    assert "000000.txt: expected one camera per file in a folder" in refusal(tmp_path, "kitti")
     assert KITTI.count("P") == 4
     assert KALIBR.count("cam") > 2
 
@@ -306,21 +312,21 @@ def test_exports_replace_nothing_unless_told(tmp_path):
     file = tmp_path / "calibrated_sensor.json"
     file.write_text("mine")
     with pytest.raises(InputError, match=r"calibrated_sensor.json: expected a file that does not exist yet"):
-        export_rig(plain_rig("a"), "nuscenes", tmp_path)
+        export_rig_with_notes(plain_rig("a"), "nuscenes", tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["calibrated_sensor.json"]
     assert file.read_text() == "mine"
-    export_rig(plain_rig("a"), "nuscenes", tmp_path, overwrite=True)
+    export_rig_with_notes(plain_rig("a"), "nuscenes", tmp_path, overwrite=True)
     assert json.loads(file.read_text())
     (tmp_path / "wall").write_text("")
     for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
-        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; name another place$"):
-            export_rig(plain_rig("a"), "autoware", target, overwrite=True)
+        with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; choose another path$"):
+            export_rig_with_notes(plain_rig("a"), "autoware", target, overwrite=True)
     with pytest.raises(InputError, match="expected a place to write to, got"):
-        export_rig(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
+        export_rig_with_notes(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
     with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
-        export_rig(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
+        export_rig_with_notes(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
     with pytest.raises(InputError, match=r"expected one of nuscenes, .*, opencv; kalibr is for import only"):
-        export_rig(plain_rig("a"), "kalibr", tmp_path / "a")
+        export_rig_with_notes(plain_rig("a"), "kalibr", tmp_path / "a")
 
 
 # ------------------------------------------------------------------------------------------------ the command line
@@ -363,7 +369,7 @@ def test_autoware_names_the_files_that_it_looks_for(tmp_path):
     with pytest.raises(
         InputError, match=r"sensors.json: expected a folder with sensors_calibration.yaml and sensor_kit"
     ):
-        import_rig(tmp_path / "sensors.json", "autoware")
+        import_rig_with_notes(tmp_path / "sensors.json", "autoware")
 
 
 def test_the_command_takes_origins_behind_the_axle(tmp_path, capsys):
@@ -382,10 +388,13 @@ def test_the_command_checks_rigs(tmp_path, capsys):
     assert main(["rig", "check", "unidrive_6x60"]) == 0
     output = capsys.readouterr().out
     assert "FRONT: at 0.000 0.000 1.600 m, yaw 0.0 pitch 0.0 roll 0.0 deg, pinhole 60.0 deg, 1600 x 900 px" in output
-    assert "odd: cameras 'FRONT' and 'FRONT_LEFT' share one place" in output
+    assert "odd: cameras 'FRONT' and 'FRONT_LEFT' share one position" in output
     assert "can be exported as nuscenes" in output
     mirrored = tmp_path / "rig.yaml"
-    write_rig(import_rig(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0], mirrored)
+    write_rig(
+        import_rig_with_notes(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0],
+        mirrored,
+    )
     assert main(["rig", "check", str(mirrored)]) == 2
     assert "expected it on the left" in capsys.readouterr().err
     assert main(["rig", "check", str(mirrored), "--accept-mirrored"]) == 0
@@ -395,7 +404,8 @@ def test_a_run_may_move_a_camera_to_the_other_side(tmp_path, capsys):
     """The optimiser knows no names, so nothing is wrong with the rig of a run but the name of the camera."""
     run = RunFolder.create(load_config("quick", [f"run.out={tmp_path / 'run'}"]), name="quick")
     run.write_rig(
-        "best", import_rig(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0]
+        "best",
+        import_rig_with_notes(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0],
     )
     assert main(["rig", "check", str(run.path)]) == 0
     captured = capsys.readouterr()
@@ -413,7 +423,7 @@ def test_the_help_names_every_format(capsys):
     ("words", "message"),
     [
         (["import", "no.json", "--format", "nuscenes"], "no.json: expected a file or folder of the format nuscenes"),
-        (["import", "no.json", "--format", "carla"], "(--format carla): expected carla-ros-bridge"),
+        (["import", "no.json", "--format", "carla"], "(--format): expected carla-ros-bridge"),
         (["import", "no.json"], "--format"),
         (["export", "nuscene", "--format", "kitti", "--out", "o"], "did you mean nuscenes?"),
         (["export", "nuscenes", "--format", "kitty", "--out", "o"], "did you mean kitti?"),

@@ -25,7 +25,7 @@ from tests.rig.formats.known_pose import (
     write_sample,
 )
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import ImportOptions, export_rig, import_rig
+from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, import_rig_with_notes
 from warpav.rig.rig import Rig, RigCamera
 
 SIZED = ImportOptions(width_px=640, height_px=480)
@@ -36,7 +36,7 @@ ROUNDED = ["nuscenes", "kitti", "opencv", "kalibr"]  # their samples hold six de
 
 @pytest.mark.parametrize("name", [*EXACT, *ROUNDED])
 def test_the_known_camera_is_read(tmp_path, name):
-    rig, notes = import_rig(write_sample(name, tmp_path), name, SIZED)
+    rig, notes = import_rig_with_notes(write_sample(name, tmp_path), name, SIZED)
     camera = rig.cameras[0]
     tolerance = 1e-12 if name in EXACT else 3e-6
     expected = RIG.cameras[0].ego_from_camera if name in EXACT else np.linalg.inv(CAMERA_FROM_EGO)
@@ -53,7 +53,7 @@ def test_the_known_camera_is_read(tmp_path, name):
 
 
 def written(name, folder):
-    files, _ = export_rig(RIG, name, folder / "out")
+    files, _ = export_rig_with_notes(RIG, name, folder / "out")
     return {file.name: file for file in files}
 
 
@@ -132,7 +132,7 @@ def test_carla_is_placed_where_its_own_client_places_it(tmp_path, pose):
     carla = pytest.importorskip("carla")
     angles = [math.radians(angle) for angle in pose]
     rig = Rig.create([RigCamera("front", np.array(POSITION_M), *angles, CameraModel(640, 480))])
-    export_rig(rig, "carla-python", tmp_path / "sensors.json")
+    export_rig_with_notes(rig, "carla-python", tmp_path / "sensors.json")
     (sensor,) = json.loads((tmp_path / "sensors.json").read_text())
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     link_from_camera = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
@@ -140,7 +140,7 @@ def test_carla_is_placed_where_its_own_client_places_it(tmp_path, pose):
     # worst seen 2.4e-7: CARLA computes in single precision
     np.testing.assert_allclose(placed, rig.cameras[0].ego_from_camera, rtol=0, atol=1e-6)
     # the bridge turns its numbers into these: y, pitch and yaw change their sign
-    export_rig(rig, "carla-ros-bridge", tmp_path / "objects.json")
+    export_rig_with_notes(rig, "carla-ros-bridge", tmp_path / "objects.json")
     point = json.loads((tmp_path / "objects.json").read_text())["objects"][0]["sensors"][0]["spawn_point"]
     bridged = {key: -value if key in ("y", "pitch", "yaw") else value for key, value in point.items()}
     np.testing.assert_allclose(carla_matrix(carla, bridged), carla_matrix(carla, sensor), rtol=0, atol=1e-6)
@@ -158,7 +158,7 @@ def test_kitti_is_written_as_others_read_it(tmp_path):
 
 
 def test_kitti_keeps_the_baseline_of_its_cameras_and_counts_equal_ones_once(tmp_path):
-    rig, _ = import_rig(write_sample("kitti", tmp_path), "kitti", SIZED)
+    rig, _ = import_rig_with_notes(write_sample("kitti", tmp_path), "kitti", SIZED)
     assert [camera.name for camera in rig.cameras] == ["image_0", "image_1"]
     between = np.linalg.inv(rig.cameras[0].ego_from_camera) @ rig.cameras[1].ego_from_camera
     np.testing.assert_allclose(between[:3, 3], [0.5, 0.0, 0.0], atol=1e-6)  # -160 = -fx * 0.5
@@ -189,7 +189,7 @@ def test_opencv_takes_a_rotation_vector(tmp_path):
     storage.write("rvec", cv2.Rodrigues(camera_from_ego[:3, :3])[0])
     storage.write("tvec", camera_from_ego[:3, 3:])
     storage.release()
-    rig, _ = import_rig(file, "opencv", SIZED)
+    rig, _ = import_rig_with_notes(file, "opencv", SIZED)
     np.testing.assert_allclose(rig.cameras[0].ego_from_camera, RIG.cameras[0].ego_from_camera, atol=1e-12)
     assert rig.cameras[0].model.lens == "brown_conrady"
     assert rig.cameras[0].model.distortion == (-0.3, 0.1, 1e-3, 0.0, 0.02)
@@ -197,7 +197,7 @@ def test_opencv_takes_a_rotation_vector(tmp_path):
 
 def test_kalibr_follows_its_chain_and_its_lenses(tmp_path):
     file = write_sample("kalibr", tmp_path)
-    rig, notes = import_rig(file, "kalibr")
+    rig, notes = import_rig_with_notes(file, "kalibr")
     first, second = rig.cameras
     between = np.linalg.inv(first.ego_from_camera) @ second.ego_from_camera
     np.testing.assert_allclose(between[:3, 3], [0.2, 0.0, 0.0], atol=1e-6)
@@ -207,7 +207,9 @@ def test_kalibr_follows_its_chain_and_its_lenses(tmp_path):
     # without an IMU the first camera looks forward, and the user says from where
     lines = file.read_text().splitlines()
     file.write_text("\n".join([lines[0], *lines[6:]]))
-    rig, notes = import_rig(file, "kalibr", ImportOptions(origin_m=(1.0, 0.1, 1.5), origin_rpy_deg=(0.0, 0.0, 90.0)))
+    rig, notes = import_rig_with_notes(
+        file, "kalibr", ImportOptions(origin_m=(1.0, 0.1, 1.5), origin_rpy_deg=(0.0, 0.0, 90.0))
+    )
     assert rig.cameras[0].position_m == pytest.approx([1.0, 0.1, 1.5])
     assert math.degrees(rig.cameras[0].yaw_rad) == pytest.approx(90.0)
     assert rig.cameras[1].position_m == pytest.approx([1.2, 0.1, 1.5])  # to the right of a camera that looks left
@@ -234,7 +236,7 @@ def test_argoverse2_reads_and_writes_the_known_camera(tmp_path):
     feather.write_feather(
         pyarrow.table({**{key: [value] for key, value in lens.items()}, "k1": [-0.24]}), files["intrinsics.feather"]
     )
-    rig, notes = import_rig(tmp_path / "out", "argoverse2", ImportOptions(origin_m=(0.0, 0.0, 0.33)))
+    rig, notes = import_rig_with_notes(tmp_path / "out", "argoverse2", ImportOptions(origin_m=(0.0, 0.0, 0.33)))
     (camera,) = rig.cameras
     assert camera.position_m == pytest.approx([1.7, 0.5, 1.93])
     assert camera.model == CameraModel(640, 480, camera.model.fov_rad)

@@ -12,7 +12,14 @@ from scipy.spatial.transform import Rotation
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation, rotation_from_quaternion
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import FORMAT_NAMES, ImportOptions, export_rig, find_format, formats_for, import_rig
+from warpav.rig.formats.convert import (
+    FORMAT_NAMES,
+    ImportOptions,
+    export_rig_with_notes,
+    find_format,
+    formats_for,
+    import_rig_with_notes,
+)
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 
@@ -92,8 +99,8 @@ def assert_same(before, after, *, tolerance=1e-6, focal_tolerance=1e-9):
 
 
 def through(rig, name, folder, **place):
-    export_rig(rig, name, folder, **place)
-    return import_rig(folder, name, ImportOptions(accept_mirrored=True, **place))[0]
+    export_rig_with_notes(rig, name, folder, **place)
+    return import_rig_with_notes(folder, name, ImportOptions(accept_mirrored=True, **place))[0]
 
 
 def models_for(name):
@@ -132,8 +139,8 @@ def test_a_rig_survives_two_formats_and_the_files_between(tmp_path_factory, data
 def test_known_vehicles_survive_every_format(tmp_path, preset, name):
     rig = preset_rig(preset)
     # no guard against mirrored sides is in the way of a real vehicle
-    export_rig(rig, name, tmp_path / "out")
-    back = {camera.name: camera for camera in import_rig(tmp_path / "out", name)[0].cameras}
+    export_rig_with_notes(rig, name, tmp_path / "out")
+    back = {camera.name: camera for camera in import_rig_with_notes(tmp_path / "out", name)[0].cameras}
     assert_same(rig, Rig.create(back[camera.name] for camera in rig.cameras))
 
 
@@ -163,18 +170,20 @@ def test_what_is_left_out_is_said(tmp_path):
         640, 480, lens="brown_conrady", focal_px=(500.0, 501.0), centre_px=(310.0, 240.0), distortion=(-0.2, 0, 0, 0)
     )
     rig = Rig.create([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
-    with pytest.raises(InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; --approxim"):
-        export_rig(rig, "carla-python", tmp_path / "a.json")
-    _, notes = export_rig(rig, "carla-python", tmp_path / "a.json", approximate=True)
+    with pytest.raises(
+        InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; `approximate`"
+    ):
+        export_rig_with_notes(rig, "carla-python", tmp_path / "a.json")
+    _, notes = export_rig_with_notes(rig, "carla-python", tmp_path / "a.json", approximate=True)
     text = "\n".join(notes)
-    for thing in ("the lens's distortion is left out", "focal lengths that differ", "a principal point (310, 240 px)"):
+    for thing in ("the lens's distortion is dropped", "focal lengths that differ", "a principal point (310, 240 px)"):
         assert thing in text
-    back = import_rig(tmp_path / "a.json", "carla-python")[0].cameras[0]
+    back = import_rig_with_notes(tmp_path / "a.json", "carla-python")[0].cameras[0]
     assert back.model.intrinsics[0, 0] == pytest.approx(500.0)
     fisheye = Rig.create([RigCamera("f", np.zeros(3), 0.0, 0.0, 0.0, CameraModel(640, 480, 3.3, lens="fisheye"))])
     for name in ("carla-python", "nuscenes", "kitti"):
         with pytest.raises(InputError, match=rf"camera 'f': {name} cannot hold a fisheye lens; choose another format"):
-            export_rig(fisheye, name, tmp_path / "b", approximate=True)
+            export_rig_with_notes(fisheye, name, tmp_path / "b", approximate=True)
 
 
 @settings(deadline=None)

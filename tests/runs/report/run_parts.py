@@ -6,7 +6,8 @@ from PIL import Image
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import load_config
-from warpav.runs.run_folder import ARM_ROWS, RunFolder
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS
 
 ARMS = ("optimised", "start", "highest")
 SECTORS = ("front", "rear")

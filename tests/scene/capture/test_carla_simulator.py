@@ -140,7 +140,7 @@ class TestSituation:
             assert len(vehicles) >= 2
             for vehicle in vehicles:
                 above = view_above(vehicle.box)
-                image = simulator.look(above)
+                image = simulator.capture(above)
                 point_m = points_of(image, vehicle.instance_id)
                 beyond_m = in_box(vehicle.box, point_m)
                 assert len(point_m) > 200
@@ -152,7 +152,7 @@ class TestSituation:
                 )
                 wanted = [int(one) for one in actor.attributes.get("color", "250,250,250").split(",")]
                 np.testing.assert_array_equal(np.unique(colour, axis=0), [wanted])
-            image = simulator.look(view_above(ego_box))
+            image = simulator.capture(view_above(ego_box))
             assert in_box(ego_box, points_of(image, EGO_INSTANCE)).max() < 1e-4
             ground_m = points_of(image, 0)
             assert np.abs(ground_m[:, 2]).max() < 1e-4  # the road is the ego frame's plane, on the slope too
@@ -187,11 +187,11 @@ class TestSituation:
             x, y, _ = vehicle.box.center_m
             yaw_rad = math.atan2(y, x - 1.0)
             for turn_rad, is_left in ((-0.5, True), (0.5, False)):  # it is to the left of who looks past its right
-                beside = simulator.look(view_from([1.0, 0.0, 2.5], yaw_rad=yaw_rad + turn_rad))
+                beside = simulator.capture(view_from([1.0, 0.0, 2.5], yaw_rad=yaw_rad + turn_rad))
                 column = np.nonzero(beside.instance == vehicle.instance_id)[1]
                 assert len(column) > 20
                 assert (column.mean() < 47.5) == is_left
-            up = simulator.look(view_from([1.0, 0.0, 2.5], pitch_rad=-1.0))
+            up = simulator.capture(view_from([1.0, 0.0, 2.5], pitch_rad=-1.0))
             assert np.all(np.isinf(up.depth_m[0]))
             assert np.all(up.rgb[0] == (120, 170, 230))
             assert up.rgb.dtype == np.uint8
@@ -273,9 +273,9 @@ class TestSituation:
             simulator.begin(2)
             vehicle = first_vehicle(simulator)
             view = view_above(vehicle.box)
-            assert np.any(simulator.look(view).instance == vehicle.instance_id)
+            assert np.any(simulator.capture(view).instance == vehicle.instance_id)
             simulator.remove(vehicle)
-            assert not np.any(simulator.look(view).instance == vehicle.instance_id)
+            assert not np.any(simulator.capture(view).instance == vehicle.instance_id)
             assert len(server.made("vehicle.*")) == 1
             with pytest.raises(ValueError, match="no vehicle with instance id"):
                 simulator.remove(vehicle)
@@ -297,7 +297,7 @@ class TestSituation:
             code = server.code(next(a for a in server.made("vehicle.*") if a.attributes["role_name"] == "warpav"))
             place = carla_double.Transform(carla_double.Location(0.0, 10.0, 3.75))
             server.solids.append((place, (60.0, 1.0, 0.75), code, (1, 2, 3), None))
-            image = simulator.look(view_above(vehicle.box, 30.0))
+            image = simulator.capture(view_above(vehicle.box, 30.0))
             assert np.any(np.all(image.rgb == (1, 2, 3), axis=-1))
             assert not np.any((image.instance == vehicle.instance_id) & np.all(image.rgb == (1, 2, 3), axis=-1))
 
@@ -312,7 +312,7 @@ class TestSituation:
         server.is_late = True
         with CarlaSimulator(warm_up_ticks=2) as simulator:
             box = simulator.begin(2)
-            assert np.any(simulator.look(view_above(box)).instance)
+            assert np.any(simulator.capture(view_above(box)).instance)
 
     def test_image_of_another_frame_is_told(self, server):
         with CarlaSimulator(timeout_s=0.2, warm_up_ticks=0) as simulator:
@@ -320,10 +320,10 @@ class TestSituation:
             picture = server.picture
             server.picture = lambda sensor: set_frame(picture(sensor), server.frame + 1)
             with pytest.raises(RuntimeError, match="another program ticks it"):
-                simulator.look(view_above(box))
+                simulator.capture(view_above(box))
             server.picture = lambda sensor: set_frame(picture(sensor), server.frame - 1)
             with pytest.raises(RuntimeError, match=r"sent no image of frame \d+ within 0.2 s"):
-                simulator.look(view_above(box))
+                simulator.capture(view_above(box))
             assert not server.made("sensor.*")
 
     def test_cameras_are_plain_and_short_lived(self, server):
@@ -333,7 +333,7 @@ class TestSituation:
         with CarlaSimulator() as simulator:
             box = simulator.begin(2)
             configured.clear()
-            simulator.look(view_above(box))
+            simulator.capture(view_above(box))
             assert not server.made("sensor.*")
         values = {one.id: {k: v.as_str() for k, v in one._attributes.items()} for one in configured}
         rgb = values["sensor.camera.rgb"]
@@ -353,7 +353,7 @@ class TestSituation:
                 CameraModel(64, 64, focal_px=(60.0, 62.0), centre_px=(32.0, 32.0)),
             ):
                 with pytest.raises(ValueError, match="CARLA's cameras are pinholes"):
-                    simulator.look(view_from([0.0, 0.0, 2.0], model=model))
+                    simulator.capture(view_from([0.0, 0.0, 2.0], model=model))
 
 
 def set_frame(image, frame):
@@ -454,7 +454,7 @@ def situation(**options):
     with CarlaSimulator(warm_up_ticks=0, **options) as simulator:
         box = simulator.begin(3)
         vehicle = first_vehicle(simulator)
-        simulator.look(view_above(box, model=CameraModel(16, 16)))
+        simulator.capture(view_above(box, model=CameraModel(16, 16)))
         simulator.remove(vehicle)
         first_vehicle(simulator)
 
@@ -606,7 +606,7 @@ class TestMistakes:
 
     def test_no_place_for_the_ego(self, server):
         server.spawn = lambda _blueprint, _at: None
-        self.told("expected a place for vehicle.lincoln.mkz_2020 on the map Town10HD_Opt", CarlaSimulator())
+        self.told("expected a free spawn point for vehicle.lincoln.mkz_2020 on the map Town10HD_Opt", CarlaSimulator())
 
     def test_numbers(self, server):
         for options, match in (

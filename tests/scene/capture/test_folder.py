@@ -31,9 +31,9 @@ class PaintingSimulator(ScriptedSimulator):
         self.seed = seed
         return EGO_BOX
 
-    def look(self, view):
+    def capture(self, view):
         if view.name == "visibility":
-            return super().look(view)
+            return super().capture(view)
         if self.stop_after == len(self.taken):
             raise KeyboardInterrupt
         self.taken.append(view.name)
@@ -65,7 +65,7 @@ def test_what_is_written_is_read(recorded):
     simulator = PaintingSimulator()
     simulator.begin(7)
     for image in capture.images:
-        original = simulator.look(image.view)
+        original = simulator.capture(image.view)
         np.testing.assert_array_equal(image.rgb, original.rgb)
         np.testing.assert_array_equal(image.instance, original.instance)
         np.testing.assert_array_equal(np.isinf(image.depth_m), np.isinf(original.depth_m))

@@ -124,7 +124,7 @@ class ScriptedSimulator:
     def remove(self, vehicle):
         self.there.remove(vehicle.instance_id)
 
-    def look(self, view):
+    def capture(self, view):
         instance = np.zeros((view.model.height_px, view.model.width_px), np.uint16)
         for column, number in enumerate(n for n in self.there if n not in self.hidden):
             instance[0, column] = number

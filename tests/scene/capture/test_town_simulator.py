@@ -78,7 +78,7 @@ def test_the_same_seed_gives_the_same_bytes():
     one, other = TownSimulator(), TownSimulator()
     assert one.begin(SEED).size_m.tolist() == other.begin(SEED).size_m.tolist()
     view = town_capture().images[0].view
-    first, second = one.look(view), other.look(view)
+    first, second = one.capture(view), other.capture(view)
     for name in ("rgb", "depth_m", "instance"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
@@ -91,9 +91,9 @@ def test_vehicles_come_and_go():
     assert vehicle is not None
     assert simulator.spawn(point) is None  # the place is taken
     view = [image.view for image in town_capture().images if image.view.kind is ViewKind.SCENE_TOP][-1]
-    assert vehicle.instance_id in np.unique(simulator.look(view).instance)
+    assert vehicle.instance_id in np.unique(simulator.capture(view).instance)
     simulator.remove(vehicle)
-    assert vehicle.instance_id not in np.unique(simulator.look(view).instance)
+    assert vehicle.instance_id not in np.unique(simulator.capture(view).instance)
     assert simulator.spawn(point) is not None
 
 

@@ -1,6 +1,6 @@
 """How well a detector that nobody trained on these scenes recognises their traffic.
 
-The measure: a camera of 90 degrees and 640 x 640 pixels, 1.8 m above the ground in the middle of the ego vehicle, looks
+The measure: a camera of 90 degrees and 640 x 640 pixels, 1.8 m above the ground in the centre of the ego vehicle, looks
 in four directions. Counted are vehicles whose visible box is at least 40 px high and that are at least 60 %
 unoccluded inside the frame; recalled are those that a detection of confidence .25 or more meets with an IoU of .5. A
 detection is of background when it meets nothing of a vehicle: less than .1 IoU with every visible box, however

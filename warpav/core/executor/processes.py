@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import multiprocessing
-from collections.abc import Callable, Collection, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
@@ -31,7 +33,8 @@ class Processes:
     def _submit(self, task: Any) -> Future[Outcome[Any, Any]]:  # noqa: ANN401
         while True:
             try:
-                return self._pool.submit(outcome_of, self._function, task)
+                with _main_module_hidden():  # the first task starts the processes
+                    return self._pool.submit(outcome_of, self._function, task)
             except BrokenProcessPool:
                 self._pool.shutdown(wait=False)
                 self._pool = self._open()
@@ -50,3 +53,18 @@ class Processes:
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         """End the processes, without waiting for tasks that are under way."""
         self._pool.shutdown(wait=not handles, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _main_module_hidden() -> Iterator[None]:
+    """Processes that start now do not import the program that started them once more.
+
+    They would run a script from its first line on where it does not ask for ``__name__ == "__main__"``.
+    """
+    main = vars(sys.modules["__main__"])
+    hidden = {name: main.pop(name) for name in ("__spec__", "__file__") if name in main}
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update(hidden)

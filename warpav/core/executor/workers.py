@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -55,6 +56,11 @@ class Workers(Protocol):
     def close(self, handles: Collection[Any]) -> None:
         """Stop the tasks that are still under way, and let go of everything."""
         ...
+
+
+def available_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:

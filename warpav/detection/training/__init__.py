@@ -1,4 +1,4 @@
-"""Training of the shipped detector; the only place that needs PyTorch (extra ``train``)."""
+"""Training of the built-in detector; needs PyTorch (extra ``train``)."""
 
 CLASS_NAMES = ("car", "van", "lorry", "bus", "pedestrian", "cyclist")
 """Labels of the shipped detector, in the order of its output."""

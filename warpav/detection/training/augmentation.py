@@ -1,4 +1,4 @@
-"""Random views and the looks of photographs, on the device that trains.
+"""Random crops and photographic augmentation, on the training device.
 
 Renders have clean edges, even exposure and no noise. Random gamma, saturation, contrast, brightness, white balance, a
 gradient of the light across the image, defocus and sensor noise keep the network from leaning on that.

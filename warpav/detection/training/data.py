@@ -1,4 +1,4 @@
-"""Pictures of town scenes with their boxes: what the detector is trained on and judged by."""
+"""Labelled images of town scenes for training and evaluating the detector."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.executor import run_tasks
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
@@ -36,7 +36,7 @@ class Subset:
         first_seed: Seeds count up from here; those below a million belong to experiments.
         scene_count: Number of scenes.
         is_reconstructed: Whether the scenes are recorded by cameras and made of their images again.
-        views_per_scene: Pictures of every scene, by their side [px].
+        views_per_scene: Images per scene, by their side [px].
     """
 
     first_seed: int
@@ -74,7 +74,7 @@ CLASS_OF_CATEGORY = {
 
 _OBJECT_MAX = 24
 _MIN_AREA_PX = 16
-# What a reconstruction makes of people lies so far beyond their boxes, and no lower than this above their feet [m].
+# Reconstructed people extend this far beyond their boxes, and start this high above their feet [m].
 _PERSON_MARGIN_M, _PERSON_FOOT_M = 0.15, 0.08
 
 _logger = logging.getLogger(__name__)
@@ -89,7 +89,7 @@ class Labels:
         class_index: Index into `CLASS_NAMES`, -1 where padded, int8, shape [image, object].
         ignored: Objects that are neither to be found nor to be left alone: they show less than the least area of a
             ground-truth box, or are people whom a reconstruction made unrecognisable, bool, shape [image, object].
-        visible_fraction: Share of the object's area in the image that nothing hides, in 0..1, float32, shape
+        visible_fraction: Unoccluded share of the object's area in the image, in 0..1, float32, shape
             [image, object].
         distance_m: From the camera to the middle of the object [m], float32, shape [image, object].
     """
@@ -114,7 +114,7 @@ class Labels:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class LabelledImages:
     """Images of one size and their objects.
 
     Attributes:
@@ -125,10 +125,10 @@ class Pictures:
     images_rgb: np.ndarray
     labels: Labels
 
-    def first(self, count: int | None) -> Pictures:
+    def first(self, count: int | None) -> LabelledImages:
         """The first so many images; None means all."""
         labels = Labels(*(getattr(self.labels, field.name)[:count] for field in fields(Labels)))
-        return Pictures(self.images_rgb[:count], labels)
+        return LabelledImages(self.images_rgb[:count], labels)
 
 
 def sample_cameras(
@@ -185,19 +185,19 @@ def render_scene(
     views_per_scene: dict[int, int],
     ignored_ids: Sequence[int] = (),
     thread_count: int | None = None,
-) -> dict[int, Pictures]:
-    """Pictures of one scene by random cameras, by the side of the image [px].
+) -> dict[int, LabelledImages]:
+    """Images of one scene by random cameras, by their side [px].
 
     Args:
         scene: The scene; road users that are no vehicles get boxes as well.
-        surface: Where cameras may stand on its ego vehicle.
-        seed: Of the cameras, and of whether a picture has one or four samples a pixel.
+        surface: Mount surface of its ego vehicle.
+        seed: Of the cameras, and of the choice of one or four samples per pixel.
         views_per_scene: How many, by the side of the image [px].
         ignored_ids: Instance ids of objects that are drawn but not to be learnt from.
         thread_count: Views that are drawn at once; None: as many as there are cores.
 
     Returns:
-        Pictures for every size of ``views_per_scene``.
+        Images for every size of ``views_per_scene``.
     """
     from warpav.detection.images import render_images
     from warpav.scene.device_scene import DeviceScene
@@ -227,7 +227,7 @@ def render_scene(
             amodal_area_px = np.maximum(picture.amodal_area_px[seen], 1e-6)
             labels.visible_fraction[image, room] = np.clip(picture.visible_area_px[seen] / amodal_area_px, 0.0, 1.0)
             labels.distance_m[image, room] = np.linalg.norm(center_m[seen] - camera.position_m, axis=1)
-        pictures[side_px] = Pictures(np.stack([picture.rgb for picture in rendered]), labels)
+        pictures[side_px] = LabelledImages(np.stack([picture.rgb for picture in rendered]), labels)
     return pictures
 
 
@@ -269,11 +269,11 @@ def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
     return Mesh(mesh.vertex_m[used], triangle.reshape(-1, 3).astype(np.int32), mesh.vertex_rgb[used])
 
 
-def load_pictures(folder: Path) -> dict[int, Pictures]:
-    """What `write_pictures` wrote, by the side of the image [px]; images stay on the disk until they are read.
+def load_images(folder: Path) -> dict[int, LabelledImages]:
+    """What `write_images` wrote, by the side of the image [px]; images stay on the disk until they are read.
 
     Raises:
-        InputError: A file is missing or is none that `write_pictures` wrote.
+        InputError: A file is missing or is none that `write_images` wrote.
     """
     pictures = {}
     for file in sorted(folder.glob("labels_*.npz")):
@@ -289,7 +289,7 @@ def load_pictures(folder: Path) -> dict[int, Pictures]:
                 f"{file}: expected labels and images that warpav wrote, got others ({' '.join(str(error).split())}); "
                 "remove the folder, and they are made again"
             ) from error
-        pictures[int(side_text)] = Pictures(images_rgb, labels)
+        pictures[int(side_text)] = LabelledImages(images_rgb, labels)
     return dict(sorted(pictures.items()))
 
 
@@ -302,7 +302,7 @@ def _town_surface() -> MountSurface:
 
 @dataclass(frozen=True)
 class _Job:
-    """One scene and its place in the files of its subset."""
+    """One scene and its index in the files of its subset."""
 
     index: int
     seed: int
@@ -312,7 +312,7 @@ class _Job:
 
 
 def _write_scene(job: _Job) -> dict[int, Labels]:
-    """Render one town scene into its place in the folder's files and return its labels."""
+    """Render one town scene into the folder's files and return its labels."""
     from warpav.scene.town.town import town_scene
 
     load_warp()  # without its start-up messages, in every process
@@ -332,8 +332,8 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     return {side_px: each.labels for side_px, each in pictures.items()}
 
 
-def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
-    """Render town scenes and save their pictures: ``images_<side>.npy`` and ``labels_<side>.npz``.
+def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
+    """Render town scenes and save their images: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
     Nothing is done where they are there already, made of the same scenes by the same code.
 
@@ -344,15 +344,15 @@ def write_pictures(subset: Subset, folder: Path, *, processes: int) -> None:
 
     Raises:
         RuntimeError: A scene could not be rendered.
-        InputError: The folder holds other pictures.
+        InputError: The folder holds other images.
     """
-    made_with = recipe(subset, CLASS_NAMES, Path(__file__).read_bytes())
+    made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
     if note.is_file():
         if note.read_text() != made_with:
             raise InputError(
-                f"{folder}: expected pictures of {subset.scene_count} scenes from seed {subset.first_seed} on, made by "
-                "this version, got others; remove the folder, and they are made again"
+                f"{folder}: expected images of {subset.scene_count} scenes from seed {subset.first_seed} on, made by "
+                "this version, got others; remove the folder to make them again"
             )
         return
     folder.mkdir(parents=True, exist_ok=True)

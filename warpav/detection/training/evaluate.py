@@ -1,4 +1,4 @@
-"""How well a detector finds road users in pictures of town scenes: the figures of the model card."""
+"""Evaluation of a detector on images of town scenes: the metrics of the model card."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from warpav.detection.average_precision import ImageBoxes, score_images
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.matching import covered_fraction, match_detections
 from warpav.detection.training import CLASS_NAMES
-from warpav.detection.training.data import Pictures
+from warpav.detection.training.data import LabelledImages
 
 # Least height of a visible box [px] from which on an object counts in the headline figure.
 HEADLINE_HEIGHT_PX = 12.0
 HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
 VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
 DISTANCE_BINS_M = (0.0, 5.0, 10.0, 20.0, 30.0, np.inf)
-# Recall, precision and the labels are judged at this confidence.
+# Confidence threshold of recall, precision and labels.
 OPERATING_CONFIDENCE = 0.25
 
 # Labels that are no road user's name are kinds of vehicles.
@@ -31,7 +31,7 @@ _IMAGES_PER_CALL = 32
 class _Judged:
     """Objects and detections of one road user in a set of images."""
 
-    pictures: Pictures
+    pictures: LabelledImages
     detections: list[Detections]
     chosen: np.ndarray  # the objects, bool [image, object]
 
@@ -121,18 +121,18 @@ class _Judged:
         }
 
 
-def evaluate(detector: Detector, pictures: Pictures) -> dict[str, object]:
-    """Judge a detector on pictures of one size.
+def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
+    """Evaluate a detector on images of one size.
 
     Objects that show too little for a ground-truth box are ignored throughout. Labels are pooled: any motor vehicle's
     label is right for a vehicle, except in ``right_label``.
 
     Args:
         detector: Asked for detections of low confidence too, or the average precision comes out too low.
-        pictures: Images and objects.
+        pictures: Labelled images.
 
     Returns:
-        ``images``, and for every road user that the pictures hold and the detector knows: ``objects``; ``ap50`` of all
+        ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
         objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_by_height_px``; of the headline's
         ``ap50_by_visible_fraction`` and ``ap50_by_distance_m``, where every false alarm counts in every bin, since it
         has neither; at confidence 0.25 and for the headline's objects ``recall``, ``precision``,

@@ -1,4 +1,4 @@
-"""Train the shipped detector: pictures, training, ONNX file; can stop at any time and go on."""
+"""Train the built-in detector: images, training, ONNX file; can be interrupted and resumed at any time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from torch import Tensor, nn
 
 from warpav.core.errors import InputError
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
-from warpav.detection.training.data import SUBSETS, Pictures, load_pictures, write_pictures
+from warpav.detection.training.data import SUBSETS, LabelledImages, load_images, write_images
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import Truth, detection_loss
 from warpav.detection.training.network import TownNetwork
 
-# How often a batch is drawn from the pictures of each side [px].
+# Relative frequency of batches by image side [px].
 SIZE_PROBABILITY = {256: 0.55, 384: 0.25, 640: 0.2}
 
 _LEARNING_RATE = 2e-3
@@ -39,23 +39,23 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DeviceData:
-    """Pictures of one size on the device that trains."""
+    """Images of one size on the training device."""
 
     images_rgb: Tensor
     truth: Truth
 
     @classmethod
-    def load(cls, pictures: Iterable[Pictures], device: torch.device) -> DeviceData:
-        """Copy pictures of one size to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
+    def load(cls, pictures: Iterable[LabelledImages], device: torch.device) -> DeviceData:
+        """Copy images of one size to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
         pictures = list(pictures)
         count = sum(len(each.images_rgb) for each in pictures)
         images_rgb = torch.empty((count, *pictures[0].images_rgb.shape[1:]), dtype=torch.uint8, device=device)
-        place = 0
+        first = 0
         for each in pictures:
             for start in range(0, len(each.images_rgb), 1024):
                 block = torch.from_numpy(np.array(each.images_rgb[start : start + 1024]))
-                images_rgb[place : place + len(block)] = block.to(device)
-                place += len(block)
+                images_rgb[first : first + len(block)] = block.to(device)
+                first += len(block)
         box_px = np.concatenate([each.labels.box_px for each in pictures])
         class_index = np.concatenate([each.labels.class_index for each in pictures])
         ignored = np.concatenate([each.labels.ignored for each in pictures])
@@ -144,7 +144,7 @@ class Training:
         """One step on a random batch.
 
         Args:
-            data: Pictures to draw from.
+            data: Images to draw from.
             batch_size: Number of images.
 
         Returns:
@@ -155,7 +155,7 @@ class Training:
         index = torch.from_numpy(self.random.integers(len(data.images_rgb), size=batch_size)).to(self.device)
         images, truth = augment(*data.batch(index), self.generator)
         images = images.contiguous(memory_format=torch.channels_last)
-        # The graph is the same whatever the precision; a CPU gains nothing from half.
+        # The graph does not depend on the precision; a CPU gains nothing from half precision.
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
             score_logit, box_px, center_px, _ = self.network(images)
         score_loss, box_loss = detection_loss(score_logit, box_px, center_px, truth)
@@ -177,7 +177,7 @@ class Training:
     def _update_average(self) -> None:
         # The first steps are forgotten sooner.
         decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
-        # PyTorch documents the function, its stub hides it.
+        # PyTorch documents the function, but its stub lacks it.
         torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
 
 
@@ -200,7 +200,7 @@ def train(
 
     Args:
         training: The run.
-        data: Pictures by their side [px].
+        data: Images by their side [px].
         checkpoint: Where to save.
         batch_size: Number of images of 256 px a step; of larger images, as many as have the same number of pixels.
         stop_after_minutes: Stop before the schedule's end after so long [min].
@@ -249,11 +249,11 @@ def train_detector(
     seed: int,
     stop_after_minutes: float,
 ) -> Path | None:
-    """Make the pictures, train, and write the network as ``detector.onnx``; what is there already is gone on from.
+    """Render the images, train, and write the network as ``detector.onnx``; resumes from existing results.
 
     Args:
         folder: For ``checkpoint.pt`` and ``detector.onnx``.
-        pictures: Folder of the pictures; made where they are missing.
+        pictures: Folder of the images; missing ones are rendered.
         device: PyTorch device.
         processes: That render.
         step_count: Length of the schedule.
@@ -265,7 +265,7 @@ def train_detector(
         The ONNX file; None where the time was up before the schedule's end.
 
     Raises:
-        InputError: The checkpoint is of another training, or the pictures are damaged.
+        InputError: The checkpoint is of another training, or the images are damaged.
         RuntimeError: A scene cannot be rendered, the loss is not finite, or the ONNX file differs from the network.
     """
     names = ("train", "train_reconstructed")
@@ -277,15 +277,15 @@ def train_detector(
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
     for name in names:
-        write_pictures(SUBSETS[name], pictures / name, processes=processes)
+        write_images(SUBSETS[name], pictures / name, processes=processes)
     if training.step < training.step_count:
         start_s = time.perf_counter()
-        loaded = [load_pictures(pictures / name) for name in names]
+        loaded = [load_images(pictures / name) for name in names]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in SIZE_PROBABILITY
         }
-        _logger.info("read the pictures in %.0f s", time.perf_counter() - start_s)
+        _logger.info("read the images in %.0f s", time.perf_counter() - start_s)
         train(training, data, checkpoint=checkpoint, batch_size=batch_size, stop_after_minutes=stop_after_minutes)
     if training.step < training.step_count:
         return None

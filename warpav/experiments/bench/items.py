@@ -301,7 +301,7 @@ class _Silhouettes:
 
 
 def place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.array]:
-    """Views of cameras that stand level; recorded on the active tape.
+    """Views of level cameras; recorded on the active tape.
 
     Args:
         pose: x, z [m], yaw [rad] of every camera in the workload's world, vec3 [camera].
@@ -329,9 +329,9 @@ def object_type(object_count: int) -> np.dtype:
 
 
 def peak_process_mib() -> float | None:
-    """Most memory that this process has had resident [MiB]; None where the system does not tell."""
+    """Peak resident memory of this process [MiB]; None if the system does not report it."""
     status = Path("/proc/self/status")
-    if status.is_file():  # what getrusage says there counts the process that started this one
+    if status.is_file():  # getrusage includes the parent process there
         found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text())
         if found:
             return int(found[1]) / 2**10

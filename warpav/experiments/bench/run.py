@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.devices import checked_device
+from warpav.core.errors import ArgumentError
+from warpav.core.files import write_json
+from warpav.core.progress import Progress
 from warpav.core.warp_setup import load_warp
 from warpav.experiments.bench.array_file import ArrayFile
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
@@ -28,22 +31,16 @@ from warpav.experiments.bench.workload import (
     read_truth,
     read_workload,
 )
-from warpav.runs.run_folder import write_json
-from warpav.runs.sources import checked_device
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from warpav.experiments.bench.items import Bench, Timing
-    from warpav.runs.progress import RunDisplay
 
 SCHEMA = "warpav-bench-1"
 ITEMS = ("w1", "w2", "w3")
 SWEEP = (1, 2, 4, 8)
-# Beyond these, embree's minutes would outweigh what the comparison tells.
+# Above these sizes, embree's minutes are not worth the comparison.
 MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
 MAX_EMBREE_REPEAT = 5
-PIPED_WIDTH = 160  # characters of a table that goes to a file
 
 
 def run_bench(
@@ -57,7 +54,7 @@ def run_bench(
     json_file: Path | None,
     with_embree: bool | None,
     with_sweep: bool,
-    display: RunDisplay,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Measure, print the tables, write the files, and return what the JSON file holds.
 
@@ -71,14 +68,14 @@ def run_bench(
         json_file: Where to write the results; W2's and W3's arrays go beside it. None: nowhere.
         with_embree: Whether to measure embree too; None: on the CPU, unless the workload is very large.
         with_sweep: Whether to measure W1 with every supersampling as well.
-        display: Shows what is going on, and the tables.
+        progress: Shows what is going on, and the tables.
 
     Raises:
         InputError: A file or an option cannot be used.
     """
     wanted = _checked_items(items)
     if repeat < 1:
-        raise InputError(f"command line: --repeat: expected at least 1, got {repeat}")
+        raise ArgumentError("repeat", f"expected at least 1, got {repeat}")
     if json_file is not None:
         _check_target(json_file)
     load_warp()
@@ -91,7 +88,7 @@ def run_bench(
 
     from warpav.experiments.bench.items import Bench
 
-    display.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
+    progress.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
     began = time.perf_counter()
     bench = Bench(workload, pack_workload(workload, device=device), device=device)
     pack_ms = 1000.0 * (time.perf_counter() - began)
@@ -120,13 +117,13 @@ def run_bench(
     with contextlib.ExitStack() as stack:
         files: list[ArrayFile] = []
         if "w1" in wanted:
-            display.stage(f"W1, supersampling x{supersampling}")
+            progress.stage(f"W1, supersampling x{supersampling}")
             entry, scores_of_w1 = _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
             found["w1"] = entry
             scores.update(scores_of_w1)
         image = (workload.view_count, workload.size_px, workload.size_px)
         if "w2" in wanted:
-            display.stage("W2")
+            progress.stage("W2")
             found["w2"] = _entry(bench.time_depth_and_object(repeat=repeat), bench, pack_ms)
             target = None
             if json_file is not None:
@@ -141,7 +138,7 @@ def run_bench(
                 found["w2"]["arrays"] = target.file.name
             scores.update(_collect_images(bench, truth, target))
         if "w3" in wanted:
-            display.stage("W3")
+            progress.stage("W3")
             found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
             if json_file is not None:
                 arrays = {"rgb": ((*image, 3), np.dtype(np.float32))}
@@ -153,7 +150,7 @@ def run_bench(
         if with_sweep:
             content["sweep"] = []
             for level in SWEEP:
-                display.stage(f"W1, supersampling x{level}")
+                progress.stage(f"W1, supersampling x{level}")
                 entry, level_scores = _measure_silhouettes(bench, truth, level, repeat=repeat, pack_ms=pack_ms)
                 del entry["grad"], entry["value"]
                 content["sweep"].append({"supersample": level, **entry, "scores": level_scores})
@@ -164,7 +161,7 @@ def run_bench(
                 and len(workload.triangle) <= MAX_EMBREE_TRIANGLES
             )
         if with_embree and {"w2", "w3"} & wanted:
-            display.stage("embree")
+            progress.stage("embree")
             content["reference"] = {"embreex": _measure_embree(workload, wanted, found, repeat)}
         if json_file is not None:
             for file in files:
@@ -172,11 +169,11 @@ def run_bench(
             write_json(json_file, content)
 
     is_embedded = workload_file is None or workload.is_same_work(embedded_workload())
-    _print_table(display, bench_table(content, with_peers=is_embedded))
+    progress.show(bench_table(content, with_peers=is_embedded))
     if is_embedded:
-        display.say(peer_note())
+        progress.say(peer_note())
     if with_sweep:
-        _print_table(display, sweep_table(content, truth))
+        progress.show(sweep_table(content, truth))
     return content
 
 
@@ -238,12 +235,6 @@ def _spread(times_ms: list[float]) -> dict[str, float | int]:
     }
 
 
-def _print_table(display: RunDisplay, table: Table) -> None:
-    if not display.console.is_terminal:
-        display.console.width = max(display.console.width, PIPED_WIDTH)
-    display.console.print(table)
-
-
 def _device(bench: Bench) -> dict[str, Any]:
     if bench.device.is_cuda:
         return {"kind": "cuda", "name": bench.device.name}
@@ -264,7 +255,7 @@ def _checked_items(items: str) -> set[str]:
     names = [name.strip() for name in items.split(",")]
     unknown = [name for name in names if name not in ITEMS]
     if unknown:
-        raise InputError(f"command line: --items: expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
+        raise ArgumentError("items", f"expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
     return set(names)
 
 
@@ -276,8 +267,12 @@ def _beside(json_file: Path, item: str) -> Path:
 def _check_target(json_file: Path) -> None:
     folder = json_file.absolute().parent
     if not folder.is_dir():
-        raise InputError(f"{json_file}: --json: expected an existing folder to write to, got {str(folder)!r}")
+        raise ArgumentError(
+            place=json_file, option="json", text=f"expected an existing folder to write to, got {str(folder)!r}"
+        )
     if json_file.is_dir():
-        raise InputError(f"{json_file}: --json: expected a file to write, got a folder")
+        raise ArgumentError(place=json_file, option="json", text="expected a file to write, got a folder")
     if not os.access(folder, os.W_OK):
-        raise InputError(f"{json_file}: --json: expected a folder that can be written, got {str(folder)!r}")
+        raise ArgumentError(
+            place=json_file, option="json", text=f"expected a folder that can be written, got {str(folder)!r}"
+        )

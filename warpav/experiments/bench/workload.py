@@ -1,8 +1,8 @@
 """The benchmark's files: a workload (scene, cameras, weights) and its truth, read, checked, and put on a device.
 
 A workload is an ``.npz`` of format 1. Its world is the thesis's (x left, y up, z forward, metres) with the ego vehicle,
-which is not drawn, at the origin. Cameras stand level at a pose (x, z, yaw); each makes four views, turned by quarters
-of a circle, and view = camera * 4 + rotation. The first objects are vehicles, the others only hide them.
+which is not rendered, at the origin. Cameras are level at a pose (x, z, yaw); each has four views, rotated by quarters
+of a circle, and view = camera * 4 + rotation. The first objects are vehicles, the others only occlude them.
 """
 
 from __future__ import annotations
@@ -341,6 +341,6 @@ class _Fields:
         bad = np.argwhere(~is_good(value)) if is_good is not None else np.zeros((0, value.ndim))
         if len(bad):
             at = [int(i) for i in bad[0]]
-            place = f" at {at}" if at else ""
-            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{place}")
+            where = f" at {at}" if at else ""
+            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{where}")
         return value

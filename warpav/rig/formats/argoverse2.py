@@ -10,8 +10,16 @@ from typing import Any
 
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix, pinhole_of
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    optics_of_matrix,
+    pinhole_of,
+)
 from warpav.rig.formats.record import Record, rigid_transform
 
 _POSES, _INTRINSICS = "egovehicle_SE3_sensor.feather", "intrinsics.feather"
@@ -47,7 +55,7 @@ def read(path: Path, part: str | None) -> Found:
         )
         lens = lenses[name]
         fx, fy, cx, cy = (lens.at(column).number() for column in ("fx_px", "fy_px", "cx_px", "cy_px"))
-        matrix = Record(f"{lens.place}: fx_px, fy_px, cx_px, cy_px", [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+        matrix = Record(f"{lens.location}: fx_px, fy_px, cx_px, cy_px", [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
         optics = optics_of_matrix(matrix, width_px=lens.at("width_px").whole(), height_px=lens.at("height_px").whole())
         is_distorted |= any(lens.at(column).number(0.0) for column in _DISTORTION)
         cameras.append(FoundCamera(name, transform, optics))
@@ -99,7 +107,7 @@ FORMAT = RigFormat(
     "argoverse2",
     frame="sensor to vehicle, x forward, y left, z up, right-handed, metres; quaternions w x y z; cameras x right, "
     "y down, z forward",
-    origin="the middle of the rear axle itself, a wheel's radius above the ground (0.33 m on the Ford Fusion)",
+    origin="the centre of the rear axle itself, a wheel's radius above the ground (0.33 m on the Ford Fusion)",
     is_ego_origin=False,
     read=read,
     write=write,

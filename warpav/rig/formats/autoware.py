@@ -88,7 +88,7 @@ FORMAT = RigFormat(
     "autoware",
     frame="camera_link to sensor_kit_base_link to base_link, x forward, y left, z up, right-handed, metres; roll, "
     "pitch, yaw in radians about fixed axes",
-    origin="base_link's, on the ground below the middle of the rear axle",
+    origin="base_link's, on the ground below the centre of the rear axle",
     is_ego_origin=True,
     read=read,
     write=write,

@@ -1,4 +1,4 @@
-"""ROS camera_info YAML: image and lens of one camera, without its place."""
+"""ROS camera_info YAML: image size and lens of one camera, without its pose."""
 
 from __future__ import annotations
 
@@ -10,12 +10,19 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Losses, PlacedCamera, RigFormat, file_for_each
-from warpav.rig.formats.optics import Optics, camera_matrix, optics_of_matrix
+from warpav.rig.formats.format import (
+    Losses,
+    Optics,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_for_each,
+    optics_of_matrix,
+)
 from warpav.rig.formats.record import Record, read_yaml_record, yaml_number
 
 FOLDER = "camera_info"
-"""Where exports put these files, and where imports look for them."""
+"""Folder of these files in exports and imports."""
 
 _MODELS = {
     "plumb_bob": (Lens.BROWN_CONRADY, (0, 4, 5)),
@@ -56,7 +63,7 @@ def optics_of_info(record: Record) -> Optics:
     record.mapping("a camera_info mapping with image_width, image_height, camera_matrix and distortion_model")
     model = record.at("distortion_model")
     if model.value not in _MODELS:
-        raise model.refused(f"one of {', '.join(_MODELS)}")
+        raise model.error(f"one of {', '.join(_MODELS)}")
     lens, counts = _MODELS[model.value]
     coefficients = record.at("distortion_coefficients").at("data")
     distortion = coefficients.numbers(*counts) if coefficients.value is not None or 0 not in counts else []
@@ -77,7 +84,7 @@ def camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
     """
     model = camera.model
     if model.lens is Lens.PANORAMA:
-        raise losses.refuse(camera.name, "a panorama lens")
+        raise losses.unsupported(camera.name, "a panorama lens")
     wanted = {Lens.FISHEYE: 4}.get(model.lens, 8 if len(model.distortion) == 8 else 5)
     distortion = [*model.distortion, *(0.0,) * (wanted - len(model.distortion))]
     name = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}[wanted]
@@ -106,15 +113,15 @@ def camera_info_files(cameras: Sequence[PlacedCamera], folder: Path, losses: Los
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """One file a camera; places are left out, because camera_info has none by its nature."""
+    """One file per camera, without poses: camera_info does not contain them."""
     files = file_for_each(cameras, target, (".yaml", ".yml"))
-    losses.notes.append("camera_info holds no places; they go into urdf or autoware")
+    losses.notes.append("camera_info holds no poses; urdf and autoware do")
     return {file: camera_info_text(camera, losses).encode() for file, camera in zip(files, cameras, strict=True)}
 
 
 FORMAT = RigFormat(
     "camera-info",
-    frame="cameras x right, y down, z forward, pixels; no places",
+    frame="cameras x right, y down, z forward, pixels; no poses",
     origin="none",
     is_ego_origin=True,
     read=None,

@@ -1,7 +1,7 @@
-"""CARLA, in two dialects that look alike and mean different things.
+"""CARLA, in two dialects with equal keys and different conventions.
 
 ``carla-ros-bridge`` is the bridge's ``objects.json``: right-handed, y left, pitch nose down. ``carla-python`` is a list
-of sensors as agents of the leaderboard give it: left-handed, y right, yaw to the right, pitch nose up. The user says
+of sensors as agents of the leaderboard give it: left-handed, y right, yaw to the right, pitch nose up. The user states
 which one it is; no file does. Both know a lens by its field of view alone.
 """
 
@@ -22,19 +22,20 @@ from warpav.rig.formats.format import (
     Found,
     FoundCamera,
     Losses,
+    Optics,
     PlacedCamera,
     RigFormat,
     file_at,
     file_in,
     link_of_transform,
+    pinhole_of,
     transform_of_link,
 )
-from warpav.rig.formats.optics import Optics, pinhole_of
 from warpav.rig.formats.record import Record, read_json
 
 _CAMERA = "sensor.camera.rgb"
 _ANY_CAMERA = "sensor.camera."
-_ORIGIN = "the vehicle actor's, which CARLA puts near the middle of the vehicle"
+_ORIGIN = "the vehicle actor's, which CARLA puts near the centre of the vehicle"
 _OBJECTS, _SENSORS = "objects.json", "sensors.json"
 _DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
 
@@ -51,16 +52,16 @@ def _read_bridge(path: Path, part: str | None) -> Found:
     if part is not None and part not in with_cameras:
         raise InputError(f"{path}: expected a vehicle {part!r} with cameras, got {', '.join(with_cameras) or 'none'}")
     if part is None and len(with_cameras) > 1:
-        raise InputError(f"{path}: expected one vehicle with cameras, got {', '.join(with_cameras)}; choose by --part")
+        raise InputError(f"{path}: expected one vehicle with cameras, got {', '.join(with_cameras)}; choose by `part`")
     sensors = with_cameras[part] if part is not None else next(iter(with_cameras.values()), [])
     return _found(path, sensors, _bridge_camera)
 
 
 def _bridge_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
-    place = sensor.at("spawn_point")
-    place.mapping("a mapping with x, y, z, roll, pitch, yaw")
-    angle = {f"{key}_rad": math.radians(place.at(key).number(0.0)) for key in ("yaw", "pitch", "roll")}
-    transform = transform_of_link([place.at(key).number() for key in "xyz"], **angle)
+    spawn_point = sensor.at("spawn_point")
+    spawn_point.mapping("a mapping with x, y, z, roll, pitch, yaw")
+    angle = {f"{key}_rad": math.radians(spawn_point.at(key).number(0.0)) for key in ("yaw", "pitch", "roll")}
+    transform = transform_of_link([spawn_point.at(key).number() for key in "xyz"], **angle)
     return transform, *_optics(sensor, "image_size_x", "image_size_y")
 
 
@@ -70,7 +71,9 @@ def _read_python(path: Path, part: str | None) -> Found:
     path = file_in(path, _SENSORS)
     data = read_json(path, "a list of sensors, as JSON or as Python writes it", parse=_literal)
     if isinstance(data.value, dict) and "objects" in data.value:
-        raise data.refused("a list of sensors", "objects, which is the ros-bridge's dialect: --format carla-ros-bridge")
+        raise data.error(
+            "a list of sensors", "objects, which is the ros-bridge's dialect: `format_name` carla-ros-bridge"
+        )
     sensors = data.at("sensors") if isinstance(data.value, dict) else data
     return _found(path, sensors.items("a list of sensors"), _python_camera)
 
@@ -126,12 +129,12 @@ def _is_camera(sensor: Record) -> bool:
 def _optics(sensor: Record, width_key: str, height_key: str) -> tuple[Optics, bool]:
     multiplier = sensor.at("lens_circle_multiplier")
     if multiplier.number(0.0) != 0.0:
-        raise multiplier.refused("0, because warpav has no lens that is CARLA's distorted one")
+        raise multiplier.error("0, because warpav has no model of CARLA's lens distortion")
     width, height, fov = _DEFAULTS
     fields = [sensor.at(key) for key in (width_key, height_key, "fov")]
     fov_deg = fields[2].number(fov)
     if not 0.0 < fov_deg < 180.0:
-        raise fields[2].refused("a field of view between 0 and 180 degrees")
+        raise fields[2].error("a field of view between 0 and 180 degrees")
     optics = Optics(fields[0].whole(width), fields[1].whole(height), fov_rad=math.radians(fov_deg))
     return optics, any(field.value is None for field in fields)
 
@@ -200,7 +203,7 @@ ROS_BRIDGE = RigFormat(
     read=_read_bridge,
     write=_write_bridge,
     parts="a vehicle's id, such as ego_vehicle",
-    mirrored_hint="is the file CARLA's own left-handed dialect (--format carla-python)?",
+    mirrored_hint="is the file CARLA's own left-handed dialect (`format_name` carla-python)?",
 )
 
 PYTHON = RigFormat(
@@ -210,5 +213,5 @@ PYTHON = RigFormat(
     is_ego_origin=False,
     read=_read_python,
     write=_write_python,
-    mirrored_hint="is the file right-handed, with y to the left (--format carla-ros-bridge)?",
+    mirrored_hint="is the file right-handed, with y to the left (`format_name` carla-ros-bridge)?",
 )

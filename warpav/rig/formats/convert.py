@@ -1,7 +1,7 @@
-"""Import and export of rigs: finds the format, places its frame on the vehicle, completes lenses, guards sides.
+"""Import and export of rigs: selects the format, transforms its frame, completes lenses, checks sides.
 
-A file's frame is placed by one transform, ``ego_from_file``: where its origin lies in warpav's ego frame (on the ground
-below the middle of the rear axle) and how its axes are turned there. All formats go through it, both ways.
+One transform, ``ego_from_file``, gives the position of the file's origin in warpav's ego frame (on the ground below the
+centre of the rear axle) and the rotation of its axes. Imports and exports of all formats use it.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
 from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
-from warpav.rig.formats.format import FoundCamera, Losses, PlacedCamera, RigFormat
-from warpav.rig.formats.optics import Optics
+from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
 from warpav.rig.rig import Rig, RigCamera, replace_file
 
 _PLACES = {
@@ -52,7 +51,7 @@ _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a file does not say.
+    """Information that a file lacks.
 
     Attributes:
         origin_m: Where its origin lies in the ego frame [m]; None: where the ego frame's does.
@@ -60,9 +59,9 @@ class ImportOptions:
         width_px: Image width [px] of cameras without one.
         height_px: Image height [px] of cameras without one.
         fov_deg: Horizontal field of view [deg] of cameras without a lens.
-        intrinsics: camera_info YAML, or a folder of such: it replaces what the file says of those cameras.
+        intrinsics: camera_info YAML, or a folder of such: it replaces the file's values of those cameras.
         part: Which of several rigs in the file.
-        accept_mirrored: Take cameras that lie or look to the side that their name denies.
+        accept_mirrored: Accept cameras whose name contradicts their side or direction.
     """
 
     origin_m: tuple[float, float, float] | None = None
@@ -84,30 +83,74 @@ def find_format(name: str) -> RigFormat:
     plain = name.strip().lower().replace("_", "-")
     plain = _OTHER_NAMES.get(plain, plain)
     if plain == "carla":
-        raise InputError(
-            "command line (--format carla): expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
-            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which"
+        raise ArgumentError(
+            "format_name",
+            "expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
+            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which",
         )
     if plain not in _PLACES:
         near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(
-            f"command line (--format {name}): expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}"
-        )
+        raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
     module, attribute = _PLACES[plain]
     return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)
 
 
-def import_rig(path: str | Path, format_name: str, options: ImportOptions | None = None) -> tuple[Rig, list[str]]:
+def import_rig(
+    path: str | Path,
+    format_name: str,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    width_px: int | None = None,
+    height_px: int | None = None,
+    fov_deg: float | None = None,
+    intrinsics: str | Path | None = None,
+    part: str | None = None,
+    accept_mirrored: bool = False,
+) -> Rig:
+    """The rig in another tool's file, in the ego frame.
+
+    Args:
+        path: File or folder.
+        format_name: One of `FORMAT_NAMES`, such as ``"urdf"``.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        width_px: Image width [px] of cameras without one.
+        height_px: Image height [px] of cameras without one.
+        fov_deg: Horizontal field of view [deg] of cameras without a lens.
+        intrinsics: camera_info YAML, or a folder of such: it replaces the file's values of those cameras.
+        part: Which of several rigs in the file.
+        accept_mirrored: Accept cameras whose name contradicts their side or direction.
+
+    Raises:
+        InputError: The file cannot be used.
+    """
+    options = ImportOptions(
+        origin_m,
+        origin_rpy_deg,
+        width_px,
+        height_px,
+        fov_deg,
+        None if intrinsics is None else Path(intrinsics),
+        part,
+        accept_mirrored,
+    )
+    return import_rig_with_notes(path, format_name, options)[0]
+
+
+def import_rig_with_notes(
+    path: str | Path, format_name: str, options: ImportOptions | None = None
+) -> tuple[Rig, list[str]]:
     """The rig in another tool's file.
 
     Args:
         path: File or folder.
         format_name: One of `FORMAT_NAMES`.
-        options: What the file does not say.
+        options: Information that the file lacks.
 
     Returns:
-        The rig in the ego frame; and sentences for the user: in which frame the file was read, what was assumed.
+        The rig in the ego frame; and notes for the user: the assumed frame and other assumptions.
 
     Raises:
         InputError: The file cannot be used; one line with file and field.
@@ -117,13 +160,13 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
     form = find_format(format_name)
     if form.read is None:
         raise InputError(
-            f"{file}: {form.name}: expected a format with places, got one without; import the file that has them, such "
-            f"as --format urdf or autoware, with --intrinsics {file}"
+            f"{file}: {form.name}: expected a format with camera poses, got one without; import the file that has "
+            f"them, such as `format_name` urdf or autoware, with `intrinsics` {file}"
         )
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder of the format {form.name}, got no such file")
     if options.part is not None and form.parts is None:
-        raise InputError(f"command line (--part): {form.name} files hold one rig, got {options.part!r}; leave it out")
+        raise ArgumentError("part", f"{form.name} files hold one rig, got {options.part!r}; leave it out")
     ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
     found = form.read(file, options.part)
     lenses = _lenses(file, options)
@@ -137,13 +180,13 @@ def import_rig(path: str | Path, format_name: str, options: ImportOptions | None
         if np.linalg.norm(camera.position_m) > FAR_M:
             position = ", ".join(f"{value:g}" for value in camera.position_m)
             raise InputError(
-                f"{file}: camera {camera.name!r}: expected a place within {FAR_M:g} m of the rear axle, got "
-                f"[{position}]; are these millimetres, or places in the world?"
+                f"{file}: camera {camera.name!r}: expected a position within {FAR_M:g} m of the rear axle, got "
+                f"[{position}]; are these millimetres, or world coordinates?"
             )
     mirrored = [] if options.accept_mirrored else list(mirrored_cameras(cameras))
     if mirrored:
         more = f" ({len(mirrored)} cameras like this)" if len(mirrored) > 1 else ""
-        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} --accept-mirrored takes it as it is")
+        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} `accept_mirrored` takes it as it is")
     count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
     notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes]
     renamed = [camera.name for camera in found.cameras if camera.name != _fit_name(camera.name)]
@@ -162,6 +205,41 @@ def export_rig(
     origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
     approximate: bool = False,
     overwrite: bool = False,
+) -> list[Path]:
+    """Write a rig for another tool, and return the files.
+
+    Args:
+        rig: The cameras.
+        format_name: One of `FORMAT_NAMES`, such as ``"autoware"``.
+        target: File or folder, as the format has it; folders are made.
+        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
+        origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
+        approximate: Leave out what the format cannot hold, instead of rejecting the rig.
+        overwrite: Replace existing files.
+
+    Raises:
+        InputError: The format cannot represent the rig, a file exists already, or cannot be written.
+    """
+    return export_rig_with_notes(
+        rig,
+        format_name,
+        target,
+        origin_m=origin_m,
+        origin_rpy_deg=origin_rpy_deg,
+        approximate=approximate,
+        overwrite=overwrite,
+    )[0]
+
+
+def export_rig_with_notes(
+    rig: Rig,
+    format_name: str,
+    target: str | Path,
+    *,
+    origin_m: tuple[float, float, float] | None = None,
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approximate: bool = False,
+    overwrite: bool = False,
 ) -> tuple[list[Path], list[str]]:
     """Write a rig for another tool.
 
@@ -171,14 +249,14 @@ def export_rig(
         target: File or folder, as the format has it; folders are made.
         origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
         origin_rpy_deg: Roll, pitch and yaw of its axes in the ego frame [deg], about fixed axes.
-        approximate: Leave out what the format cannot hold, instead of refusing the rig.
-        overwrite: Replace files that are there already.
+        approximate: Drop what the format cannot represent instead of raising an error.
+        overwrite: Replace existing files.
 
     Returns:
-        The files, and sentences for the user.
+        The files, and notes for the user.
 
     Raises:
-        InputError: The format cannot hold the rig, a file is there already, or cannot be written.
+        InputError: The format cannot represent the rig, a file exists already, or cannot be written.
     """
     form = find_format(format_name)
     losses = Losses(form.name, approximate)
@@ -191,18 +269,18 @@ def export_rig(
 
 
 def check_target(file: Path, *, overwrite: bool) -> None:
-    """Refuse to write a file where there is something else.
+    """Check that a file can be written.
 
     Raises:
-        InputError: It is a folder, or there already and not to be replaced, or would have to lie in what is a file.
+        InputError: It is a folder, exists already and may not be replaced, or one of its parents is a file.
     """
     if file.is_dir():
         raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
     if file.exists() and not overwrite:
-        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; --overwrite replaces it")
+        raise InputError(f"{file}: expected a file that does not exist yet, got one that does; `overwrite` replaces it")
     for folder in file.parents:
         if folder.is_file():
-            raise InputError(f"{folder}: expected a folder to write to, got a file; name another place")
+            raise InputError(f"{folder}: expected a folder to write to, got a file; choose another path")
 
 
 def content_of(
@@ -221,9 +299,7 @@ def content_of(
     """
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
-        raise InputError(
-            f"command line (--format {form.name}): expected one of {names}; {form.name} is for import only"
-        )
+        raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     return form.write(placed, target, losses)
@@ -250,9 +326,9 @@ def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple
     Raises:
         InputError: A number is not finite.
     """
-    for name, numbers in (("--origin-m", origin_m or ()), ("--origin-rpy-deg", origin_rpy_deg)):
+    for name, numbers in (("origin_m", origin_m or ()), ("origin_rpy_deg", origin_rpy_deg)):
         if not all(map(math.isfinite, numbers)):
-            raise InputError(f"command line ({name}): expected three finite numbers, got {numbers}")
+            raise ArgumentError(name, f"expected three finite numbers, got {numbers}")
     roll, pitch, yaw = map(math.radians, origin_rpy_deg)
     transform = np.eye(4)
     transform[:3, :3] = rotation_from_yaw_pitch_roll(yaw, pitch, roll)
@@ -263,12 +339,15 @@ def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple
 def _origin_notes(form: RigFormat, origin_m: tuple[float, float, float] | None) -> list[str]:
     if origin_m is not None:
         x, y, z = origin_m
-        return [f"origin: {form.origin}; it lies at ({x:g}, {y:g}, {z:g}) m from below the middle of the rear axle"]
+        return [
+            f"origin: {form.origin}; it lies at ({x:g}, {y:g}, {z:g}) m from the ground below the centre of the rear "
+            "axle"
+        ]
     if form.is_ego_origin:
         return []
     return [
-        f"warning: the file's origin is {form.origin}; without --origin-m X Y Z, which says where that lies, it is "
-        "taken to be warpav's, on the ground below the middle of the rear axle"
+        f"warning: the file's origin is {form.origin}; without `origin_m` X Y Z, which gives its position, it is "
+        "assumed to be warpav's, on the ground below the centre of the rear axle"
     ]
 
 
@@ -282,28 +361,26 @@ def _lenses(file: Path, options: ImportOptions) -> dict[str, Optics]:
 
 
 def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOptions, file: Path) -> CameraModel:
-    place = f"{file}: camera {camera.name!r}"
+    location = f"{file}: camera {camera.name!r}"
     beside = lenses.get(_key(camera.name))
     optics = beside if camera.optics is None or (beside and options.intrinsics) else camera.optics
     if optics is None:
         if None in (options.width_px, options.height_px, options.fov_deg):
             raise InputError(
-                f"{place}: expected its image and lens, which the file does not hold; give --width-px, --height-px and "
-                "--fov-deg, or --intrinsics with camera_info YAML files"
+                f"{location}: expected its image and lens, which the file does not hold; give `width_px`, `height_px` "
+                "and `fov_deg`, or `intrinsics` with camera_info YAML files"
             )
         assert options.fov_deg is not None
         if not 0.0 < options.fov_deg < 180.0:
-            raise InputError(
-                f"command line (--fov-deg): expected a number of degrees between 0 and 180, got {options.fov_deg}"
-            )
+            raise ArgumentError("fov_deg", f"expected a number of degrees between 0 and 180, got {options.fov_deg}")
         optics = Optics(options.width_px, options.height_px, fov_rad=math.radians(options.fov_deg))
     if optics.width_px is None or optics.height_px is None:
         if options.width_px is None or options.height_px is None:
             raise InputError(
-                f"{place}: expected the image's size, which the file does not hold; give --width-px and --height-px"
+                f"{location}: expected the image's size, which the file does not hold; give `width_px` and `height_px`"
             )
         optics = dataclasses.replace(optics, width_px=options.width_px, height_px=options.height_px)
-    return optics.model(place)
+    return optics.model(location)
 
 
 def _key(name: str) -> str:
@@ -311,7 +388,7 @@ def _key(name: str) -> str:
 
 
 def _fit_name(name: str) -> str:
-    """The name with all that rig files do not take made ``_``."""
+    """The name with every character that rig files do not allow replaced by ``_``."""
     fit = _UNFIT.sub("_", name).strip("_") or "camera"
     return fit if fit[0].isalnum() else f"_{fit}"
 
@@ -320,5 +397,5 @@ def _write(file: Path, content: bytes) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{file}: expected a place to write to, got: {error.strerror}") from None
+        raise InputError(f"{file}: expected a writable path, got: {error.strerror}") from None
     replace_file(file, content)

@@ -1,17 +1,87 @@
-"""What every format of rig files is made of: what its reader finds, what its writer gets, and words about its frame."""
+"""What every format of rig files is made of: what its reader finds, what its writer gets, and words about its frame.
+
+Principal points in other tools' files count from the centre of the upper left pixel, as OpenCV does; warpav counts from
+the image's corner. `PIXEL_CENTRE_PX` is the difference, and is added and taken away here only.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.optics import Optics
+from warpav.raster.lens import Lens
+from warpav.rig.rig import MAX_IMAGE_PX
+
+if TYPE_CHECKING:
+    from warpav.rig.formats.record import Record
+
+PIXEL_CENTRE_PX = 0.5
+_SAME_PX = 1e-5  # rig files keep six decimals
+_SAME_EXACTLY = 1e-9
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Image size and lens of a camera as stated in a file; None where not stated.
+
+    Attributes:
+        width_px: Image width [px].
+        height_px: Image height [px].
+        fov_rad: Horizontal field of view [rad] of a lens with square pixels around the centre of the image.
+        focal_px: Or else focal lengths (fx, fy) [px].
+        centre_px: With them, the principal point from the image's upper left corner [px].
+        lens: The lens.
+        distortion: Its coefficients in OpenCV's order.
+    """
+
+    width_px: int | None = None
+    height_px: int | None = None
+    fov_rad: float | None = None
+    focal_px: tuple[float, float] | None = None
+    centre_px: tuple[float, float] | None = None
+    lens: Lens = Lens.PINHOLE
+    distortion: tuple[float, ...] = ()
+
+    def model(self, location: str) -> CameraModel:
+        """The camera model; the size and the lens must be there.
+
+        A lens with square pixels around the middle is given by its field of view, which is how people write it.
+
+        Raises:
+            InputError: The parameters are invalid; the text begins with ``location``.
+        """
+        assert self.width_px is not None
+        assert self.height_px is not None
+        for name, size in (("width_px", self.width_px), ("height_px", self.height_px)):
+            if not 8 <= size <= MAX_IMAGE_PX:
+                raise InputError(f"{location}: {name}: expected from 8 to {MAX_IMAGE_PX} pixels, got {size}")
+        distortion = self.distortion if any(self.distortion) else ()
+        lens = Lens.PINHOLE if self.lens is Lens.BROWN_CONRADY and not distortion else self.lens
+        try:
+            if self.focal_px is None:
+                assert self.fov_rad is not None
+                return CameraModel(self.width_px, self.height_px, self.fov_rad, lens=lens, distortion=distortion)
+            model = CameraModel(
+                self.width_px,
+                self.height_px,
+                lens=lens,
+                focal_px=self.focal_px,
+                centre_px=self.centre_px,
+                distortion=distortion,
+            )
+            if is_plain(model, within=_SAME_EXACTLY):
+                return CameraModel(self.width_px, self.height_px, model.fov_rad, lens=lens, distortion=distortion)
+        except ValueError as error:
+            raise InputError(f"{location}: expected valid camera parameters, got: {error}") from None
+        return model
 
 
 @dataclass(frozen=True)
@@ -22,7 +92,7 @@ class FoundCamera:
         name: As the file calls it.
         file_from_camera: From camera coordinates (x right, y down, z forward) to the file's frame, made right-handed
             with x forward, y left, z up [m], shape [4, 4].
-        optics: What the file says of image and lens; None: nothing.
+        optics: Image size and lens stated in the file; None: not stated.
     """
 
     name: str
@@ -60,12 +130,12 @@ class PlacedCamera:
 
 @dataclass
 class Losses:
-    """What a format cannot hold of a rig: refused, unless the user has said that it may go.
+    """Properties of a rig that a format cannot represent: an error, unless the user allows dropping them.
 
     Attributes:
         format_name: The format.
-        are_allowed: Whether it may be left out.
-        notes: What was left out, one sentence a camera and thing.
+        are_allowed: Whether properties may be dropped.
+        notes: What was dropped, one sentence per camera and property.
     """
 
     format_name: str
@@ -73,27 +143,27 @@ class Losses:
     notes: list[str] = field(default_factory=list)
 
     def leave_out(self, camera_name: str, thing: str) -> None:
-        """Leave something out.
+        """Drop a property.
 
         Raises:
-            InputError: It may not be.
+            InputError: Dropping is not allowed.
         """
         if not self.are_allowed:
             raise InputError(
-                f"camera {camera_name!r}: {self.format_name} cannot hold {thing}; --approximate leaves it out"
+                f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; `approximate` leaves it out"
             )
-        self.notes.append(f"camera {camera_name!r}: {thing} is left out")
+        self.notes.append(f"camera {camera_name!r}: {thing} is dropped")
 
-    def refuse(self, camera_name: str, thing: str) -> InputError:
-        """The error for what cannot even be left out."""
-        return InputError(f"camera {camera_name!r}: {self.format_name} cannot hold {thing}; choose another format")
+    def unsupported(self, camera_name: str, thing: str) -> InputError:
+        """The error for a property that cannot even be dropped."""
+        return InputError(f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; choose another format")
 
 
 Reader = Callable[[Path, str | None], Found]
 """Reads a file or folder; the text picks a part of it (`RigFormat.parts`)."""
 
 Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
-"""The files, with their content, that hold the cameras at the target; writes nothing itself."""
+"""Returns the files and their content for the target; writes nothing itself."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +173,8 @@ class RigFormat:
     Attributes:
         name: As the user names it.
         frame: Axes, handedness and units, in words.
-        origin: Where the frame's origin lies, in words.
-        is_ego_origin: Whether that is warpav's: on the ground below the middle of the rear axle.
+        origin: Origin of the frame, in words.
+        is_ego_origin: Whether it is warpav's: on the ground below the centre of the rear axle.
         read: None where the format cannot be imported.
         write: None where it cannot be exported.
         parts: What `--part` picks of a file that holds several rigs; None: nothing.
@@ -161,3 +231,75 @@ def file_for_each(cameras: Sequence[PlacedCamera], target: Path, suffixes: Seque
             raise InputError(f"{target}: expected a folder for the files of {len(cameras)} cameras, got a file's name")
         return [target]
     return [target / f"{camera.name}{suffixes[0]}" for camera in cameras]
+
+
+def is_plain(model: CameraModel, *, within: float = _SAME_PX) -> bool:
+    """Whether pixels are square and the principal point is the image's middle, within so many pixels."""
+    (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
+    return max(abs(fx - fy), abs(cx - 0.5 * model.width_px), abs(cy - 0.5 * model.height_px)) <= within
+
+
+def camera_matrix(model: CameraModel) -> list[list[float]]:
+    """Focal lengths and principal point as other tools write them, 3 x 3."""
+    matrix = model.intrinsics.copy()
+    matrix[:2, 2] -= PIXEL_CENTRE_PX
+    return matrix.tolist()
+
+
+def optics_of_matrix(
+    matrix: Record,
+    *,
+    lens: Lens = Lens.PINHOLE,
+    distortion: Sequence[float] = (),
+    width_px: int | None = None,
+    height_px: int | None = None,
+) -> Optics:
+    """The optics of a 3 x 3 camera matrix as other tools write it.
+
+    Raises:
+        InputError: It is none, or has skew.
+    """
+    (fx, skew, cx), (zero, fy, cy), last = matrix.matrix(3, 3)
+    if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
+        raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
+    if min(fx, fy) <= 0.0:
+        raise matrix.error("positive focal lengths fx and fy")
+    return Optics(
+        width_px,
+        height_px,
+        focal_px=(fx, fy),
+        centre_px=(cx + PIXEL_CENTRE_PX, cy + PIXEL_CENTRE_PX),
+        lens=lens,
+        distortion=tuple(distortion),
+    )
+
+
+def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False) -> CameraModel:
+    """The pinhole of a camera, for formats that hold nothing else.
+
+    Args:
+        camera: A camera of the rig.
+        losses: What may be left out.
+        is_centred: Whether the format knows only a field of view: square pixels around the centre of the image.
+
+    Raises:
+        InputError: The camera is something else, and that may not be left out.
+    """
+    model = camera.model
+    if model.lens in (Lens.FISHEYE, Lens.PANORAMA):
+        raise losses.unsupported(camera.name, f"a {model.lens} lens")
+    if any(model.distortion):
+        losses.leave_out(camera.name, "the lens's distortion")
+    (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
+    size = (model.width_px, model.height_px)
+    if not is_centred:
+        if not any(model.distortion):
+            return model
+        return CameraModel(*size, focal_px=(fx, fy), centre_px=(cx, cy))
+    if abs(fx - fy) > _SAME_PX:
+        losses.leave_out(camera.name, f"focal lengths that differ ({fx:g} and {fy:g} px; the first is kept)")
+    if max(abs(cx - 0.5 * size[0]), abs(cy - 0.5 * size[1])) > _SAME_PX:
+        losses.leave_out(camera.name, f"a principal point ({cx:g}, {cy:g} px) beside the image's middle")
+    if model.focal_px is None and not any(model.distortion):
+        return model
+    return CameraModel(*size, 2.0 * math.atan(0.5 * size[0] / fx))

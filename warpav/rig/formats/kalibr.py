@@ -10,8 +10,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Found, FoundCamera, RigFormat
-from warpav.rig.formats.optics import Optics, optics_of_matrix
+from warpav.rig.formats.format import Found, FoundCamera, Optics, RigFormat, optics_of_matrix
 from warpav.rig.formats.record import Record, read_yaml_record
 
 _DISTORTION = {
@@ -42,24 +41,24 @@ def read(path: Path, part: str | None) -> Found:
             camera_from_body = entry.at("T_cn_cnm1").transform() @ camera_from_body
         cameras.append(FoundCamera(f"cam{i}", np.linalg.inv(camera_from_body), _optics(entry)))
     note = (
-        "places are those in the IMU's frame, whose axes are taken to be x forward, y left, z up"
+        "poses are in the IMU's frame, whose axes are assumed to be x forward, y left, z up"
         if has_imu
-        else "places are relative to cam0, which is taken to look forward"
+        else "poses are relative to cam0, which is assumed to point forward"
     )
-    return Found(tuple(cameras), (f"{note}; --origin-rpy-deg turns them",))
+    return Found(tuple(cameras), (f"{note}; `origin_rpy_deg` turns them",))
 
 
 def _optics(entry: Record) -> Optics:
     model, distortion = entry.at("camera_model"), entry.at("distortion_model")
     if model.value != "pinhole":
-        raise model.refused("pinhole")
+        raise model.error("pinhole")
     if distortion.value not in _DISTORTION:
-        raise distortion.refused(f"one of {', '.join(_DISTORTION)}")
+        raise distortion.error(f"one of {', '.join(_DISTORTION)}")
     lens, count = _DISTORTION[distortion.value]
     width_px, height_px = (record.whole() for record in entry.at("resolution").items("[width, height]")[:2])
     values = entry.at("intrinsics")
     fx, fy, cx, cy = values.numbers(4)
-    matrix = Record(values.place, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+    matrix = Record(values.location, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
     coefficients = entry.at("distortion_coeffs").numbers(count) if count else ()
     return optics_of_matrix(matrix, lens=lens, distortion=coefficients, width_px=width_px, height_px=height_px)
 

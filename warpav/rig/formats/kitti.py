@@ -1,6 +1,6 @@
 """KITTI's object calibration: ``P0`` to ``P3``, ``R0_rect`` and ``Tr_velo_to_cam``, from the lidar's frame to cameras.
 
-One file holds cameras that look the same way (they are rectified together), so a rig is written as a folder with one
+One file holds cameras with one orientation (they are rectified together), so a rig is written as a folder with one
 file a camera, whose four matrices are equal; such a folder is read as a rig, and so is a single file of the data set.
 KITTI keeps no image sizes here; exports add them as ``S_rect_00`` to ``S_rect_03``, the key of its raw calibration,
 behind everything that its readers look for.
@@ -14,15 +14,24 @@ from pathlib import Path
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, file_for_each
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix, pinhole_of
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_for_each,
+    optics_of_matrix,
+    pinhole_of,
+)
 from warpav.rig.formats.record import Record, read_text, rigid_transform
 
 _COUNT = 4
 
 
 def read(path: Path, part: str | None) -> Found:
-    """The cameras of one calibration file, or of a folder with one file a camera."""
+    """The cameras of one calibration file, or of a folder with one file per camera."""
     del part
     if not path.is_dir():
         return Found(tuple(_cameras(path)))
@@ -34,7 +43,7 @@ def read(path: Path, part: str | None) -> Found:
         found = _cameras(file)
         if len(found) > 1:
             raise InputError(
-                f"{file}: expected one camera a file in a folder (P0 to P3 equal), got {len(found)}; name this file "
+                f"{file}: expected one camera per file in a folder (P0 to P3 equal), got {len(found)}; name this file "
                 "instead of its folder to read the cameras in it"
             )
         cameras += found
@@ -59,7 +68,7 @@ def _cameras(file: Path) -> list[FoundCamera]:
             continue  # a camera that is not there
         size = record.at(f"S_rect_0{i}")
         width_px, height_px = (None, None) if size.value is None else map(int, size.numbers(2))
-        calibration = Record(projection.place, matrix[:, :3].tolist())
+        calibration = Record(projection.location, matrix[:, :3].tolist())
         optics = optics_of_matrix(calibration, width_px=width_px, height_px=height_px)
         camera_from_velodyne = rectified.copy()
         camera_from_velodyne[:3, 3] += np.linalg.solve(matrix[:, :3], matrix[:, 3])  # the baseline
@@ -84,7 +93,7 @@ def _record(file: Path) -> Record:
         try:
             numbers[key.strip()] = [float(word) for word in rest.split()]
         except ValueError:
-            numbers[key.strip()] = rest.split()  # refused where it is needed; a date may stand here
+            numbers[key.strip()] = rest.split()  # validated on use; this may be a date
     return Record(file, numbers)
 
 

@@ -11,8 +11,18 @@ from pathlib import Path
 
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, file_at, file_in
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix, pinhole_of
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_at,
+    file_in,
+    optics_of_matrix,
+    pinhole_of,
+)
 from warpav.rig.formats.record import Record, read_json, rigid_transform
 
 _TABLE = "calibrated_sensor.json"
@@ -37,8 +47,8 @@ def read(path: Path, part: str | None) -> Found:
     name, count = Counter(names).most_common(1)[0]
     if count > 1:
         raise InputError(
-            f"{file}: expected one row a camera, got {count} of {name}; --part SCENE takes those of a scene, such as "
-            "--part scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
+            f"{file}: expected one row a camera, got {count} of {name}; `part` SCENE takes those of a scene, such as "
+            "`part` scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
         )
     size_of = _sizes(file.parent, {row.at("token").text("") for row in rows})
     cameras = []
@@ -124,7 +134,7 @@ def _tokens_of_scene(folder: Path, scene: str) -> set[str]:
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """The table and the two beside it; of sample_data only what says how large the images are."""
+    """The table and the two beside it; of sample_data only the image sizes."""
     tables: dict[str, list[dict]] = {_TABLE: [], "sensor.json": [], "sample_data.json": []}
     for camera in cameras:
         model = pinhole_of(camera, losses)
@@ -171,7 +181,7 @@ FORMAT = RigFormat(
     "nuscenes",
     frame="sensor to vehicle, x forward, y left, z up, right-handed, metres; quaternions w x y z; cameras x right, "
     "y down, z forward",
-    origin="below the middle of the rear axle",
+    origin="below the centre of the rear axle",
     is_ego_origin=True,
     read=read,
     write=write,

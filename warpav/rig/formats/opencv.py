@@ -1,4 +1,4 @@
-"""OpenCV's FileStorage (YAML, XML, JSON): one camera a file, as its calibration sample writes it, and its place.
+"""OpenCV's FileStorage (YAML, XML, JSON): one camera per file, as OpenCV's calibration sample writes it, plus the pose.
 
 OpenCV names no frame. Exports write ``camera_from_ego``, 4 x 4, from the vehicle's coordinates to the camera's, which
 is the direction of OpenCV's own ``rvec`` and ``tvec``; imports also take ``R`` with ``T``, and ``rvec`` with ``tvec``.
@@ -14,8 +14,16 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, file_for_each
-from warpav.rig.formats.optics import camera_matrix, optics_of_matrix
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    PlacedCamera,
+    RigFormat,
+    camera_matrix,
+    file_for_each,
+    optics_of_matrix,
+)
 from warpav.rig.formats.record import Record, read_text, rigid_transform
 
 if TYPE_CHECKING:
@@ -46,9 +54,7 @@ def _camera(file: Path) -> FoundCamera:
     elif coefficients.value is not None:
         distortion = coefficients.numbers(4, 5, 8, 12, 14)
         if any(distortion[8:]):
-            raise coefficients.refused(
-                "at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor"
-            )
+            raise coefficients.error("at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor")
         distortion = distortion[:8]
     width, height = record.first_of("image_width", "image_Width"), record.first_of("image_height", "image_Height")
     optics = optics_of_matrix(
@@ -72,7 +78,7 @@ def _camera_from_ego(record: Record) -> np.ndarray:
         import cv2
 
         return rigid_transform(cv2.Rodrigues(np.array(vector.numbers(3)))[0], record.at("tvec").numbers(3), vector)
-    raise whole.refused("the camera's place: camera_from_ego (4 x 4), or R and T, or rvec and tvec")
+    raise whole.error("the camera's pose: camera_from_ego (4 x 4), or R and T, or rvec and tvec")
 
 
 def _record(file: Path) -> Record:
@@ -121,7 +127,7 @@ def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict
     for file, camera in zip(file_for_each(cameras, target, (".yaml", ".yml")), cameras, strict=True):
         model = camera.model
         if model.lens is Lens.PANORAMA:
-            raise losses.refuse(camera.name, "a panorama lens")
+            raise losses.unsupported(camera.name, "a panorama lens")
         is_fisheye = model.lens is Lens.FISHEYE
         count = 4 if is_fisheye else max(5, len(model.distortion))
         distortion = np.pad(np.array(model.distortion, np.float64), (0, count - len(model.distortion)))

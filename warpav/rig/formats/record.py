@@ -1,4 +1,4 @@
-"""Values in users' files, with the place where they stand, so that every message can name it."""
+"""Values in users' files with their location, so that every message can name it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Record:
         self._line_of = line_of or {}
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """File, line where it is known, and field."""
         line = next((self._line_of[part] for part in self._outwards() if part in self._line_of), None)
         file = f"{self._file}" if line is None or not self._location else f"{self._file}:{line}"
@@ -47,11 +47,11 @@ class Record:
     def _outwards(self) -> Iterator[Location]:
         return (self._location[:n] for n in range(len(self._location), -1, -1))
 
-    def refused(self, expected: str, got: str | None = None) -> InputError:
-        """The error that says what was expected here, and what came."""
+    def error(self, expected: str, got: str | None = None) -> InputError:
+        """The error that states what was expected here and what was given."""
         text = repr(self.value)
         shown = got or ("nothing" if self.value is None else text if len(text) <= 60 else f"{text:.60}...")
-        return InputError(f"{self.place}: expected {expected}, got {shown}")
+        return InputError(f"{self.location}: expected {expected}, got {shown}")
 
     def at(self, key: str | int) -> Record:
         """The value of a key or index; of None where there is none."""
@@ -69,13 +69,13 @@ class Record:
     def mapping(self, expected: str = "a mapping") -> dict[str, Record]:
         """The records of a mapping, in the file's order."""
         if not isinstance(self.value, dict):
-            raise self.refused(expected)
+            raise self.error(expected)
         return {key: self.at(key) for key in self.value}
 
     def items(self, expected: str = "a list") -> list[Record]:
         """The records of a list."""
         if not isinstance(self.value, list):
-            raise self.refused(expected)
+            raise self.error(expected)
         return [self.at(i) for i in range(len(self.value))]
 
     def text(self, default: str | None = None) -> str:
@@ -83,7 +83,7 @@ class Record:
         if self.value is None and default is not None:
             return default
         if not isinstance(self.value, str) or not self.value.strip():
-            raise self.refused("a text")
+            raise self.error("a text")
         return self.value.strip()
 
     def number(self, default: float | None = None) -> float:
@@ -91,7 +91,7 @@ class Record:
         if self.value is None and default is not None:
             return default
         if not is_number(self.value):
-            raise self.refused("a finite number")
+            raise self.error("a finite number")
         return float(self.value)
 
     def whole(self, default: int | None = None) -> int:
@@ -100,7 +100,7 @@ class Record:
         if value is None and default is not None:
             return default
         if not is_number(value) or float(value) != int(value):
-            raise self.refused("a whole number")
+            raise self.error("a whole number")
         return int(value)
 
     def numbers(self, *counts: int) -> list[float]:
@@ -109,7 +109,7 @@ class Record:
         is_fit = isinstance(value, list) and all(map(is_number, value)) and (not counts or len(value) in counts)
         if not is_fit:
             wanted = f"{' or '.join(map(str, counts))} " if counts else ""
-            raise self.refused(f"a list of {wanted}finite numbers")
+            raise self.error(f"a list of {wanted}finite numbers")
         return [float(number) for number in value]
 
     def matrix(self, rows: int, columns: int) -> list[list[float]]:
@@ -118,21 +118,21 @@ class Record:
         if isinstance(value, list) and len(value) == rows and all(isinstance(row, list) for row in value):
             value = [number for row in value for number in row] if {len(row) for row in value} == {columns} else None
         if not isinstance(value, list) or len(value) != rows * columns or not all(map(is_number, value)):
-            raise self.refused(f"a {rows} x {columns} matrix of finite numbers")
+            raise self.error(f"a {rows} x {columns} matrix of finite numbers")
         return [[float(number) for number in value[i : i + columns]] for i in range(0, rows * columns, columns)]
 
     def transform(self, rows: int = 4) -> np.ndarray:
         """A rigid transform that the file writes as 3 x 4 or 4 x 4 matrix, [4, 4]."""
         matrix = np.array(self.matrix(rows, 4))
         if rows == 4 and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-6):
-            raise self.refused("a transform whose last row is 0, 0, 0, 1", f"{matrix[3].tolist()}")
+            raise self.error("a transform whose last row is 0, 0, 0, 1", f"{matrix[3].tolist()}")
         return rigid_transform(matrix[:3, :3], matrix[:3, 3], self)
 
     def unit_quaternion(self, quaternion: Sequence[float]) -> np.ndarray:
         """The rotation of a quaternion ``w, x, y, z`` that the file holds here, [3, 3]."""
         length = math.hypot(*quaternion)
         if abs(length - 1.0) > _ROTATION_TOLERANCE:
-            raise self.refused("a quaternion of length 1", f"{list(quaternion)} of length {length:.6g}")
+            raise self.error("a quaternion of length 1", f"{list(quaternion)} of length {length:.6g}")
         return rotation_from_quaternion(np.array(quaternion))
 
 
@@ -155,9 +155,9 @@ def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[floa
     rotation = np.asarray(rotation, dtype=np.float64)
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if error > _ROTATION_TOLERANCE:
-        raise record.refused("a rotation, whose columns are orthonormal", f"one that is off by {error:.2g}")
+        raise record.error("a rotation, whose columns are orthonormal", f"one that is off by {error:.2g}")
     if np.linalg.det(rotation) < 0.0:
-        raise record.refused("a rotation", "one with a mirror; is the file left-handed?")
+        raise record.error("a rotation", "one with a mirror; is the file left-handed?")
     left, _, right = np.linalg.svd(rotation)
     transform = np.eye(4)
     transform[:3, :3] = rotation if error < 1e-12 else left @ right
@@ -169,7 +169,7 @@ def read_text(file: Path, kind: str) -> str:
     """The text of a file.
 
     Raises:
-        InputError: There is none, or it is no text; ``kind`` says what was expected.
+        InputError: There is none, or it is not text; ``kind`` is what was expected.
     """
     try:
         return file.read_text(encoding="utf-8-sig")

@@ -75,7 +75,7 @@ def read(path: Path, part: str | None) -> Found:
             if link in plain:
                 transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
             cameras.append(FoundCamera({**optical, **plain}[link], transform))
-    notes = () if base == BASE else (f"there is no {BASE}, so places are relative to the root link {base}",)
+    notes = () if base == BASE else (f"there is no {BASE}, so poses are relative to the root link {base}",)
     return Found(tuple(cameras), notes)
 
 
@@ -108,7 +108,7 @@ def _triple(origin: ElementTree.Element, key: str, joint: str, path: Path) -> li
         numbers = words
     record = Record(f"{path}: joint {joint!r}: {key}", numbers)
     if len(numbers) != 3 or not all(map(is_number, numbers)):
-        raise record.refused("three finite numbers", repr(" ".join(words)))
+        raise record.error("three finite numbers", repr(" ".join(words)))
     return numbers
 
 
@@ -136,7 +136,7 @@ def _between(base: str, link: str, joint_of: dict[str, _Joint], path: Path) -> n
             joint = joint_of[child]
             if joint.kind != "fixed":
                 raise InputError(
-                    f"{path}: joint {joint.name!r}: expected a fixed joint on the way from {base!r} to {link!r}, got "
+                    f"{path}: joint {joint.name!r}: expected a fixed joint on the path from {base!r} to {link!r}, got "
                     f"type {joint.kind!r}"
                 )
             transform = joint.parent_from_child @ transform
@@ -174,7 +174,7 @@ FORMAT = RigFormat(
     "urdf",
     frame="link to base_link, x forward, y left, z up, right-handed, metres; rpy in radians about fixed axes; optical "
     "links x right, y down, z forward",
-    origin="base_link's, which is taken to lie on the ground below the middle of the rear axle",
+    origin="base_link's, which is taken to lie on the ground below the centre of the rear axle",
     is_ego_origin=True,
     read=read,
     write=write,

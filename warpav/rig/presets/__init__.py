@@ -24,7 +24,7 @@ def preset_rig(name: str) -> Rig:
         name: One of :func:`preset_names`.
 
     Returns:
-        The rig, in the ego frame of its own vehicle; the head of its file says what is known of the origin.
+        The rig, in the ego frame of its own vehicle; the comment at the top of its file describes the origin.
 
     Raises:
         InputError: There is no such rig.
@@ -39,7 +39,7 @@ def preset_rig(name: str) -> Rig:
 
 @dataclass(frozen=True)
 class PresetAbout:
-    """What the head of a preset's file says.
+    """Information in the comment at the top of a preset file.
 
     Attributes:
         title: Which vehicle.

@@ -14,7 +14,8 @@ from warpav.core.yaml_file import read_yaml
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
-from warpav.runs.run_folder import ARM_ROWS, RunFolder
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS
 
 BoxPx = tuple[float, float, float, float]
 Content = TypeVar("Content")
@@ -26,7 +27,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
 
-class Difference(_Part):
+class DifferenceRecord(_Part):
     """How the first arm differs from another in a metric, see `warpav.evaluation.statistics.Difference`."""
 
     mean: float | None
@@ -49,7 +50,7 @@ class Group(_Part):
         return self
 
 
-class Arm(_Part):
+class ArmRecord(_Part):
     """Metrics of a rig, see `warpav.evaluation.metrics.ArmMetrics`.
 
     Attributes:
@@ -101,7 +102,7 @@ class DescentEnd(_Part):
     kept: int
 
 
-class Margin(_Part):
+class MarginRecord(_Part):
     """How far a rig is from breaking a constraint, see `warpav.optimisation.constraints.Margin`."""
 
     kind: Literal["border", "spacing"]
@@ -154,22 +155,22 @@ class GroundTable(_Part):
         return float(np.array(self.blind[arm])[height].sum()) * self.cell_m**2 / self.scenes
 
 
-class Evaluation(_Part):
+class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
     version: Literal[1] = Field(1, alias="schema")
     scenes: Annotated[dict[Literal["test"], int], Field(min_length=1)]
-    arms: dict[str, Arm] = Field(min_length=1)
-    paired: dict[str, dict[str, Difference]] = {}
+    arms: dict[str, ArmRecord] = Field(min_length=1)
+    paired: dict[str, dict[str, DifferenceRecord]] = {}
     training_objective: StartAndEnd | None = None
     seconds: dict[str, float] = {}
     descent: DescentEnd | None = None
-    constraints: dict[str, list[Margin]] | None = None
+    constraints: dict[str, list[MarginRecord]] | None = None
     outcomes: list[SeenObject] | None = None
     ground: GroundTable | None = None
 
     @model_validator(mode="after")
-    def _knows_its_arms(self) -> Evaluation:
+    def _knows_its_arms(self) -> EvaluationRecord:
         of_parts = {name for seen in self.outcomes or () for name in self.arms if name not in seen.outcome}
         of_parts |= set(self.arms) - set(self.ground.blind if self.ground else self.arms)
         of_parts |= set(self.arms) - set(self.arms if self.constraints is None else self.constraints)
@@ -189,7 +190,7 @@ class Evaluation(_Part):
 
 
 class Event(_Part):
-    """An iteration of ``events.jsonl``, see `warpav.optimisation.gradient.IterationRecord`."""
+    """An iteration of ``events.jsonl``, see `warpav.optimisation.history.IterationRecord`."""
 
     iteration: int
     loss: float | None
@@ -201,7 +202,7 @@ class Event(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.DetectionPanel`.
+    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.detections.DetectionPanel`.
 
     Attributes:
         scene_number: Of those that are shown, from 0, as names need not differ; older versions did not write it.
@@ -245,7 +246,7 @@ class GroundMap:
 
 @dataclass(frozen=True)
 class RunContent:
-    """Everything in a run folder that a report tells.
+    """Everything in a run folder that a report shows.
 
     Attributes:
         name: Of the folder.
@@ -267,7 +268,7 @@ class RunContent:
     config_mistake: str
     environment: dict[str, Any]
     events: list[Event]
-    evaluation: Evaluation | None
+    evaluation: EvaluationRecord | None
     start: Rig | None
     result: Rig | None
     views: list[View]
@@ -275,10 +276,10 @@ class RunContent:
 
 
 def read_run(folder: RunFolder) -> RunContent:
-    """Everything in a run folder that a report tells.
+    """Everything in a run folder that a report shows.
 
     Raises:
-        InputError: A file is not what a run writes; or there is nothing to tell.
+        InputError: A file is not what a run writes; or there is nothing to show.
     """
     options = read_yaml(folder.path / "config.yaml")[0]
     if not isinstance(options, dict):
@@ -291,7 +292,7 @@ def read_run(folder: RunFolder) -> RunContent:
     content = folder.evaluation()
     if not events and content is None:
         raise InputError(f"{folder.path}: run folder: expected at least one iteration to report on, got none")
-    evaluation = None if content is None else _checked(Evaluation, content, folder, "evaluation.json")
+    evaluation = None if content is None else _checked(EvaluationRecord, content, folder, "evaluation.json")
     return RunContent(
         name=folder.path.resolve().name,
         options=options,
@@ -331,7 +332,7 @@ def _result(folder: RunFolder, config: Config | None) -> Rig | None:
     return None
 
 
-def _ground(folder: RunFolder, evaluation: Evaluation | None) -> GroundMap | None:
+def _ground(folder: RunFolder, evaluation: EvaluationRecord | None) -> GroundMap | None:
     arrays = folder.ground()
     if arrays is None or evaluation is None:
         return None

@@ -1,4 +1,4 @@
-"""From a run folder to its report: tables, plots and pictures into the page's template."""
+"""From a run folder to its report: tables, plots and images into the page's template."""
 
 from __future__ import annotations
 
@@ -17,9 +17,14 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.runs.config import config_names, load_config, overrides_from
-from warpav.runs.report import plots, words
-from warpav.runs.report.reading import Evaluation, RunContent, View, read_run
-from warpav.runs.run_folder import ARM_ROWS, RunFolder, recall_rows
+from warpav.runs.report import words
+from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS, RECALL_GROUPS, recall_rows
+from warpav.view.figures.convergence import convergence_panels
+from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
+from warpav.view.figures.style import svg_text
+from warpav.view.figures.top_view import blind_ground
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
 
 if TYPE_CHECKING:
@@ -28,11 +33,11 @@ if TYPE_CHECKING:
 MAX_BYTES = 5_000_000
 """No report is larger."""
 
-PICTURE_BYTES = 3_200_000
-"""All pictures together, before they are written as text."""
+IMAGE_BYTES = 3_200_000
+"""All images together, before they are written as text."""
 
 SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
-"""Longer side [px] and quality of pictures: the first at which all of them fit."""
+"""Longer side [px] and quality of images: the first at which all of them fit."""
 
 ROWS_SHOWN = 30
 """Vehicles that are listed at once; the others follow folded."""
@@ -40,8 +45,8 @@ ROWS_SHOWN = 30
 MOST_ROWS = 1000
 """Vehicles that are listed at all."""
 
-PICTURES = {
-    "rig": "The rig at the end in a test scene, with the way of its cameras",
+FIGURES = {
+    "rig": "The rig at the end in a test scene, with the trajectories of its cameras",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
@@ -50,13 +55,13 @@ PICTURES = {
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture of the page.
+class PageImage:
+    """An image of the page.
 
     Attributes:
         name: Short name.
         caption: What it shows, which is its alternative text as well.
-        address: The picture itself, as a ``data:`` address.
+        address: The image itself, as a ``data:`` address.
         size_px: Width and height [px], so that a page keeps its place.
     """
 
@@ -67,8 +72,8 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Box:
-    """A box on a picture: corner and size [px], and what it says."""
+class ImageBox:
+    """A box on an image: corner and size [px], and what it says."""
 
     kind: str
     x: float
@@ -94,7 +99,7 @@ def write_report(folder: RunFolder) -> Path:
     if len(page.encode()) > MAX_BYTES:
         raise InputError(
             f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
-            "move pictures out of its figures folder"
+            "move images out of its figures folder"
         )
     return folder.write_report(page)
 
@@ -121,16 +126,16 @@ def _template() -> Template:
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
-    pictures = {file.stem: (file, PICTURES.get(file.stem, file.stem)) for file in folder.figures()}
+    images = {file.stem: (file, FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
     has_convergence = run.events and run.events[0].terms is not None
     for name, is_told in (("detections", run.views), ("loss_curves", has_convergence)):
         if is_told:
-            pictures.pop(name, None)
-    order = list(PICTURES)
-    named = sorted(pictures, key=lambda name: (order.index(name) if name in order else len(order), name))
-    files = [*(pictures[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
-    encoded = iter(_pictures(files))
-    shown = [Picture(name, pictures[name][1], *next(encoded)) for name in named]
+            images.pop(name, None)
+    order = list(FIGURES)
+    named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
+    files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
+    encoded = iter(_images(files))
+    shown = [PageImage(name, images[name][1], *next(encoded)) for name in named]
     return {
         "run": run,
         "evaluation": evaluation,
@@ -142,8 +147,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run),
-        "pictures": [picture for picture in shown if picture.name != "loss_curves"],
-        "old_curves": [picture for picture in shown if picture.name == "loss_curves"],
+        "images": [image for image in shown if image.name != "loss_curves"],
+        "old_curves": [image for image in shown if image.name == "loss_curves"],
         "cameras": _cameras(run),
         "free": _free(run),
         "views": _views(run.views, [next(encoded) for _ in run.views]),
@@ -214,7 +219,7 @@ def _cards(run: RunContent) -> list[words.Statement]:
     return cards
 
 
-def _metrics(evaluation: Evaluation) -> list[tuple[str, list[str]]]:
+def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
     arms = evaluation.arms.values()
     return [
         (heading, [words.number(arm.numbers[name], 4) for arm in arms])
@@ -223,7 +228,7 @@ def _metrics(evaluation: Evaluation) -> list[tuple[str, list[str]]]:
     ]
 
 
-def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
+def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
     lower = {"false_alarms_per_frame", "objective"}
     found = evaluation.paired
@@ -242,14 +247,14 @@ def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
     ]
 
 
-def _plots(run: RunContent) -> dict[str, list[Picture]]:
+def _plots(run: RunContent) -> dict[str, list[PageImage]]:
     """The plots of every section."""
     evaluation = run.evaluation
     min_distance_m = None if run.config is None else run.config.rig.min_spacing_m
-    found: dict[str, list[Picture]] = {
+    found: dict[str, list[PageImage]] = {
         "convergence": [
             _plot(name, f"{name} over the iterations", svg)
-            for name, svg in plots.convergence(run.events, min_distance_m=min_distance_m).items()
+            for name, svg in _convergence(run.events, min_distance_m).items()
         ],
         "metrics": [],
         "recall": [],
@@ -257,19 +262,28 @@ def _plots(run: RunContent) -> dict[str, list[Picture]]:
     }
     if evaluation is None:
         return found
-    forest = plots.differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
-    if forest is not None:
+    rows = _differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
+    if rows:
         caption = "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers"
-        found["metrics"].append(_plot("differences", caption, forest))
+        found["metrics"].append(_plot("differences", caption, differences(rows, evaluation.first)))
     for by, title in (("distance_m", "Recall by distance"), ("sector", "Recall by sector")):
-        svg = plots.recall_of_groups(evaluation.arms, by, title)
+        tables = {name: arm.recall_by[by] for name, arm in evaluation.arms.items() if by in (arm.recall_by or {})}
+        if len(tables) < len(evaluation.arms):
+            continue
+        svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
         if svg is not None:
             found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
     if run.ground is not None:
         rigs = {"start": run.start, evaluation.first: run.result}
         for height, height_m in enumerate(run.ground.heights_m):
             for arm in (name for name in rigs if name in run.ground.blind_share):
-                svg = plots.blind_ground(run.ground, arm, height, rigs[arm], f"{arm}: {height_m:g} m tall")
+                svg = blind_ground(
+                    run.ground.blind_share[arm][height],
+                    f"{arm}: {height_m:g} m tall",
+                    cell_m=run.ground.cell_m,
+                    ego_bounds_m=run.ground.ego_bounds_m,
+                    rig=rigs[arm],
+                )
                 caption = (
                     f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
                     f"someone {height_m:g} m tall"
@@ -278,15 +292,34 @@ def _plots(run: RunContent) -> dict[str, list[Picture]]:
     return found
 
 
-def _plot(name: str, caption: str, svg: str) -> Picture:
+def _convergence(events: Sequence[Event], min_distance_m: float | None) -> dict[str, str]:
+    """Loss, loss terms, multipliers and camera distance as SVG by name; empty for events that do not hold them all."""
+    records = [event.model_dump() for event in events]
+    if not records or any(record[key] is None for record in records for key in ("terms", "multipliers", "positions_m")):
+        return {}
+    records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
+    return {name: svg_text(draw, 2.9) for name, draw in convergence_panels(records, min_distance_m).items()}
+
+
+def _differences(evaluation: EvaluationRecord, metrics: Mapping[str, str]) -> list[MetricDifference]:
+    """Differences with an interval, of metrics by their names and what they are called."""
+    return [
+        MetricDifference(heading, name, found[metric].mean, found[metric].low, found[metric].high)
+        for metric, heading in metrics.items()
+        for name, found in evaluation.paired.items()
+        if metric in found and found[metric].low is not None
+    ]
+
+
+def _plot(name: str, caption: str, svg: str) -> PageImage:
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     opening = svg[svg.index("<svg") :].partition(">")[0]
     width, height = (float(opening.partition(f'{side}="')[2].partition("pt")[0]) for side in ("width", "height"))
-    return Picture(name, caption, address, (round(width), round(height)))
+    return PageImage(name, caption, address, (round(width), round(height)))
 
 
-def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
-    """Pictures as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
+def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
+    """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
 
     Raises:
         InputError: A file is none.
@@ -300,7 +333,7 @@ def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
                 originals.append(image.convert("RGB"))
         except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
             text = " ".join(str(error).split())
-            raise InputError(f"{file}: expected a picture, got: {text}; was the file changed?") from None
+            raise InputError(f"{file}: expected an image, got: {text}; was the file changed?") from None
     found: list[tuple[bytes, tuple[int, int]]] = []
     for side_px, quality in SIZES:
         found = []
@@ -309,7 +342,7 @@ def _pictures(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
             image.thumbnail((side_px, side_px))
             image.save(encoded, "WEBP", quality=quality)
             found.append((encoded.getvalue(), image.size))
-        if sum(len(encoded) for encoded, _ in found) <= PICTURE_BYTES:
+        if sum(len(encoded) for encoded, _ in found) <= IMAGE_BYTES:
             break
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
 
@@ -319,7 +352,7 @@ def _cameras(run: RunContent) -> list[dict[str, Any]]:
     if run.result is None:
         return []
     has_both = run.start is not None and len(run.start.cameras) == len(run.result.cameras)
-    ways = words.moves(run.start, run.result) if has_both and run.start else []
+    moves = words.moves(run.start, run.result) if has_both and run.start else []
     rows = []
     for k, camera in enumerate(run.result.cameras):
         stages = {"start": run.start.cameras[k]} if has_both and run.start else {}
@@ -327,8 +360,8 @@ def _cameras(run: RunContent) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": camera.name,
-                "way_m": ways[k][1] if ways else None,
-                "turn_deg": ways[k][2] if ways else None,
+                "moved_m": moves[k][1] if moves else None,
+                "turn_deg": moves[k][2] if moves else None,
                 "stages": [
                     (
                         stage,
@@ -379,7 +412,7 @@ def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]
     return [(name, cameras) for (_, name), cameras in scenes.items()]
 
 
-def _boxes(view: View) -> Iterable[Box]:
+def _boxes(view: View) -> Iterable[ImageBox]:
     """The boxes of a view, in the order in which they are drawn."""
     found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
     for index, box in enumerate(view.detection_box_px):
@@ -395,12 +428,12 @@ def _boxes(view: View) -> Iterable[Box]:
             yield _box("missed", truth)
 
 
-def _box(kind: str, box_px: Sequence[float]) -> Box:
+def _box(kind: str, box_px: Sequence[float]) -> ImageBox:
     x0, y0, x1, y1 = (round(value, 1) for value in box_px)
-    return Box(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
+    return ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
-def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _ground(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
     """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
     ground = evaluation.ground
     assert ground is not None
@@ -428,7 +461,7 @@ def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _left(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _left(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
     """The objects that the first arm does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []

@@ -1,4 +1,4 @@
-"""The summary of a run in words, made of its numbers: what was reached, what was not, and what nobody can tell yet."""
+"""The summary of a run in words, made of its numbers: what was reached, what was not, and what is still open."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
-from warpav.runs.report.reading import Difference, Evaluation, Margin, RunContent
+from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
 
 Tone = Literal["good", "bad", "open"]
 
@@ -31,7 +31,7 @@ PROVABLE = {
     "false_alarms_per_frame": ("false alarms", True),
     "tp_in_frame_rate": ("in frame", False),
 }
-"""Metrics that are told besides recall where their difference is proven, and whether less is better."""
+"""Metrics that are reported besides recall where their difference is proven, and whether less is better."""
 
 WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
@@ -66,14 +66,14 @@ def percent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
 
 
-def interval(difference: Difference) -> str:
+def interval(difference: DifferenceRecord) -> str:
     """A difference with its 95 % interval."""
     if difference.mean is None or difference.low is None or difference.high is None:
         return signed(difference.mean)
     return f"{signed(difference.mean)} [{signed(difference.low)}, {signed(difference.high)}]"
 
 
-def verdict(difference: Difference, *, lower_is_better: bool = False) -> Tone:
+def verdict(difference: DifferenceRecord, *, lower_is_better: bool = False) -> Tone:
     """Whether a difference is proven, and in whose favour: its interval leaves 0 out, and the scenes are enough."""
     low, high = difference.low, difference.high
     if low is None or high is None or difference.scenes < LEAST_SCENES or low <= 0.0 <= high:
@@ -103,9 +103,20 @@ def headline(run: RunContent) -> Statement:
         parts.append(f"detects fewer than {_listed(named['bad'])}")
     if named["open"]:
         alternatives = _listed(named["open"], "or")
-        parts.append(f"cannot be told from {alternatives} by what it detects")
+        parts.append(f"cannot be distinguished from {alternatives} by what it detects")
     tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
-    return Statement("", f"The {evaluation.first} rig {_listed(parts)}.", tone)
+    text = f"The {evaluation.first} rig {_listed(parts)}."
+    if _is_worse_than_start(evaluation):
+        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
+    return Statement("", text, tone)
+
+
+def _is_worse_than_start(evaluation: EvaluationRecord) -> bool:
+    """Whether the objective of the rig that was found is higher than that of its start, or no number."""
+    training = evaluation.training_objective
+    if training is None or training.start is None:
+        return False
+    return training.optimised is None or training.optimised > training.start
 
 
 def summary(run: RunContent) -> list[Statement]:
@@ -126,7 +137,7 @@ def summary(run: RunContent) -> list[Statement]:
 
 
 def moves(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
-    """How far every camera has moved: its name, the way [m] and the turn in yaw [deg], left positive."""
+    """How far every camera has moved: its name, the distance [m] and the turn in yaw [deg], left positive."""
     return [
         (
             end.name,
@@ -143,7 +154,7 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
 
 
-def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     first, *others = evaluation.arms
     arm = evaluation.arms[first]
     if arm.objects is None or arm.detected is None:
@@ -165,7 +176,7 @@ def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Traffic", text)
 
 
-def _proof(evaluation: Evaluation) -> Statement | None:
+def _proof(evaluation: EvaluationRecord) -> Statement | None:
     sentences, tones = [], []
     for name, differences in evaluation.paired.items():
         found = differences.get("tp_detection_rate")
@@ -174,18 +185,18 @@ def _proof(evaluation: Evaluation) -> Statement | None:
         tone = verdict(found)
         tones.append(tone)
         if found.low is None or found.high is None:
-            told = "one scene has no interval"
+            verdict_text = "one scene has no interval"
         elif found.low == found.high == 0.0:
-            told = "the same in every scene"
+            verdict_text = "the same in every scene"
         elif tone == "good":
-            told = "the interval leaves 0 out: better"
+            verdict_text = "the interval leaves 0 out: better"
         elif tone == "bad":
-            told = "the interval leaves 0 out: worse"
+            verdict_text = "the interval leaves 0 out: worse"
         elif found.low <= 0.0 <= found.high:
-            told = "the interval holds 0: no difference is proven"
+            verdict_text = "the interval holds 0: no difference is proven"
         else:
-            told = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
-        sentences.append(f"{interval(found)} against {_arm(name)} ({told})")
+            verdict_text = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
+        sentences.append(f"{interval(found)} against {_arm(name)} ({verdict_text})")
     if not sentences:
         return None
     overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
@@ -207,7 +218,7 @@ def search_scenes(run: RunContent) -> str:
     return "validation" if run.config is not None and run.config.scenes.validation_seeds else "training"
 
 
-def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     training = evaluation.training_objective
     if training is None or training.start is None or training.optimised is None:
         return None
@@ -242,16 +253,16 @@ def _moves(run: RunContent) -> Statement | None:
     moved = [each for each in found if each[1] >= WORTH_NAMING_M or abs(each[2]) >= WORTH_NAMING_DEG]
     if not moved:
         return Statement("What moved", "Nothing: the rig is the one at the start.")
-    ways = [
-        f"{name} by {100.0 * way_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
-        for name, way_m, turn_deg in moved
+    parts = [
+        f"{name} by {100.0 * moved_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
+        for name, moved_m, turn_deg in moved
     ]
     still = len(found) - len(moved)
-    text = f"{_listed(ways)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
+    text = f"{_listed(parts)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
     return Statement("What moved", text)
 
 
-def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     if evaluation.outcomes is None:
         return None
     count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
@@ -278,7 +289,7 @@ def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Not detected", text)
 
 
-def _ground(evaluation: Evaluation) -> Statement | None:
+def _ground(evaluation: EvaluationRecord) -> Statement | None:
     ground = evaluation.ground
     if ground is None:
         return None
@@ -304,7 +315,7 @@ def _ground(evaluation: Evaluation) -> Statement | None:
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
-def _constraints(evaluation: Evaluation) -> Statement | None:
+def _constraints(evaluation: EvaluationRecord) -> Statement | None:
     violation_m = evaluation.arms[evaluation.first].numbers["constraint_violation"]
     margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
     if not margins:
@@ -328,7 +339,7 @@ def _end(run: RunContent) -> Statement | None:
         planned = None if run.config is None else run.config.run.iterations
         text = f"after {_counted(len(run.events), 'iteration')}"
         text += f" of {planned}" if planned is not None else ""
-        return Statement("Why it ended", f"It ended {text}; this folder does not tell why.")
+        return Statement("Why it ended", f"It ended {text}; this folder does not say why.")
     why = (
         f"all {end.planned} iterations were taken"
         if end.ended is None
@@ -338,7 +349,7 @@ def _end(run: RunContent) -> Statement | None:
     return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
 
 
-def _caution(evaluation: Evaluation) -> Statement | None:
+def _caution(evaluation: EvaluationRecord) -> Statement | None:
     count = evaluation.scenes["test"]
     if count >= FEW_SCENES:
         return None
@@ -350,14 +361,14 @@ def _caution(evaluation: Evaluation) -> Statement | None:
     return Statement("Caution", f"{text}. More say more: scenes.test_seeds=1000..1049.")
 
 
-def margin_name(margin: Margin) -> str:
+def margin_name(margin: MarginRecord) -> str:
     """What a constraint asks, in words."""
     if margin.kind == "border":
         return f"{margin.cameras[0]}: distance to the border of where it may stand"
     return f"{' and '.join(margin.cameras)}: distance"
 
 
-def _margin(margin: Margin) -> str:
+def _margin(margin: MarginRecord) -> str:
     if margin.kind == "border":
         return f"the distance of {margin.cameras[0]} to the border of where it may stand"
     return f"the distance of {' and '.join(margin.cameras)}"

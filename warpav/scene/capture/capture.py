@@ -1,7 +1,7 @@
 """What was recorded of one traffic situation: colour, depth and instance images from known poses, and 3D boxes.
 
-Everything is in the ego frame (ISO 8855; origin on the ground below the middle of the ego vehicle's rear axle), so that
-captures of different places have the same structure.
+Everything is in the ego frame (ISO 8855; origin on the ground below the centre of the ego vehicle's rear axle), so that
+captures of different locations have the same structure.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class ViewKind(enum.StrEnum):
     VEHICLE_TOP = "vehicle_top"
     """Top-down over another vehicle."""
     SCENE_TOP = "scene_top"
-    """Top-down over the ego vehicle's place, from some height."""
+    """Top-down above the ego vehicle, from some height."""
     ROTATION = "rotation"
-    """From the ego vehicle's place, turned about the vertical."""
+    """From the ego vehicle's position, rotated about the vertical."""
     OTHER = "other"
     """Anything else; recordings of one's own."""
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureView:
-    """A place where an image is taken.
+    """A camera pose of a capture.
 
     Attributes:
         name: Short name, unique within a capture; letters, digits, ``_`` and ``-``.
@@ -57,7 +57,7 @@ class CaptureView:
 
 @dataclass(frozen=True, eq=False)
 class CapturedImage:
-    """Three images from one place.
+    """Three images from one camera pose.
 
     Attributes:
         view: Where from.

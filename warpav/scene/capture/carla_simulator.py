@@ -1,4 +1,4 @@
-"""CARLA as a simulator: a running server, synchronous and standing still while it is recorded.
+"""CARLA as a simulator: a running server, synchronous and paused during recording.
 
 Needs the extra ``carla`` (client 0.9.16) and a CARLA 0.9.16 server. Inside this module all poses are right-handed:
 ``world`` is CARLA's map frame with y turned around by `warpav.core.frames`, so that every product of poses is one
@@ -45,7 +45,7 @@ DEPTH_RANGE_M = 1000.0
 """Where the depth camera's 24 bits end [m]."""
 _SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
 
-_REACH_S, _ANSWER_S = 2.5, 2.0  # together below the 5 s within which a missing server is told
+_REACH_S, _ANSWER_S = 2.5, 2.0  # together below the 5 s within which a missing server is reported
 _VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
 _ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
 _STEP_S = 0.05
@@ -53,7 +53,7 @@ _EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehi
 _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
 _ROLE, _EGO_ROLE = "warpav", "hero"  # large maps stream their tiles around the actor whose role is "hero"
 
-_SAME_PLACE_M = 2.5  # below the distance between the middles of neighbouring lanes
+_SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
 _DROP_M = 0.4  # vehicles are spawned that far above the road: touching it counts as a collision
 _MIN_REST_TICKS, _MAX_REST_TICKS, _REST_SPEED_MPS = 5, 80, 0.05
 _MAX_DRIFT_M, _MIN_UPRIGHT = 1.5, math.cos(math.radians(20.0))
@@ -61,7 +61,7 @@ _MAX_EGO_PLACES = 20
 
 _LOOK_FROM = ((0.0, 90.0), (0.0, 40.0), (90.0, 40.0), (180.0, 40.0), (270.0, 40.0))  # yaw and nose-down pitch [deg]
 _IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
-_INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may stand out of them
+_INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may exceed them
 
 _CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
 _PLAIN_IMAGE = {
@@ -108,7 +108,7 @@ def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
 def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Places of normal driving: the map's own spawn points, and points along its driving lanes outside junctions.
 
-    Of places within 2.5 m of each other one stays, the map's own before those of lanes. The order does not depend on
+    Of poses within 2.5 m of each other one is kept, the map's own before those of lanes. The order does not depend on
     the order in which the client lists them, which is none in particular.
 
     Args:
@@ -168,8 +168,8 @@ class CarlaSimulator:
     whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings. A map
     that was loaded stays loaded.
 
-    A vehicle stands where physics lets it come to rest, and is frozen there. It is known in instance images by the
-    colours that fill its 3D box when it is looked at right after it was spawned.
+    A vehicle settles under physics and is then frozen. Its instance colours are those that fill its 3D box in images
+    taken right after spawning.
     """
 
     def __init__(
@@ -190,10 +190,10 @@ class CarlaSimulator:
         Args:
             host: Where the server runs.
             port: Its RPC port; it uses the next one too.
-            map_name: Map to load anew, such as ``Town10HD_Opt``; None keeps the world that the server shows.
+            map_name: Map to load, such as ``Town10HD_Opt``; None keeps the world that the server shows.
             ego_blueprint: The ego vehicle, such as ``vehicle.lincoln.mkz_2020``; None takes that or, where it does not
                 exist, another car.
-            rear_axle_m: Point on the ground below the middle of the ego vehicle's rear axle [m], forward, left and up
+            rear_axle_m: Point on the ground below the centre of the ego vehicle's rear axle [m], forward, left and up
                 from CARLA's origin of the vehicle, shape [3]; None reads it from the wheels.
             waypoint_spacing_m: Distance of spawn points along lanes [m], positive.
             warm_up_ticks: Simulation steps from the cameras' spawning to the image before the one that is kept; the
@@ -254,10 +254,10 @@ class CarlaSimulator:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Destroy every actor that was made and restore what was changed, whatever has happened.
+        """Destroy all spawned actors and restore everything that was changed, even after an error.
 
         Raises:
-            RuntimeError: Something could not be restored; where another error is on its way, it is a note to that.
+            RuntimeError: Something could not be restored; added as a note if another error is being raised.
         """
         self._leave(error)
 
@@ -303,7 +303,7 @@ class CarlaSimulator:
         if strangers:
             raise InputError(
                 f"CARLA: expected a world without vehicles and walkers at {self._host}:{self._port}, got "
-                f"{len(strangers)} of them; end the programs that made them, or name a map, which is then loaded anew"
+                f"{len(strangers)} of them; end the programs that spawned them, or name a map, which is then reloaded"
             )
         self._blueprints = world.get_blueprint_library()
         carla_map = world.get_map()
@@ -398,7 +398,7 @@ class CarlaSimulator:
             self._client.set_timeout(self._timeout_s)
         except Exception:
             return False
-        except BaseException:  # Ctrl-C says nothing about the server
+        except BaseException:  # Ctrl-C is no sign of a server error
             return True
         return True
 
@@ -409,7 +409,7 @@ class CarlaSimulator:
 
         Raises:
             ValueError: The seed is negative.
-            InputError: No place of the map takes the ego vehicle, or its rear axle is not known.
+            InputError: The ego vehicle fits no spawn point of the map, or its rear axle is unknown.
         """
         if seed < 0:
             raise ValueError(f"seed must not be negative, got {seed}")
@@ -436,12 +436,12 @@ class CarlaSimulator:
             self._situation = None
             self._take(actor)
         raise InputError(
-            f"CARLA: expected a place for {blueprint.id} on the map {self._map_title}, got {len(order)} of which "
-            f"the first {min(len(order), _MAX_EGO_PLACES)} refuse it; name another map or another seed than {seed}"
+            f"CARLA: expected a free spawn point for {blueprint.id} on the map {self._map_title}, got {len(order)} "
+            f"of which the first {min(len(order), _MAX_EGO_PLACES)} are blocked; choose another map or seed"
         )
 
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
-        """As in `Simulator`; the ego vehicle's own place is left out."""
+        """As in `Simulator`; without the ego vehicle's own position."""
         situation = self._begun()
         ego_from_world = _inverse(situation.world_from_ego)
         position_m = self._place_m @ ego_from_world[:3, :3].T + ego_from_world[:3, 3]
@@ -454,7 +454,7 @@ class CarlaSimulator:
         return [SpawnPoint(position_m[k], math.atan2(heading[k, 1], heading[k, 0])) for k in order]
 
     def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
-        """As in `Simulator`: a random car, van, lorry or bus of a random colour, lamps off, standing still."""
+        """As in `Simulator`: a random car, van, lorry or bus of a random colour, lamps off, frozen."""
         situation = self._begun()
         blueprints = sorted(self._blueprints.filter("vehicle.*"), key=lambda blueprint: blueprint.id)
         blueprints = [blueprint for blueprint in blueprints if _category(blueprint) is not None]
@@ -494,11 +494,11 @@ class CarlaSimulator:
         """
         standing = self._begun().standing.get(vehicle.instance_id)
         if standing is None or vehicle.instance_id == EGO_INSTANCE:
-            raise ValueError(f"no vehicle with instance id {vehicle.instance_id} stands here")
+            raise ValueError(f"there is no vehicle with instance id {vehicle.instance_id}")
         self._take(standing.actor)
         del self._begun().standing[vehicle.instance_id]
 
-    def look(self, view: CaptureView) -> CapturedImage:
+    def capture(self, view: CaptureView) -> CapturedImage:
         """As in `Simulator`.
 
         Raises:
@@ -550,7 +550,7 @@ class CarlaSimulator:
         raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
 
     def _put(self, blueprint: Remote, position_m: np.ndarray, yaw_rad: float) -> Remote | None:
-        """A vehicle that has come to rest there, its lamps off and its physics too; None where it does not stand."""
+        """A vehicle at rest, lamps and physics off; None if it does not come to rest."""
         above_m = position_m + np.array([0.0, 0.0, _DROP_M])
         actor = self._spawn(blueprint, _rigid(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), above_m))
         if actor is None:
@@ -613,7 +613,7 @@ class CarlaSimulator:
     def _identify(self, box: Box) -> list[int]:
         """The colours of what fills a box in instance images, the most frequent first; none where it is not seen.
 
-        The box is looked at from above and, where something is in the way, from its sides. A colour is the vehicle's
+        The box is viewed from above and, if occluded, from its sides. A colour is the vehicle's
         where most of its pixels lie inside the box, the road's surface left out. One that another vehicle has already
         makes both unknowable.
         """
@@ -637,13 +637,13 @@ class CarlaSimulator:
                 return [] if taken & set(codes) else codes
         return []
 
-    # ---------------------------------------------------------------------------------------------- actors and pictures
+    # ---------------------------------------------------------------------------------------------- actors and images
 
     def _tick(self) -> int:
         return self._world.tick(self._timeout_s)
 
     def _spawn(self, blueprint: Remote, world_from_actor: np.ndarray) -> Remote | None:
-        """The only place where actors come from; None where CARLA refuses."""
+        """Spawn an actor, the only function that does; None if CARLA rejects it."""
         actor = self._world.try_spawn_actor(blueprint, _transform(self._carla, world_from_actor))
         if actor is not None:
             self._made[actor.id] = actor
@@ -733,7 +733,7 @@ class CarlaSimulator:
         return np.frombuffer(bytes(image.raw_data), np.uint8).reshape(image.height, image.width, 4)
 
     def _plain_image(self, blueprint: Remote) -> dict[str, str]:
-        """Attributes for colour images that look alike from everywhere: no lens effects, and one exposure."""
+        """Attributes for colour images that are consistent between views: no lens effects, fixed exposure."""
         exposure = self._exposure
         if exposure is None:
             ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
@@ -757,7 +757,7 @@ def _import_carla() -> ModuleType:
 def _unreachable(host: str, port: int) -> str | None:
     """Why no CARLA server is there, or None.
 
-    It is asked for its version in the client's own words: whatever else answers a client, ends the whole process there.
+    It is queried for its version with the client's own request: any other service would crash the client's process.
     """
     deadline_s = time.monotonic() + _REACH_S
     fault = "no address"
@@ -840,7 +840,7 @@ def _point(vector: Remote) -> np.ndarray:
 
 
 def _pose(transform: Remote) -> np.ndarray:
-    """Right-handed pose [4, 4] of whatever has CARLA's ``location`` and ``rotation``."""
+    """Right-handed pose [4, 4] of an object with CARLA's ``location`` and ``rotation``."""
     location, turn = transform.location, transform.rotation
     position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
         np.array([location.x, location.y, location.z]), pitch_deg=turn.pitch, yaw_deg=turn.yaw, roll_deg=turn.roll
@@ -866,7 +866,7 @@ def _place(transform: Remote) -> tuple[float, float, float, float]:
 
 
 def _actor_from_ego(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
-    """The ego frame as the wheels stand: on the ground they touch, its origin below the middle of the rear axle.
+    """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
 
     Args:
         wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].
@@ -927,7 +927,7 @@ def _meets(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) 
 
 
 def _overlap(first: Box, second: Box) -> bool:
-    """Whether two upright boxes share space; frozen vehicles do not collide, so CARLA itself may not tell."""
+    """Whether two upright boxes overlap; frozen vehicles do not collide, so CARLA may not report it."""
     apart_m = second.center_m - first.center_m
     if abs(apart_m[2]) >= 0.5 * (first.size_m[2] + second.size_m[2]):
         return False

@@ -2,7 +2,7 @@
 
 ``capture.json`` (schema ``warpav-capture/1``) holds, in the ego frame (ISO 8855, metres, degrees):
 
-* ``name``, ``source``, and ``recipe``, a hash of what it was made with, so that it is not made twice; recordings from
+* ``name``, ``source``, and ``recipe``, a fingerprint of its settings, so that it is not recorded twice; recordings from
   elsewhere have none, and are never replaced;
 * ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
 * ``vehicles``: for each ``instance_id`` (1 to 65534), ``class``, the three box fields, ``spawn_m``, ``spawn_yaw_deg``
@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from warpav.core.atomic_write import replacing
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.fingerprint import digest
 from warpav.raster.camera import CameraModel
@@ -267,7 +267,7 @@ def record_capture(
         _write(folder / UNFINISHED, planned.encode())
     for index, (view, files) in enumerate(zip(views, record.images, strict=True)):
         if not _has_files(folder, files):
-            image = simulator.look(view)
+            image = simulator.capture(view)
             _write(folder / files.rgb, _png(image.rgb[..., ::-1]))
             _write(folder / files.instance, _png(image.instance))
             step = np.round(np.where(np.isfinite(image.depth_m), image.depth_m, 0.0) / DEPTH_STEP_M)
@@ -463,7 +463,7 @@ def _is_whole(data: bytes) -> bool:
 def _write(file: Path, data: bytes) -> None:
     """Write a file that appears whole or not at all."""
     try:
-        with replacing(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_bytes(data)
     except OSError as error:
         raise InputError(f"{file}: expected to write here, got: {error.strerror}") from None

@@ -27,14 +27,14 @@ class PlanSettings:
 
     Attributes:
         vehicle_count: Vehicles that are spawned at most.
-        radius_m: They stand no farther from the ego vehicle [m].
+        radius_m: Maximum distance from the ego vehicle [m].
         width_px: Image width [px].
         height_px: Image height [px].
         eye_above_roof_m: Height above the ego vehicle's box of the images that are taken from it [m].
         above_vehicle_m: Height above a vehicle's box of the image from straight above [m].
-        scene_heights_m: Heights above the ground of the images of the whole place [m].
+        scene_heights_m: Heights above the ground of the overview images [m].
         rotation_count: Images from the ego vehicle all around.
-        ego_side_count: Images of the ego vehicle from beside it, evenly around it from ahead on its left.
+        ego_side_count: Images of the ego vehicle from beside it, evenly around it, starting at the front left.
         ego_side_m: How far beside its box they are taken [m].
     """
 
@@ -85,7 +85,7 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
 
 
 def _ego_sides(settings: PlanSettings, ego_box: Box, others: Sequence[Box]) -> list[CaptureView]:
-    """From the height of the ego vehicle's roof, or from above a vehicle that stands there."""
+    """From the height of the ego vehicle's roof, or from above an occupying vehicle."""
     views = []
     for index in range(settings.ego_side_count):
         angle_rad = (index + 0.5) * 2.0 * math.pi / settings.ego_side_count
@@ -115,7 +115,7 @@ def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
     """
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
-    images = [simulator.look(view) for view in capture_plan(ego_box, vehicles, settings)]
+    images = [simulator.capture(view) for view in capture_plan(ego_box, vehicles, settings)]
     return Capture(simulator.name, simulator.source, ego_box, vehicles, images)
 
 
@@ -136,11 +136,11 @@ def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSett
         if len(visible) == settings.vehicle_count:
             break
         view = _look_at_spawn(eye_m, point)
-        before = np.unique(simulator.look(view).instance)
+        before = np.unique(simulator.capture(view).instance)
         vehicle = simulator.spawn(point)
         if vehicle is None:
             continue
-        if np.setdiff1d(np.unique(simulator.look(view).instance), before).size:
+        if np.setdiff1d(np.unique(simulator.capture(view).instance), before).size:
             visible.append(vehicle)
         else:
             simulator.remove(vehicle)
@@ -167,7 +167,7 @@ def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> Capture
 
 
 def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarray, box: Box) -> CaptureView:
-    """From a place towards the middle of a box, as narrow as it fits."""
+    """From a position towards the centre of a box, with the narrowest field of view that contains it."""
     camera_from_ego = _facing(box.center_m - eye_m).T
     seen = (box.corners_m() - eye_m) @ camera_from_ego.T
     seen[:, 2] = np.maximum(seen[:, 2], 0.3)  # corners beside or behind the camera: the widest view
@@ -191,7 +191,7 @@ def _pose(position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def _facing(forward: np.ndarray) -> np.ndarray:
-    """Rotation to ego axes of a camera that looks along a direction, its image upright."""
+    """Rotation to ego axes of an upright camera that points along a direction."""
     forward = forward / np.linalg.norm(forward)
     level = math.hypot(forward[0], forward[1])
     if level < 1e-6:
@@ -201,7 +201,7 @@ def _facing(forward: np.ndarray) -> np.ndarray:
 
 
 def _down(yaw_rad: float) -> np.ndarray:
-    """Rotation to ego axes of a camera that looks straight down; the top of its image lies at a heading."""
+    """Rotation to ego axes of a camera that points straight down; its image's up direction is a heading."""
     top = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
     right = np.array([top[1], -top[0], 0.0])
     return np.stack([right, -top, [0.0, 0.0, -1.0]], axis=1)

@@ -15,7 +15,7 @@ from warpav.scene.scene import Box
 
 @dataclass(frozen=True, eq=False)
 class SpawnPoint:
-    """A place in line with a lane or a bay where a vehicle may be put.
+    """A pose along a lane or in a parking bay where a vehicle may be spawned.
 
     Attributes:
         position_m: On the ground, in the ego frame [m], shape [3].
@@ -27,14 +27,14 @@ class SpawnPoint:
 
 
 class Simulator(Protocol):
-    """A simulator in which the world stands still; a context manager that leaves nothing behind.
+    """A simulator with a static world; a context manager that restores its state on exit.
 
     All poses and boxes are in the ego frame of the situation that was begun last.
 
     Attributes:
         name: Short name of that situation, such as ``town_0007``; letters, digits, ``_`` and ``-``.
         source: Where it comes from, such as ``town seed 7``.
-        world: What its worlds are made with, as far as this side knows: captures of another one are made anew.
+        world: Fingerprint of its world: captures of another world are recorded again.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Simulator(Protocol):
         """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation.
 
         Args:
-            seed: Chooses the place; any integer from 0, the same one gives the same situation.
+            seed: Selects the location; any integer from 0, the same seed gives the same scene.
 
         Returns:
             The ego vehicle's 3D box.
@@ -57,14 +57,14 @@ class Simulator(Protocol):
         ...
 
     def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
-        """Put a randomly chosen and coloured vehicle there; None where the simulator refuses, as when it is taken."""
+        """Spawn a randomly chosen and coloured vehicle; None if the simulator rejects it, for example if occupied."""
         ...
 
     def remove(self, vehicle: CapturedVehicle) -> None:
         """Take a vehicle out again."""
         ...
 
-    def look(self, view: CaptureView) -> CapturedImage:
+    def capture(self, view: CaptureView) -> CapturedImage:
         """Take the three images of a view."""
         ...
 
@@ -75,5 +75,5 @@ class Simulator(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Destroy every actor that this simulator made and restore what it changed, whatever has happened."""
+        """Destroy all actors of this simulator and restore everything it changed, even after an error."""
         ...

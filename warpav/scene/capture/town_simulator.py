@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from warpav.core.fingerprint import recipe
+from warpav.core.fingerprint import fingerprint
 from warpav.raster.mesh import merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
 from warpav.scene.capture.simulator import SpawnPoint
@@ -30,13 +30,13 @@ _VEHICLE_TAG = 14  # CARLA's semantic tag of cars; the other two channels hold t
 class TownSimulator:
     """The procedural town of `town_scene`; seed, vehicles and instance ids are the same as there.
 
-    Spawn points are the places of the scene's vehicles, each for the vehicle that stands there. Colours have one sample
+    Spawn points are the poses of the scene's vehicles, each for its own vehicle. Colours have one sample
     per pixel, are unlit and interpolated between vertices.
     """
 
     def __init__(self) -> None:
         """No situation yet."""
-        self.name, self.source, self.world = "", "", recipe("town")
+        self.name, self.source, self.world = "", "", fingerprint("town", code=(__name__,))
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None
@@ -62,7 +62,7 @@ class TownSimulator:
         ]
 
     def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
-        """As in `Simulator`; None where a vehicle stands already, and away from all spawn points."""
+        """As in `Simulator`; None if the point is occupied or not a spawn point."""
         for vehicle in self._begun().scene.vehicles:
             offset_m = vehicle.box.center_m[:2] - point.position_m[:2]
             if np.hypot(*offset_m) < 1e-6 and vehicle.instance_id not in self._spawned:
@@ -84,11 +84,11 @@ class TownSimulator:
         self._spawned.discard(vehicle.instance_id)
         self._caster = None
 
-    def look(self, view: CaptureView) -> CapturedImage:
+    def capture(self, view: CaptureView) -> CapturedImage:
         """As in `Simulator`."""
         if self._caster is None:
             self._caster = _Caster(self._begun(), self._spawned)
-        return self._caster.look(view)
+        return self._caster.capture(view)
 
     def __enter__(self) -> Self:
         """The simulator itself."""
@@ -131,7 +131,7 @@ class _Caster:
         self._embree: EmbreeScene = EmbreeScene()
         TriangleMesh(self._embree, self._corner_m)
 
-    def look(self, view: CaptureView) -> CapturedImage:
+    def capture(self, view: CaptureView) -> CapturedImage:
         # rays have z = 1 along the optical axis, so distances along them are depths
         height, width = view.model.height_px, view.model.width_px
         column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)

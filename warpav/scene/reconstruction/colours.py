@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from warpav.scene.capture.capture import ENVIRONMENT_INSTANCE, CapturedImage
 
-_LEAST_COSINE = 0.08  # flatter views tell nothing
+_LEAST_COSINE = 0.08  # flatter views are unreliable
 _RIM_WEIGHT = 0.02  # of pixels at the rim of an object, where colours mix
 _FAR_TOLERANCE = 0.01  # of the depth
 

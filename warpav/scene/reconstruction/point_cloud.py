@@ -81,9 +81,9 @@ def fuse(
 ) -> SceneClouds:
     """Point clouds of everything that the images show.
 
-    The instance image says whose a pixel is, and the 3D boxes correct it (figure 7): through a window pane the instance
-    image still shows the vehicle while colour and depth show what lies behind. Points of a vehicle's pixels count for
-    it only inside its box, and points count for the environment only outside all boxes.
+    The instance image assigns each pixel to an object, and the 3D boxes correct it (figure 7): through a window pane
+    the instance image still shows the vehicle while colour and depth show what lies behind. Points of a vehicle's
+    pixels count for it only inside its box, and points count for the environment only outside all boxes.
 
     Args:
         capture: Boxes of the vehicles.
@@ -109,7 +109,7 @@ def fuse(
 
 @dataclass(frozen=True, eq=False)
 class _ImageShare:
-    """What one image tells of the environment, and of each vehicle: points, and rays through its window panes."""
+    """Points of the environment and of each vehicle in one image, and rays through window panes."""
 
     around: PointCloud
     parts: list[PointCloud]
@@ -195,9 +195,9 @@ def first_in_cells(point_m: np.ndarray, cell_m: float) -> np.ndarray:
 def is_outside(local_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
     """Which points of a vehicle lie on its outside, not on what its window panes show of its inside.
 
-    From ahead, behind, both sides and above, the outermost points in cells of 5 cm make a map of depths. Its pits that
-    are neither wider nor higher than a pane are bridged (a grey closing). A point that lies deeper than that in all of
-    the maps was seen through a pane.
+    From the front, rear, both sides and above, the outermost points in cells of 5 cm make a map of depths. Its pits
+    that are neither wider nor higher than a pane are bridged (a grey closing). A point that lies deeper than that in
+    all of the maps was seen through a pane.
 
     Args:
         local_m: Points in the axes of the vehicle's box, from its centre [m], shape [point, 3].

@@ -25,8 +25,8 @@ LEAST_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
 MOST_RAYS = 40_000
 """Of more rays to where an object has surface without points, a part is enough."""
-_BELOW_SPACING_M = 0.25  # of the places below a vehicle at which there is ground
-_SKY_STEP = 7  # every so many pixels tell the sky's colour
+_BELOW_SPACING_M = 0.25  # of the ground points below a vehicle
+_SKY_STEP = 7  # stride of the pixels that determine the sky's colour
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads of linear algebra would only wait for one another
@@ -125,7 +125,7 @@ def object_mesh(
 
 
 def _rays_below(boxes: Sequence[Box]) -> tuple[np.ndarray, np.ndarray]:
-    """Origins [m] and directions of rays from the middles of vehicles down to the ground that they hide."""
+    """Origins [m] and directions of rays from the centres of vehicles down to the ground below them."""
     origin = []
     for box in boxes:
         count = np.ceil(np.asarray(box.size_m[:2]) / _BELOW_SPACING_M).astype(int) + 1

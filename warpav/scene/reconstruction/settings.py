@@ -54,7 +54,7 @@ class ReconstructionSettings:
     Attributes:
         cloud: What is kept of the images.
         method: Surface method, a name of `SURFACE_METHODS`.
-        vehicle: For every vehicle; their points are spared, since a detector looks at them.
+        vehicle: For every vehicle; their points are not thinned.
         ego: For the ego vehicle.
         environment: For everything else within the radius.
         sphere_deg: Size of the sphere's cells [deg].

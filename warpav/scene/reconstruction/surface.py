@@ -27,7 +27,7 @@ _HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 _COLOUR_STEP = 0.8  # what white against black weighs in a collapse, in lengths of a final triangle's side
 _LIFTED_SHARE = 3  # final triangles times this are left by the first, faster collapse
 _BRIGHTNESS = np.array([0.30, 0.59, 0.11])
-_COLOUR_SAMPLES = 4  # rows of places in a triangle at which the dense mesh is asked for its colour
+_COLOUR_SAMPLES = 4  # rows of sample points per triangle for the colour of the dense mesh
 _SPLIT_LEVELS = 40  # of 255; corners of one vertex that differ more get vertices of their own
 _SIMPLIFYING = threading.Lock()  # fast_simplification keeps the mesh that it works on in variables of the module
 _LEAST_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
@@ -259,10 +259,10 @@ def _referenced(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray,
 
 
 def cleaned(mesh: Mesh) -> Mesh:
-    """The same picture with less: no duplicate vertices and triangles, none that are degenerate or unused.
+    """Simplify a mesh without visible change: no duplicate, degenerate or unused vertices and triangles.
 
-    Vertices are merged when place and colour are equal; triangles go when they have no area or when another one has the
-    same corners in the same turn.
+    Vertices are merged if position and colour are equal; triangles go when they have no area or when another one has
+    the same corners in the same turn.
     """
     key = np.concatenate([mesh.vertex_m + np.float32(0.0), mesh.vertex_rgb.astype(np.float32)], axis=1)
     _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -295,7 +295,7 @@ def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
         triangle_count: Triangles to keep, at least 4.
 
     Returns:
-        A mesh that may have vertices of different colours at one place; the mesh itself when it is small enough.
+        A mesh that may have vertices of different colours at one position; the mesh itself if it is small enough.
 
     Raises:
         ValueError: A target below 4.
@@ -319,7 +319,7 @@ def _double_area_m2(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
 
 
 def _welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices of one place as one, float64; triangles; mean colours, float64."""
+    """Coincident vertices merged, float64; triangles; mean colours, float64."""
     place_m, merged, count = np.unique(
         mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True, return_counts=True
     )
@@ -351,7 +351,7 @@ def _collapsed_lifted(
 def _collapsed_coloured(
     vertex_m: np.ndarray, triangle: np.ndarray, rgb: np.ndarray, count: int, step_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """About ``count`` triangles, by quadrics over place and colour: white against black counts as ``step_m``."""
+    """About ``count`` triangles, by quadrics over position and colour: white against black counts as ``step_m``."""
     from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray, vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkObject
     from vtkmodules.vtkCommonDataModel import vtkCellArray
@@ -370,7 +370,7 @@ def _collapsed_coloured(
     collapse.AttributeErrorMetricOn()
     collapse.ScalarsAttributeOn()
     collapse.SetScalarsWeight(step_m * float(np.ptp(rgb)) / 255.0)  # VTK scales the range of the colours to 1
-    vtkObject.GlobalWarningDisplayOff()  # it would tell of every flat place, where any point is as good
+    vtkObject.GlobalWarningDisplayOff()  # it would warn about every flat region, where any point is optimal
     collapse.Update()
     kept = collapse.GetOutput()
     place_m = np.array(vtk_to_numpy(kept.GetPoints().GetData()), np.float32)
@@ -389,7 +389,7 @@ def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -
     corner_rgb = np.clip(corner_rgb, sample_rgb.min(axis=1, keepdims=True), sample_rgb.max(axis=1, keepdims=True))
     corner_rgb, weight = corner_rgb.reshape(-1, 3), np.repeat(_double_area_m2(vertex_m, triangle) + 1e-12, 3)
     vertex = triangle.reshape(-1).astype(np.int64)
-    for _ in range(2):  # into up to four colours at one place
+    for _ in range(2):  # into up to four colours at one position
         vertex = _split_by_colour(vertex, corner_rgb, weight)
     count = int(vertex.max()) + 1
     rgb = np.stack([np.bincount(vertex, weight * channel, count) for channel in corner_rgb.T], axis=1)
@@ -400,7 +400,7 @@ def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -
 
 
 def _places_in_triangle(rows: int) -> np.ndarray:
-    """Middles of the ``rows`` squared small triangles that divide a triangle, as shares of its corners [place, 3]."""
+    """Barycentric coordinates of the centroids of the ``rows`` squared parts of a triangle [sample, 3]."""
     upright = [(i + 1 / 3, j + 1 / 3) for i in range(rows) for j in range(rows - i)]
     inverted = [(i + 2 / 3, j + 2 / 3) for i in range(rows - 1) for j in range(rows - 1 - i)]
     place = np.array(upright + inverted) / rows

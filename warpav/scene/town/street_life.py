@@ -260,7 +260,7 @@ def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) 
 
     for end in (-1.0, 1.0):
         put("barrier", end * half_length, 0.0, 0.5 * np.pi * end)
-    side = 1.0 if slot.y_m < 0.0 else -1.0  # the middle of the road
+    side = 1.0 if slot.y_m < 0.0 else -1.0  # the centre of the road
     for x in np.linspace(-half_length + 0.7, half_length - 0.7, 5):
         put("cone", float(x), side * half_width, 0.0)
     put("works_sign", -half_length - 0.1 if np.cos(slot.yaw_rad) > 0 else half_length + 0.1, -side * 0.75,

@@ -23,7 +23,7 @@ from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layo
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_glass, ego_mesh, vehicle_glass, vehicle_mesh
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
-EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the middle of the ego vehicle
+EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
 _TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
 _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face the eye
@@ -84,7 +84,7 @@ class _Placed:
 def ego_vehicle() -> Mesh:
     """The vehicle that carries the cameras, the same in every scene.
 
-    Ego frame: x forward, y left, z up, metres; origin on the ground below the middle of the rear axle.
+    Ego frame: x forward, y left, z up, metres; origin on the ground below the centre of the rear axle.
     """
     return ego_mesh()
 
@@ -217,10 +217,10 @@ def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequen
     from embreex.rtcore_scene import EmbreeScene
 
     meshes = [*blockers, *vehicles]
-    corners = np.concatenate([mesh.vertex_m[mesh.triangle] for mesh in meshes])
+    whole = merge(meshes)
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
     caster = EmbreeScene()
-    TriangleMesh(caster, corners)
+    TriangleMesh(caster, whole.vertex_m, whole.triangle)
     share = np.zeros(len(vehicles))
     for index, mesh in enumerate(vehicles):
         # Centres of triangles: a ray to a vertex may miss the surface by a rounding error.

@@ -75,7 +75,7 @@ class Layout:
         blocks: Blocks of houses.
         markings: Lines and crossings.
         slots: Spawn slots around the ego vehicle.
-        ego: Where the middle of the ego vehicle is; it heads along +x.
+        ego: Where the centre of the ego vehicle is; it heads along +x.
         crossings_m: Where people cross the road: long side along the road that they cross.
     """
 

@@ -1,6 +1,6 @@
 """Recognisable road vehicles as closed lofted meshes: body, glass house, wheels, lamps, plates, mirrors.
 
-Vehicle frame: x forward, y left, z up, metres; the origin lies on the ground below the middle of the body.
+Vehicle frame: x forward, y left, z up, metres; the origin lies on the ground below the centre of the body.
 """
 
 from __future__ import annotations
@@ -408,7 +408,7 @@ def _add_rear_doors(builder: SurfaceBuilder, body: _Body) -> None:
     roof = spec.height_m - 0.04
 
     def skin_m(z: float) -> float:
-        """X of the doors in the middle of the vehicle at a height [m]."""
+        """X of the doors in the centre of the vehicle at a height [m]."""
         if z < deck:
             share = np.array([(z - spec.sill_m) / (deck - spec.sill_m)])
             return float(body.ring_m(np.array([_OUTLINE_END]), share, share)[0, 0, 0])

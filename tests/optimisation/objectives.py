@@ -1,0 +1,77 @@
+"""Objectives from the settings of a configuration, as most tests take them."""
+
+from typing import Any
+
+import numpy as np
+
+from warpav.detection.detector import Detector
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.exchange import Exchange
+from warpav.optimisation.losses.build import losses_of
+from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.mount import CameraMount
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.scene_step import Objective, RigViews, SceneStep
+from warpav.optimisation.settings import METHOD_LOSSES, LossSettings
+from warpav.raster.renderer import Renderer
+
+
+def thesis_losses(**changes: Any) -> LossSettings:
+    """The thesis's two losses with other numbers, also such as no configuration may have."""
+    return LossSettings(**METHOD_LOSSES["thesis"]).model_copy(update=changes)
+
+
+def rig_objective(
+    mount: CameraMount,
+    detector: Detector,
+    *,
+    settings: LossSettings,
+    reference: Reference = Reference.NON_OCCLUDED,
+    probability: Any = None,
+    differentiable_detector: Any = None,
+    **others: Any,
+) -> RigObjective:
+    """The objective of some settings."""
+    return RigObjective(
+        mount,
+        detector,
+        losses=losses_of(LossOptions(settings, reference, differentiable_detector)),
+        camera_probability=CameraProbability.of(settings, probability),
+        **others,
+    )
+
+
+class OneScene:
+    """A `SceneStep` with what an objective keeps for it: the losses of some settings on one scene."""
+
+    def __init__(
+        self,
+        mount: CameraMount,
+        renderer: Renderer,
+        assigned: AssignedScene,
+        camera_count: int,
+        settings: LossSettings,
+        *,
+        reference: Reference = Reference.NON_OCCLUDED,
+        recorded: bool | None = None,
+    ) -> None:
+        pairs = losses_of(LossOptions(settings, reference))
+        self.names = [loss.name for _, loss in pairs]
+        self.weight = np.array([weight for weight, _ in pairs], np.float32)
+        self.exchange = Exchange(camera_count, 0, len(pairs), device=str(renderer.device))
+        self.views = RigViews(mount, self.exchange.pose, mount.rotation_count, [renderer])
+        objective = Objective(tuple(loss for _, loss in pairs))
+        self.step = SceneStep(self.views, renderer, assigned, self.exchange, objective, recorded=recorded)
+
+    def at(self, pose: np.ndarray, box_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Losses of cameras there, and the gradient of their weighted sum to the mount poses."""
+        count = np.ones(len(self.weight))
+        self.exchange.send(pose, np.zeros(0), LossSchedule(), weight=self.weight, count=count)
+        tape = self.views.place()
+        self.step.observe()
+        self.step.set_boxes(box_px)
+        loss = self.step.loss_and_grad().value.numpy().copy()
+        tape.backward()
+        return loss, self.exchange.pose.grad.numpy().copy()

@@ -1,0 +1,297 @@
+"""Placements, results and evaluations as objects: arguments, gradients, oracles, what is written and what is not."""
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from warpav.detection.detector import Detections
+from warpav.runs.build import build
+from warpav.runs.optimise import Optimisation
+from warpav.scene.town.town import ego_vehicle
+
+SMALL = [
+    "camera.width_px=96",
+    "camera.height_px=96",
+    "rig.cameras=2",
+    "optimiser.starts=2",
+    "optimiser.check_every=2",
+    "baselines.random_samples=2",
+    # detection probability would have to be fitted for so small a camera
+    "losses={expected_miss_rate: 0, in_frame_rotation: 1, object_visibility: 10}",
+]
+
+
+class LowerHalf:
+    """One box over the lower half of every image."""
+
+    names = ("car",)
+
+    def __init__(self):
+        self.asked = 0
+
+    def detect(self, images_rgb):
+        images_rgb = np.asarray(images_rgb)
+        self.asked += len(images_rgb)
+        height, width = images_rgb.shape[1:3]
+        box = np.array([[0.0, height / 2, width, height]], np.float32)
+        return [Detections(box, np.ones(1, np.float32), np.zeros(1, np.int32), self.names) for _ in images_rgb]
+
+
+@pytest.fixture(scope="module")
+def config():
+    return wa.Config.load("quick", *SMALL)
+
+
+@pytest.fixture(scope="module")
+def train():
+    return wa.town([0, 1])
+
+
+@pytest.fixture(scope="module")
+def test_scenes():
+    return wa.town([1000, 1001])
+
+
+@pytest.fixture(scope="module")
+def placement(config, train):
+    return wa.Placement(train, config=config)
+
+
+@pytest.fixture(scope="module")
+def result(placement):
+    return wa.optimise(placement, iterations=3, seed=1)
+
+
+def test_objects_and_yaml_give_the_same_run(config, result):
+    """The same scenes by seeds in a configuration: the same loss of every iteration and the same rig, bit by bit."""
+    options = ["scenes.train_seeds=[0, 1]", "scenes.test_seeds=[1000]", "run.batch_size=2", "run.iterations=3"]
+    by_file = wa.Config.load("quick", *SMALL, *options, "run.seed=1").placement()
+    other = wa.optimise(by_file)
+    assert other.history["loss"] == result.history["loss"]
+    for one, two in zip(result.rig.cameras, other.rig.cameras, strict=True):
+        np.testing.assert_array_equal(one.ego_from_camera, two.ego_from_camera)
+
+
+def test_an_optimisation_writes_nothing(config, train, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    wa.optimise(wa.Placement(train[:1], config=config), iterations=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_has_its_history(result):
+    assert len(result.history["loss"]) == len(result.records) == 3
+    assert result.history["objective"][0] == result.start_objective
+    assert result.objective <= result.start_objective
+    assert len(result.history["objective"]) == len(result.history["objective_iteration"])
+    assert "Result(2 cameras, 3 iterations" in repr(result)
+    assert result._repr_html_().startswith("<b>Result</b>")
+    with pytest.raises(AttributeError):
+        result.rig = result.start
+
+
+def test_the_rig_of_a_result_that_is_worse_is_its_start(config, train):
+    steps = ["optimiser.keep=last", "optimiser.learning_rate_position_m=2", "optimiser.starts=1", "rig.start=highest"]
+    worse = wa.optimise(wa.Placement(train, config=wa.Config.load("quick", *SMALL, *steps)), iterations=4)
+    if not worse.is_worse_than_start:
+        pytest.skip("steps of 2 m found a better rig")
+    assert worse.rig is worse.start
+    assert worse.objective == worse.start_objective < worse.found_objective
+    assert not worse.is_better_than_start
+    assert "worse than its start" in repr(worse)
+
+
+@pytest.mark.parametrize("column", ["x_m", "yaw_rad"])
+def test_the_gradient_is_that_of_the_objective(train, result, column):
+    """Against central differences over 10 mm and 10 mrad, where 8 x 8 samples a pixel make areas smooth."""
+    losses = {"in_frame_rotation": 1.0}
+    config = wa.Config.load("quick", *SMALL, "camera.supersampling=8")
+    placement = wa.Placement(train, config=config, losses=losses)
+    rig = result.start
+    value, gradient = placement.value_and_grad(rig)
+    pose, scenes = placement.mount.mount_pose_of_rig(rig), placement.assigned(placement.train, rig)
+    assert value == pytest.approx(placement.objective.evaluate(pose, scenes).objective)
+    assert [set(each) for each in gradient.values()] == [{"x_m", "y_m", "yaw_rad"}] * len(rig.cameras)
+    number = {"x_m": 0, "yaw_rad": 2}[column]
+    differences = []
+    for k in range(len(rig.cameras)):
+        moved = np.stack([pose, pose])
+        moved[:, k, number] += [0.01, -0.01]
+        high, low = (placement.objective.evaluate(each, scenes).objective for each in moved)
+        differences.append((high - low) / 0.02)
+    exact = [gradient[camera.name][column] for camera in rig.cameras]
+    np.testing.assert_allclose(exact, differences, rtol=0.05, atol=0.02)
+
+
+def test_a_rig_that_does_not_fit_is_named(placement):
+    with pytest.raises(wa.InputError, match="rig: expected 2 cameras as the placement has, got 6"):
+        placement.value_and_grad(wa.preset("nuscenes"))
+    with pytest.raises(TypeError, match="rig: expected a Rig, got str"):
+        placement.value_and_grad("highest")
+    with pytest.raises(wa.InputError, match="losses: expected a loss that knows detection probabilities"):
+        placement.detection_probabilities(Optimisation.begin(placement).start)
+
+
+def test_any_object_that_detects_is_a_detector(config, train, test_scenes):
+    detector = LowerHalf()
+    placement = wa.Placement(train[:1], config=config, detector=detector, losses={"detected_area": 1.0})
+    wa.optimise(placement, iterations=1)
+    found = wa.evaluate(wa.optimise(placement, iterations=1).rig, test_scenes, placement)
+    assert detector.asked > 0
+    assert list(found.metrics) == ["rig"]
+    with pytest.raises(TypeError, match="detector: expected the path of an ONNX file"):
+        wa.Placement(train, detector=3)
+
+
+def test_any_mesh_is_a_vehicle(config, train):
+    mesh = ego_vehicle()
+    pair = wa.Placement(train, config=config, ego=(mesh.vertex_m, mesh.triangle)).prepare()
+    np.testing.assert_allclose(pair.ego.vertex_m, mesh.vertex_m)
+    with pytest.raises(wa.InputError, match=r"ego: expected .* \[vertex, 3\]|ego: expected vertices of shape"):
+        wa.Placement(train, config=config, ego=(mesh.vertex_m[:, :2], mesh.triangle))
+    with pytest.raises(wa.InputError, match=r"ego: .*NaN"):
+        wa.Placement(train, config=config, ego=(mesh.vertex_m * np.nan, mesh.triangle))
+    with pytest.raises(TypeError, match="ego: expected the path of a mesh file, a Mesh"):
+        wa.Placement(train, config=config, ego=5)
+
+
+def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
+    start = result.start
+    name = start.cameras[0].name
+    found = wa.optimise(wa.Placement(train, config=config, start=start, freeze=name), iterations=2)
+    np.testing.assert_array_equal(found.rig.cameras[0].ego_from_camera, start.cameras[0].ego_from_camera)
+    with pytest.raises(wa.InputError, match="freeze: expected a rig as `start`"):
+        wa.Placement(train, config=config, freeze=["front"])
+    with pytest.raises(wa.InputError, match="start: expected a rig of 3 cameras"):
+        wa.Placement(train, config=config, start=start, cameras=3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"cameras": 1}, r"^rig.cameras: expected a whole number from 2 to 16, got 1"),
+        ({"fov_deg": 400}, r"^camera.fov_deg: expected an angle"),
+        ({"device": "cuda"}, r"^device: expected cpu or a GPU such as cuda:0, got 'cuda'"),
+        ({"detector": "none.onnx"}, r"^detector.model: expected builtin or the path of an ONNX file"),
+        ({"rig": {"min_space": 1}}, r"^rig.min_space: expected one of cameras, start.*did you mean rig.min_spacing_m"),
+    ],
+)
+def test_arguments_that_cannot_be_used_are_named(train, arguments, message):
+    with pytest.raises(wa.InputError, match=message):
+        wa.Placement(train, **arguments)
+
+
+def test_scenes_that_are_none_are_named():
+    with pytest.raises(wa.InputError, match="train: expected at least one scene, got none"):
+        wa.Placement([])
+    with pytest.raises(TypeError, match="train: expected scenes"):
+        wa.Placement([1])
+    with pytest.raises(TypeError, match=r"train: expected a list of scenes, got one Scene; write \[scene\]"):
+        wa.Placement(wa.town([0])[0])
+
+
+def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scenes):
+    found = wa.evaluate({"start": result.start, "optimised": result.rig}, test_scenes, placement)
+    assert len(found.objects) == sum(len(scene.vehicles) for scene in test_scenes)
+    for name in ("start", "optimised"):
+        detected = sum(bool(seen.detected_by[name]) for seen in found.objects)
+        assert found.recall[name] == pytest.approx(detected / len(found.objects))
+        visible = sum(bool(seen.seen_by[name]) for seen in found.objects)
+        assert found.metrics[name].visible_rate == pytest.approx(visible / len(found.objects))
+        assert all(set(seen.detected_by[name]) <= set(seen.seen_by[name]) for seen in found.objects)
+    same = found.difference("start", "start")
+    assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
+    assert "recall of the rig" in str(found.table())
+    assert found._repr_html_().startswith("<table>")
+    with pytest.raises(wa.InputError, match="other: expected one of start, optimised, got 'best'"):
+        found.difference("start", "best")
+    pandas = pytest.importorskip("pandas")
+    frame = found.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    assert frame.loc["start", "rig_recall"] == found.recall["start"]
+
+
+def test_a_run_of_own_scenes_is_saved_with_them(config, train, test_scenes, tmp_path):
+    """Scenes that no seed names go into the folder, and the folder can be evaluated from there."""
+    from dataclasses import replace
+
+    own = [replace(scene, source="a drone") for scene in train]
+    placement = wa.Placement(own, config=config)
+    result = wa.optimise(placement, iterations=1)
+    with pytest.raises(wa.InputError, match="test: expected scenes to compare rigs on"):
+        result.save(tmp_path / "run")
+    folder = result.save(tmp_path / "run", test=test_scenes)
+    assert len(list((folder / "scenes").glob("scene_*.glb"))) == 4
+    saved = wa.read_run(folder).config()
+    assert (saved.scenes.source, saved.scenes.train_seeds, saved.scenes.test_seeds) == ("folder", (0, 1), (2, 3))
+    again = build(saved).prepare()
+    assert len(again.test) == 2
+
+
+def test_progress_is_any_object_with_its_methods(placement):
+    class Lines:
+        def __init__(self):
+            self.lines = []
+
+        def say(self, text):
+            self.lines.append(text)
+
+        stage = show = say
+
+        def steps(self, description, items, *, count):
+            self.lines.append(description)
+            yield from items
+
+        def iterations(self, records, *, count, min_spacing_m):
+            for record in records:
+                self.lines.append(record.iteration)
+                yield record
+
+    lines = Lines()
+    wa.optimise(placement, progress=lines, iterations=2)
+    assert lines.lines[-2:] == [0, 1]
+    with pytest.raises(TypeError, match="progress: expected True, False or an object"):
+        wa.optimise(placement, progress="yes")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"iterations": 0}, ValueError, "iterations: expected at least 1, got 0"),
+        ({"seed": -1}, ValueError, "seed: expected at least 0, got -1"),
+        ({"iterations": 1.5}, TypeError, "iterations: expected a whole number, got 1.5"),
+    ],
+)
+def test_bad_numbers_of_a_run_are_named(placement, arguments, error, message):
+    with pytest.raises(error, match=message):
+        wa.optimise(placement, **arguments)
+
+
+def test_a_function_of_the_probabilities_is_a_loss(train):
+    """The share of objects that no camera finds, written as a user would, is the loss that warpav has for it."""
+
+    def missed(probability, objects):
+        miss = 1.0 - probability
+        others = np.stack([np.prod(np.delete(miss, k, axis=0), axis=0) for k in range(len(miss))])
+        return float(miss.prod(axis=0).mean()), -others / probability.shape[1]
+
+    config = wa.Config.load("quick", "optimiser.starts=1")
+    own = wa.Placement(train[:1], config=config, losses=[(2.0, missed)])
+    built_in = wa.Placement(train[:1], config=config, losses=[(2.0, wa.losses.ExpectedMissRate())])
+    rig = Optimisation.begin(built_in).start
+    value, gradient = own.value_and_grad(rig)
+    expected, expected_gradient = built_in.value_and_grad(rig)
+    assert value == pytest.approx(expected, rel=1e-4)
+    probability = built_in.detection_probabilities(rig)
+    assert value == pytest.approx(2.0 * missed(probability, None)[0], rel=1e-4)
+    slopes, expected_slopes = ([*map(dict.values, each.values())] for each in (gradient, expected_gradient))
+    slopes, expected_slopes = (np.array([list(camera) for camera in each]) for each in (slopes, expected_slopes))
+    # single precision, summed in another order: worst seen 3e-5 where the largest is 0.1
+    np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-3, atol=1e-3 * np.abs(expected_slopes).max())
+
+
+def test_the_kernels_that_are_compiled_ahead_exist():
+    import importlib.util
+
+    from warpav.runs.scene_set import OBJECTIVE_KERNELS
+
+    assert [name for name in OBJECTIVE_KERNELS if importlib.util.find_spec(name) is None] == []

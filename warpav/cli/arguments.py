@@ -1,0 +1,90 @@
+"""Arguments that several commands share, and how commands print."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from warpav.core.errors import InputError
+
+DEFAULT_CONFIG = "quick"
+
+Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
+Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
+Triple = tuple[float, float, float]
+FileFormat = Annotated[
+    str,
+    Parameter(
+        name="--format",
+        help="nuscenes, argoverse2, urdf, autoware, carla-ros-bridge, carla-python, kitti, opencv; kalibr (import), "
+        "camera-info (export).",
+    ),
+]
+FileOrigin = Annotated[
+    Triple | None,
+    Parameter(
+        help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z.", negative=""
+    ),
+]
+FileTurn = Annotated[
+    Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.", negative="")
+]
+RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
+Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
+Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
+TaskExecutor = Annotated[
+    Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
+]
+FileAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
+
+
+def flag_of(argument: str) -> str:
+    """What the command line calls an argument of a function."""
+    return "--format" if argument == "format_name" else f"--{argument.replace('_', '-')}"
+
+
+def with_flags(text: str) -> str:
+    """A message whose arguments, in backquotes, are written as the flags that they are here."""
+    return re.sub(r"`([a-z_]+)`", lambda found: flag_of(found[1]), text)
+
+
+def say(text: str) -> None:
+    """Print to stdout."""
+    sys.stdout.write(f"{text}\n")
+
+
+def complain(text: str) -> None:
+    """Print to stderr."""
+    for line in text.splitlines():
+        sys.stderr.write(f"{line}\n")
+
+
+def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
+    """The seeds that a user gave, as a text or as their number from 0."""
+    from warpav.runs.config import read_seeds
+
+    if (seeds is None) == (count is None):
+        raise InputError("command line: expected either --seeds or --count, got both or none; write --seeds 0..9")
+    if count is not None and count < 1:
+        raise InputError(f"command line (--count): expected at least 1, got {count}")
+    return tuple(range(count)) if count is not None else read_seeds(str(seeds), place="command line (--seeds)")
+
+
+def loaded(config: str, overrides: Sequence[str]):  # noqa: ANN201 (importing the type would cost start-up time)
+    """The configuration of a command that needs nothing else."""
+    from warpav.runs.config import load_config
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    return load_config(config, overrides)
+
+
+def executor_overrides(name: str | None, workers: int | None, address: str | None) -> list[str]:
+    """Flags of an executor as overrides of the configuration."""
+    flags = {"name": name, "workers": workers, "address": address}
+    return [f"executor.{flag}={value}" for flag, value in flags.items() if value is not None]

@@ -1,0 +1,118 @@
+"""Commands about object detectors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from warpav.cli.arguments import (
+    DEFAULT_CONFIG,
+    Config,
+    Overrides,
+    say,
+)
+
+detector_app = App(
+    name="detector", help="Check, measure and train object detectors, and fit how probably they find objects."
+)
+
+
+@detector_app.command(name="check")
+def detector_check(
+    file: Annotated[str, Parameter(help="ONNX file, or builtin.")],
+    /,
+    *overrides: Overrides,
+    image: Annotated[Path | None, Parameter(help="Picture to find road users in.")] = None,
+    out: Annotated[Path | None, Parameter(help="PNG to draw them into; by default <picture>_boxes.png.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Tell how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
+    from warpav.runs.config import placed_config
+    from warpav.runs.detector_check import check_detector
+
+    with placed_config(config, overrides) as settings:
+        for line in check_detector(file, settings, image_file=image, out=out):
+            say(line)
+
+
+@detector_app.command(name="fit")
+def detector_fit(
+    config: Config = DEFAULT_CONFIG,
+    /,
+    *overrides: Overrides,
+    scenes: Annotated[str | None, Parameter(help="Seeds of scenes to fit, such as 500000..500049.")] = None,
+    held_out: Annotated[str | None, Parameter(help="Seeds of other scenes, to judge the fit by.")] = None,
+    out: Annotated[Path | None, Parameter(help="Folder; by default beside the model, else the user's cache.")] = None,
+    again: Annotated[bool, Parameter(help="Fit even if there is a stored fit.", negative="")] = False,
+) -> None:
+    """Fit how probably the detector finds an object, from what a view shows of it; a stored fit is used again."""
+    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.detector_fit import fit_detector
+    from warpav.runs.progress import RunDisplay
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    chosen = [
+        None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
+        for name, seeds in (("scenes", scenes), ("held-out", held_out))
+    ]
+    words = ["warpav", "detector", "fit", config, *overrides]
+    words += [word for pair in (("--scenes", scenes), ("--held-out", held_out)) if pair[1] for word in pair if word]
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
+        file = fit_detector(
+            settings,
+            words=words,
+            fit_seeds=chosen[0],
+            held_out_seeds=chosen[1],
+            out=out,
+            again=again,
+            progress=display,
+        )
+    say(f"p(detected): {file}")
+
+
+@detector_app.command(name="evaluate")
+def detector_evaluate(
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="Folder for evaluation.json and evaluation.md.")],
+    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
+    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    images: Annotated[int | None, Parameter(help="Only so many images of every size.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Measure how well the detector finds road users in held-out town scenes, direct and reconstructed."""
+    from warpav.runs.config import placed_config
+    from warpav.runs.detector_training import measure_detector
+
+    with placed_config(config, overrides) as settings:
+        measure_detector(settings, out, pictures=pictures, processes=processes, image_count=images, say=say)
+
+
+@detector_app.command(name="train")
+def detector_train(
+    *,
+    out: Annotated[Path, Parameter(help="Folder for checkpoint.pt and detector.onnx.")],
+    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
+    device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
+    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    steps: Annotated[int, Parameter(help="Length of the training.")] = 11_000,
+    batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
+    seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
+    stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command goes on.")] = float("inf"),
+) -> None:
+    """Train the shipped detector on pictures of town scenes; an interrupted training goes on where it stopped."""
+    from warpav.runs.detector_training import train_detector
+
+    train_detector(
+        out,
+        pictures=pictures,
+        device=device,
+        processes=processes,
+        steps=steps,
+        batch_size=batch_size,
+        seed=seed,
+        stop_after_minutes=stop_after_minutes,
+        say=say,
+    )

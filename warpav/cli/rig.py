@@ -1,0 +1,135 @@
+"""Commands about rigs and files of other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from warpav.cli.arguments import (
+    FileFormat,
+    FileOrigin,
+    FileTurn,
+    RigSource,
+    complain,
+    say,
+    with_flags,
+)
+
+rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; what is in a rig.")
+
+
+@rig_app.command(name="presets")
+def rig_presets() -> None:
+    """List the rigs that ship with warpav, with their sources."""
+    from warpav.rig.presets import preset_about, preset_names, preset_rig
+
+    for name in preset_names():
+        about = preset_about(name)
+        say(f"{name}: {len(preset_rig(name).cameras)} cameras. {about.title}")
+        say(f"  source: {about.source}")
+        say(f"  licence: {about.licence}")
+    say("highest: the thesis's baseline, cameras around the highest point of your vehicle's roof, as the run says")
+
+
+@rig_app.command(name="import")
+def rig_import(
+    file: Annotated[Path, Parameter(help="File or folder of another tool.")],
+    /,
+    *,
+    format_name: FileFormat,
+    out: Annotated[Path | None, Parameter(help="Rig YAML to write; by default it is printed.")] = None,
+    origin_m: FileOrigin = None,
+    origin_rpy_deg: FileTurn = (0.0, 0.0, 0.0),
+    width_px: Annotated[int | None, Parameter(help="Image width, where the file has none.")] = None,
+    height_px: Annotated[int | None, Parameter(help="Image height, where the file has none.")] = None,
+    fov_deg: Annotated[float | None, Parameter(help="Horizontal field of view, where the file has no lens.")] = None,
+    intrinsics: Annotated[Path | None, Parameter(help="camera_info YAML, or a folder of such, for the lenses.")] = None,
+    part: Annotated[str | None, Parameter(help="Which rig: scene of nuScenes, vehicle of the ros-bridge.")] = None,
+    accept_mirrored: Annotated[
+        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+    ] = False,
+    overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
+) -> None:
+    """Make a rig YAML of another tool's file, and say in which frame it was read."""
+    from warpav.rig.formats.convert import ImportOptions, check_target, import_rig_with_notes
+    from warpav.rig.rig import rig_text, write_rig
+
+    if out is not None:
+        check_target(out, overwrite=overwrite)
+    options = ImportOptions(
+        origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
+    )
+    rig, notes = import_rig_with_notes(file, format_name, options)
+    for note in notes:
+        (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else
+    if out is None:
+        say(rig_text(rig).rstrip())
+    else:
+        write_rig(rig, out)
+        say(f"wrote {out}")
+
+
+@rig_app.command(name="export")
+def rig_export(
+    rig: RigSource,
+    /,
+    *,
+    format_name: FileFormat,
+    out: Annotated[Path, Parameter(help="File or folder to write.")],
+    origin_m: FileOrigin = None,
+    origin_rpy_deg: FileTurn = (0.0, 0.0, 0.0),
+    approximate: Annotated[
+        bool, Parameter(help="Leave out what the format cannot hold, and say what.", negative="")
+    ] = False,
+    overwrite: Annotated[bool, Parameter(help="Replace files that are there.", negative="")] = False,
+) -> None:
+    """Write a rig for another tool."""
+    from warpav.rig.formats.convert import export_rig_with_notes
+    from warpav.runs.rig_source import rig_to_export
+
+    files, notes = export_rig_with_notes(
+        rig_to_export(rig),
+        format_name,
+        out,
+        origin_m=origin_m,
+        origin_rpy_deg=origin_rpy_deg,
+        approximate=approximate,
+        overwrite=overwrite,
+    )
+    for line in (*notes, *(f"wrote {file}" for file in files)):
+        say(with_flags(line))
+
+
+@rig_app.command(name="check")
+def rig_check(
+    rig: RigSource,
+    /,
+    *,
+    accept_mirrored: Annotated[
+        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+    ] = False,
+) -> int:
+    """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
+    from warpav.rig.check import description, mirrored_cameras, oddities
+    from warpav.rig.formats.convert import formats_for
+    from warpav.runs.rig_source import is_run_folder, rig_to_export
+
+    found = rig_to_export(rig)
+    for camera in found.cameras:
+        say(description(camera))
+    for text in oddities(found):
+        say(f"odd: {text}")
+    fit, unfit = formats_for(found)
+    say(f"can be exported as {', '.join(fit)}")
+    for name, reason in unfit.items():
+        say(with_flags(f"not as {name}: {reason}"))
+    mirrored = [] if accept_mirrored else list(mirrored_cameras(found.cameras))
+    if is_run_folder(rig):  # the optimiser knows no names
+        for text in mirrored:
+            say(f"odd: {text}; the run moved it there, so it needs another name")
+        return 0
+    for text in mirrored:
+        complain(f"{rig}: {text}; was it made of a left-handed file? --accept-mirrored takes it as it is")
+    return 2 if mirrored else 0

@@ -1,0 +1,110 @@
+"""Commands about runs: optimise, evaluate, render, inspect, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from warpav.cli.arguments import (
+    DEFAULT_CONFIG,
+    Config,
+    Overrides,
+    RigSource,
+    SceneSource,
+    complain,
+    say,
+)
+
+
+def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+    """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
+    from warpav.runs.config import find_config, placed_config
+    from warpav.runs.jobs import optimise_rig
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.verdict import show_verdict
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
+        _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
+        show_verdict(display.console, evaluation)
+
+
+def evaluate(
+    rig: RigSource,
+    /,
+    *overrides: Overrides,
+    json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+) -> None:
+    """Measure a rig on the test scenes."""
+    from warpav.runs.jobs import measure_rig
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.rig_source import config_for
+    from warpav.runs.verdict import show_verdict
+
+    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+        show_verdict(display.console, measure_rig(rig, settings, json_file=json, progress=display))
+
+
+def render(
+    scene: SceneSource,
+    /,
+    *overrides: Overrides,
+    rig: RigSource,
+    out: Annotated[Path, Parameter(help="Folder for the images.")],
+) -> None:
+    """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
+    from warpav.runs.rig_source import config_for
+    from warpav.runs.run_figures import render_rig
+
+    with config_for(rig, None, overrides, default=DEFAULT_CONFIG) as settings:
+        folder = render_rig(scene, rig, settings, out, overrides)
+    say(f"wrote {folder}")
+
+
+def inspect(
+    run_or_rig: RigSource,
+    /,
+    *overrides: Overrides,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            help="PNG, HTML, GIF or MP4 to write. GIF and MP4 are one turn around the vehicle; of a run, without "
+            "--show, animations of its iterations."
+        ),
+    ] = None,
+    show: Annotated[
+        Literal["rig", "coverage", "outcomes", "visibility", "sight"],
+        Parameter(
+            help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
+            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name)."
+        ),
+    ] = "rig",
+) -> None:
+    """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
+    from warpav.runs.inspect import inspect_rig
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.rig_source import config_for
+
+    if show == "sight":
+        complain("--show sight: is called --show visibility now; the old name goes in the next version")
+        show = "visibility"
+    with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+        file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)
+    if file is not None and out is None:
+        from warpav.view.opengl import display_text
+
+        say(f"no window here, as {display_text()}: wrote {file}")
+    elif file is not None:
+        say(f"wrote {file}")
+
+
+def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
+    """Write the HTML report of a run again."""
+    from warpav.runs.report.report import write_report
+    from warpav.runs.run_folder import RunFolder
+
+    say(f"wrote {write_report(RunFolder.open(run))}")

@@ -1,0 +1,66 @@
+"""Commands about the user's own vehicle."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from warpav.cli.arguments import (
+    DEFAULT_CONFIG,
+    Config,
+    FileAxis,
+    Overrides,
+    complain,
+    say,
+    with_flags,
+)
+
+vehicle_app = App(name="vehicle", help="Your own vehicle.")
+
+
+@vehicle_app.command(name="check")
+def vehicle_check(
+    file: Annotated[Path, Parameter(help="Mesh of the vehicle: GLB, glTF, OBJ, PLY or STL.")],
+    /,
+    *overrides: Overrides,
+    up: Annotated[
+        FileAxis | None,
+        Parameter(help="The file's axis that points up; by default glTF's y, else z.", allow_leading_hyphen=True),
+    ] = None,
+    forward: Annotated[
+        FileAxis | None,
+        Parameter(help="The file's axis that points to the front; by default x.", allow_leading_hyphen=True),
+    ] = None,
+    scale: Annotated[float | None, Parameter(help="Metres for each unit of the file, 0.01 for centimetres.")] = None,
+    rear_axle: Annotated[
+        float | None, Parameter(help="Metres from the vehicle's rear end to its rear axle; by default its wheels tell.")
+    ] = None,
+    out: Annotated[Path | None, Parameter(help="GLB to write it to, mended, for scenes.ego.")] = None,
+    picture: Annotated[Path | None, Parameter(help="PNG to draw it into, with the places for cameras.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> int:
+    """Tell whether a vehicle can carry the cameras: units, axes, ground, origin, faces, places for cameras.
+
+    Status 0: scenes.ego takes it as it is, or what --out wrote; 2: something has to be mended, and how.
+    """
+    from warpav.runs.config import placed_config
+    from warpav.runs.vehicle_check import check_vehicle
+
+    with placed_config(config, overrides) as settings:
+        report = check_vehicle(
+            file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, picture=picture
+        )
+    for line in report.lines:
+        say(with_flags(line))
+    for problem in report.problems:
+        complain(with_flags(problem))
+    if report.fix is None:
+        return 2 if report.problems else 0
+    target = out or file.with_name(f"{file.stem}_ego.glb")
+    words = [word for name, value in report.fix.items() for word in (f"--{name.replace('_', '-')}", value)]
+    command = shlex.join(["warpav", "vehicle", "check", str(file), *words, "--out", str(target)])
+    complain(f"{file}: to fix it: {command}")
+    return 2

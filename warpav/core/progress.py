@@ -1,0 +1,68 @@
+"""What a long job reports while it runs: the protocol, and the one that shows nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol, TypeVar
+
+Item = TypeVar("Item")
+Record = TypeVar("Record")
+
+
+class Progress(Protocol):
+    """Receives what a long job reports.
+
+    `steps` and `iterations` wrap what a job loops over: they pass every item on unchanged and in order.
+    """
+
+    def say(self, text: str) -> None:
+        """A line worth reading: a file that was written, a surprise."""
+        ...
+
+    def show(self, content: Any) -> None:  # noqa: ANN401 (whatever rich prints)
+        """A table or text of rich, the result of a job whose result is a table."""
+        ...
+
+    def stage(self, description: str) -> None:
+        """Something without countable steps begins."""
+        ...
+
+    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+        """Something of ``count`` steps begins; one item for each."""
+        ...
+
+    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+        """An optimisation of at most ``count`` iterations begins.
+
+        Args:
+            records: `warpav.optimisation.history.IterationRecord`, one after each iteration.
+            count: Iterations planned.
+            min_spacing_m: Least distance allowed between two cameras [m], to be shown beside the actual one.
+        """
+        ...
+
+
+class NullProgress:
+    """Shows nothing."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+        del text
+
+    def show(self, content: Any) -> None:  # noqa: ANN401
+        """Nothing."""
+        del content
+
+    def stage(self, description: str) -> None:
+        """Nothing."""
+        del description
+
+    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+        """Pass the items on."""
+        del description, count
+        yield from items
+
+    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+        """Pass the records on."""
+        del count, min_spacing_m
+        yield from records

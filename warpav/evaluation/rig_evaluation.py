@@ -1,0 +1,230 @@
+"""Rigs side by side on the same scenes: their metrics, what becomes of every object, and how sure differences are."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpav.core.errors import ArgumentError
+from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics, ObjectOutcome
+from warpav.evaluation.statistics import Difference, paired_difference, paired_differences
+from warpav.rig.rig import Rig
+
+if TYPE_CHECKING:
+    import pandas
+
+TABLE_ROWS = {
+    "rig_recall": "recall of the rig",
+    "rig_recall_visible": "recall of the visible",
+    "visible_rate": "visible to the rig",
+    "tp_in_frame_rate": "in frame",
+    "ap50_pooled": "AP50, all images",
+    "ap50_95_pooled": "AP50:95, all images",
+    "false_alarms_per_frame": "false alarms a frame",
+    "detection_confidence": "confidence",
+    "objective": "objective",
+    "constraint_violation": "violation [m]",
+    "min_camera_distance_m": "closest cameras [m]",
+}
+"""Metrics that a table shows, and their headings."""
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """An object of a scene before several rigs.
+
+    Attributes:
+        scene: Name of the scene.
+        category: What it is.
+        distance_m: From the middle of the ego vehicle to the middle of its box, seen from above [m].
+        bearing_deg: Direction in which it is, left positive [deg].
+        outcome: What becomes of it, by rig.
+        seen_by: Names of the cameras that see enough of it for a ground-truth box, by rig.
+        detected_by: Names of the cameras in whose images the detector finds it, by rig.
+    """
+
+    scene: str
+    category: str
+    distance_m: float
+    bearing_deg: float
+    outcome: dict[str, ObjectOutcome]
+    seen_by: dict[str, tuple[str, ...]]
+    detected_by: dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that prints as text and shows itself in a notebook.
+
+    Attributes:
+        columns: Headings; the first is that of the rows.
+        rows: Their cells.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        every = [self.columns, *self.rows]
+        widths = [max(len(row[k]) for row in every) for k in range(len(self.columns))]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if k == 0 else cell.rjust(width)
+                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in every
+        ]
+        return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{html.escape(name)}</th>" for name in self.columns)
+        body = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(row[0])}</th>"
+            + "".join(f"<td style='text-align:right'>{html.escape(cell)}</td>" for cell in row[1:])
+            + "</tr>"
+            for row in self.rows
+        )
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+@dataclass(frozen=True, eq=False)
+class RigEvaluation:
+    """What rigs achieve on the same scenes.
+
+    Attributes:
+        rigs: The rigs by name.
+        metrics: Their metrics by name.
+        scenes: Names of the scenes.
+        objects: Every object of the scenes, and what becomes of it.
+    """
+
+    rigs: dict[str, Rig]
+    metrics: dict[str, ArmMetrics]
+    scenes: tuple[str, ...]
+    objects: tuple[SeenObject, ...]
+
+    @property
+    def recall(self) -> dict[str, float | None]:
+        """Share of all objects that some camera detects, by rig; None where there is no object."""
+        return {name: metrics.rig_recall for name, metrics in self.metrics.items()}
+
+    def difference(self, one: str, other: str, metric: str = "rig_recall") -> Difference:
+        """How a rig differs from another on the same scenes, one - other, with a 95 % interval.
+
+        The scenes are resampled, together for both rigs, so the interval speaks of other scenes like these.
+
+        Args:
+            one: Name of a rig.
+            other: Name of another.
+            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`.
+
+        Raises:
+            InputError: There is no rig or metric of a name.
+        """
+        for argument, name in (("one", one), ("other", other)):
+            if name not in self.metrics:
+                raise ArgumentError(argument, f"expected one of {', '.join(self.metrics)}, got {name!r}")
+        if metric not in PAIRED_METRICS:
+            raise ArgumentError("metric", f"expected one of {', '.join(PAIRED_METRICS)}, got {metric!r}")
+        return paired_difference(self.metrics[one].per_scene[metric], self.metrics[other].per_scene[metric])
+
+    def table(self) -> Table:
+        """Metrics by rig: text when printed, HTML in a notebook."""
+        rows = [
+            (heading, *(_cell(getattr(metrics, field)) for metrics in self.metrics.values()))
+            for field, heading in TABLE_ROWS.items()
+        ]
+        return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows))
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The metrics as a table of pandas: one row a rig, one column a metric.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
+        skipped = ("recall_by", "per_scene")
+        rows = {
+            name: {field: value for field, value in asdict(metrics).items() if field not in skipped}
+            for name, metrics in self.metrics.items()
+        }
+        return pandas.DataFrame.from_dict(rows, orient="index")
+
+    def to_json(self) -> dict[str, Any]:
+        """Metrics and paired differences as ``evaluation.json`` has them; the first rig is compared with the others."""
+        first, *others = self.metrics
+        return {
+            "scenes": {"test": len(self.scenes)},
+            "arms": {name: asdict(metrics) for name, metrics in self.metrics.items()},
+            "paired": {name: paired_differences(self.metrics[first], self.metrics[name]) for name in others},
+        }
+
+    def outcomes(self) -> list[dict[str, Any]]:
+        """The objects as ``evaluation.json`` has them."""
+        return [
+            {
+                "scene": seen.scene,
+                "category": seen.category,
+                "distance_m": round(seen.distance_m, 3),
+                "bearing_deg": round(seen.bearing_deg, 2),
+                "outcome": dict(seen.outcome),
+            }
+            for seen in self.objects
+        ]
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name} {_cell(recall)}" for name, recall in self.recall.items())
+        return f"RigEvaluation({len(self.scenes)} scenes, {len(self.objects)} objects; recall: {found})"
+
+    def _repr_html_(self) -> str:
+        return self.table()._repr_html_()
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
+
+
+def seen_objects(
+    observations: Mapping[str, Any], scenes: Sequence[Any], rigs: Mapping[str, Rig]
+) -> tuple[SeenObject, ...]:
+    """Every object of scenes before several rigs.
+
+    Args:
+        observations: `warpav.evaluation.metrics.SceneObservations` by rig.
+        scenes: The scenes on the device.
+        rigs: The rigs.
+    """
+    objects = []
+    for number, scene in enumerate(scenes):
+        cameras = {name: each.observations[number].cameras for name, each in observations.items()}
+        outcomes = {name: each.observations[number].outcomes for name, each in observations.items()}
+        for k in range(scene.vehicle_count):
+            forward_m, left_m = scene.from_ego_m[k]
+            objects.append(
+                SeenObject(
+                    scene.name,
+                    scene.category[k],
+                    math.hypot(forward_m, left_m),
+                    math.degrees(math.atan2(left_m, forward_m)),
+                    {name: each[k] for name, each in outcomes.items()},
+                    {
+                        name: _names(rigs[name], [math.isfinite(each.truth_box_px[k, 0]) for each in cameras[name]])
+                        for name in rigs
+                    },
+                    {name: _names(rigs[name], [each.match[k] >= 0 for each in cameras[name]]) for name in rigs},
+                )
+            )
+    return tuple(objects)
+
+
+def _names(rig: Rig, flags: Sequence[bool]) -> tuple[str, ...]:
+    return tuple(camera.name for camera, flag in zip(rig.cameras, flags, strict=True) if flag)

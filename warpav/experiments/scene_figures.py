@@ -1,0 +1,132 @@
+"""The thesis's figures of traffic scenes, 4 to 9 and 14 to 16: finds or records what `warpav.view.figures` draws."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.warp_setup import load_warp
+from warpav.scene.capture.capture import Capture
+from warpav.scene.capture.folder import read_capture
+from warpav.scene.capture.plan import PlanSettings, record
+from warpav.scene.capture.town_simulator import TownSimulator
+from warpav.scene.glb import read_scene
+from warpav.scene.scene import Box
+from warpav.scene.store import scene_path, split_seeds
+from warpav.view.figures.clouds import sphere, stages, window_filter
+from warpav.view.figures.images import contact_sheet, image_types
+from warpav.view.figures.mount_surface import mount_surface_stages
+from warpav.view.figures.occupancy import heat_maps
+from warpav.view.figures.style import checked_png
+
+CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
+"""Figures of one capture, by their numbers in the thesis."""
+COLLECTION_NUMBER = 8
+"""The figure of a collection of scenes."""
+RIG_NUMBERS = (10, 11, 12)
+"""The figures of rigs, which `warpav.experiments.method_figures` draws."""
+
+
+def draw_figure(
+    number: int,
+    path: Path | str,
+    *,
+    seed: int | None = None,
+    capture: Path | None = None,
+    scenes: Path | None = None,
+) -> Path:
+    """Draw a figure by its number in the thesis.
+
+    Args:
+        number: 4 to 9, or 14 to 16.
+        path: PNG file to write.
+        seed: Situation of the embedded town to record for it; 3 when there is no capture either.
+        capture: Instead, a capture.
+        scenes: For figure 8: the folder of scenes to count.
+
+    Raises:
+        InputError: Another number, inputs that do not go with it, or inputs that cannot be used.
+    """
+    path = checked_png(path)
+    if number == COLLECTION_NUMBER:
+        if scenes is None or seed is not None or capture is not None:
+            raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
+        return scene_store_heat_maps(scenes, path)
+    if number not in CAPTURE_NUMBERS:
+        known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER, *RIG_NUMBERS))))
+        raise InputError(f"figure: expected one of {known}, got {number}")
+    if scenes is not None:
+        raise InputError(f"figure {number}: expected seed or capture, got scenes; that goes with figure 8")
+    if seed is not None and capture is not None:
+        raise InputError(f"figure {number}: expected either seed or capture, got both")
+    load_warp()
+    recorded = read_capture(capture) if capture is not None else recorded_town(3 if seed is None else seed)
+    match number:
+        case 4:
+            return image_types(recorded, path)
+        case 5:
+            return stages(recorded, path)
+        case 6:
+            return sphere(recorded, path)
+        case 7:
+            return window_filter(recorded, path)
+        case 9:
+            return mount_surface_stages(recorded, path)
+        case _:
+            return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
+
+
+def recorded_town(seed: int) -> Capture:
+    """A situation of the embedded town, recorded into memory.
+
+    Raises:
+        InputError: The seed is negative.
+    """
+    if seed < 0:
+        raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
+    with TownSimulator() as simulator:
+        return record(simulator, seed, PlanSettings())
+
+
+def scene_store_heat_maps(
+    folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
+) -> Path:
+    """Figure 8 for a folder of scenes: all of them, those for training, those for testing.
+
+    Args:
+        folder: Holds ``scene_<seed>.glb`` files.
+        path: PNG file to write.
+        train: Seeds for training; None: the first 60 %.
+        test: Seeds for testing; None: the last 20 %.
+
+    Raises:
+        InputError: The folder or a scene is missing, or there are too few scenes to split them.
+    """
+    path = checked_png(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
+    found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}
+    if not found:
+        raise InputError(f"{folder}: expected files scene_SEED.glb, got none; warpav scenes make writes them")
+    split = split_seeds(sorted(found))
+    parts = {"all": sorted(found), "train": train or split["train"], "test": test or split["test"]}
+    for name, seeds in parts.items():
+        missing = sorted(set(seeds) - found)
+        if missing:
+            raise ArgumentError(name, "expected this scene, got no such file", place=scene_path(folder, missing[0]))
+        if not seeds:
+            raise InputError(f"{folder}: expected at least 3 scenes to split, got {len(found)}; name seeds of {name}")
+    boxes: dict[int, list[Box]] = {}
+    ego_box = None
+    for seed in parts["all"]:
+        scene = read_scene(scene_path(folder, seed))
+        boxes[seed] = [vehicle.box for vehicle in scene.vehicles]
+        if ego_box is None:
+            low, high = scene.ego.bounds_m().astype(np.float64)
+            ego_box = Box(0.5 * (low + high), high - low, 0.0)
+    assert ego_box is not None
+    return heat_maps({name: [boxes[seed] for seed in seeds] for name, seeds in parts.items()}, path, ego_box=ego_box)

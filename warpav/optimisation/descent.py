@@ -1,0 +1,291 @@
+"""Gradient descent on the cameras and gradient ascent on the multipliers (thesis section III.C)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.optimisation.adamw import AdamW, MultiplierAscent
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.history import Candidate, History, IterationRecord, lowest
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import Evaluation, RigObjective
+from warpav.optimisation.schedule import Schedule
+from warpav.optimisation.segregation import BatchChooser, ShuffledBatches
+from warpav.optimisation.settings import OptimiserSettings
+from warpav.optimisation.starts import exchange_cameras
+
+
+@dataclass
+class Descent:
+    """A run of the optimiser; call `step` until you have enough, then `finish`.
+
+    With further starts the run is divided among as many more descents, one after the other, each with steps,
+    multipliers and schedule as if it were alone.
+
+    Attributes:
+        objective: What is minimised.
+        scenes: The training scenes with their assigned cameras.
+        settings: How to step.
+        start: Mount poses to start from, float [camera, 7].
+        rng: Chooses the batches.
+        iterations: Number of steps, at least 1.
+        batch_size: Scenes per step, at least 1.
+        validation: Scenes on which rigs are compared; None: the training scenes.
+        further_starts: Where to begin again, each as ``start``; ``settings.descents`` - 1 of them.
+        history: Rigs that were evaluated on all validation scenes.
+        iteration: Steps so far.
+        descent: The descent that is going on, from 0.
+    """
+
+    objective: RigObjective
+    scenes: Sequence[AssignedScene]
+    settings: OptimiserSettings
+    start: np.ndarray
+    rng: np.random.Generator
+    iterations: int = 100
+    batch_size: int = 4
+    validation: Sequence[AssignedScene] | None = None
+    further_starts: Sequence[np.ndarray] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.further_starts) != self.settings.descents - 1:
+            raise ValueError(
+                f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
+            )
+        self.history = History()
+        self.iteration = 0
+        self.descent = 0
+        self._mount: CameraMount = self.objective.mount
+        self._begin(self.start)
+        chooser = BatchChooser if self.objective.needs_panorama else ShuffledBatches
+        self._batches = chooser(self.scenes, len(self.start), self.rng)
+        self._rate = self._rates()
+        are_inequalities = self.objective.constraints.are_inequalities
+        self._multiplier_rate = self.settings.multiplier_step(are_inequalities=are_inequalities)
+
+    def _rates(self) -> np.ndarray:
+        """First step of every number, float32 [camera, 7]; 0 for what does not move."""
+        rate = np.zeros_like(self.start, dtype=np.float32)
+        rate[:, [X_M, Y_M]] = self.settings.learning_rate_position_m
+        rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
+        # the others stay where they are: the thesis moves cameras in the plane and turns them about the vertical
+        rate[:, PITCH_RAD] = self.settings.learning_rate_pitch_rad
+        rate[:, HEIGHT_DELTA_M] = self.settings.learning_rate_height_m
+        rate[:, LOG_ZOOM] = self.settings.learning_rate_zoom
+        is_moved = self._mount.is_free.copy()
+        is_moved[[X_M, Y_M, YAW_RAD]] = True
+        rate *= is_moved
+        if self._mount.frozen is not None:
+            rate[self._mount.frozen.is_frozen] = 0.0
+        return rate
+
+    def _begin(self, start: np.ndarray) -> None:
+        """Begin a descent with its share of the steps that are left."""
+        constraints = self.objective.constraints
+        self._begun_at = self.iteration
+        left = self.settings.descents - self.descent
+        self._schedule = Schedule(self.settings, round((self.iterations - self.iteration) / left))
+        self._pose = AdamW(self._mount.within(start), weight_decay=self.settings.weight_decay)
+        multiplier = np.zeros(len(constraints.names), np.float32)
+        self._multiplier: AdamW | MultiplierAscent = (
+            MultiplierAscent(multiplier)
+            if constraints.are_inequalities
+            else AdamW(multiplier, weight_decay=self.settings.multiplier_weight_decay)
+        )
+
+    @property
+    def mount_pose(self) -> np.ndarray:
+        """Mount poses now, float32 [camera, 7]; they may break the constraints."""
+        return self._pose.value
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Rigs that were evaluated on all validation scenes, in order."""
+        return self.history.candidates
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the lowest training objective."""
+        return self.history.best
+
+    @property
+    def verdict(self) -> str | None:
+        """Why there is no use in going on, in words; None while there is."""
+        if self.descent < len(self.further_starts) or not self._out_of_patience:
+            return None
+        best, count = lowest(self.history.of_descent(self.descent)), self.history.stale_evaluations(self.descent)
+        return f"no better rig in {count} evaluations on the validation scenes since iteration {best.iteration}"
+
+    def step(self) -> IterationRecord:
+        """One batch, one step of the cameras, one of the multipliers; where a descent is over, the first of the next.
+
+        Raises:
+            InputError: The loss is no longer finite.
+        """
+        if self.descent < len(self.further_starts) and (
+            self._steps >= self._schedule.step_count or self._out_of_patience
+        ):
+            self._check(self.mount_pose)
+            self.descent += 1
+            self._begin(self.further_starts[self.descent - 1])
+        checked = self._check(self.mount_pose) if self._schedule.is_time_to_check(self._steps) else None
+        pose, multiplier = self._pose.value, self._multiplier.value
+        result = self.objective.evaluate(
+            pose,
+            [self.scenes[k] for k in self._batches.choose(self.batch_size)],
+            multiplier=multiplier,
+            gradient=True,
+            schedule=self._schedule.losses(self._steps, self.objective.final_schedule),
+        )
+        gradient, multiplier_gradient = result.gradient, result.multiplier_gradient
+        assert gradient is not None
+        assert multiplier_gradient is not None
+        if not (math.isfinite(result.total) and np.isfinite(gradient).all()):
+            raise InputError(
+                f"iteration {self.iteration}: expected a finite loss and gradient, got {result.total:g}; "
+                "lower optimiser.learning_rate_position_m and optimiser.learning_rate_yaw_deg"
+            )
+        record = self._record(pose, multiplier, gradient, result, checked)
+        self._pose.step(gradient, self._rate * self._schedule.step_share(self._steps))
+        if self._mount.is_free.any():
+            self._pose.value = self._mount.within(self._pose.value)
+        self._multiplier.step(multiplier_gradient, np.full(len(multiplier), -self._multiplier_rate))
+        self.iteration += 1
+        return record
+
+    def finish(self) -> Candidate:
+        """The rig to hand over: the best or the last, always within the constraints.
+
+        After several descents one more rig is evaluated, made of the best cameras of what they found.
+        """
+        if not self.candidates or self.candidates[-1].iteration != self.iteration:
+            self._check(self.mount_pose)
+            if self.further_starts:
+                self._check_mixture()
+        return self.best if self.settings.keep == "best" else self.candidates[-1]
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that `restore` needs, as arrays of numbers and text."""
+        return {
+            "iteration": np.array(self.iteration),
+            "descent": np.array(self.descent),
+            "begun_at": np.array(self._begun_at),
+            "step_count": np.array(self._schedule.step_count),
+            "random_numbers": np.array(json.dumps(self.rng.bit_generator.state)),
+            "waiting_scenes": np.array(self._batches.waiting, np.int64),
+            **{f"pose_{name}": value for name, value in self._pose.state().items()},
+            **{f"multiplier_{name}": value for name, value in self._multiplier.state().items()},
+            **{f"candidate_{name}": value for name, value in self.history.state().items()},
+        }
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from where another descent of the same arguments was when it gave `state`.
+
+        Raises:
+            InputError: The state is of other cameras, of another optimiser, or not whole.
+        """
+
+        def part(name: str) -> dict[str, np.ndarray]:
+            return {key.removeprefix(f"{name}_"): value for key, value in state.items() if key.startswith(f"{name}_")}
+
+        found, expected = set(state), set(self.state())
+        shape = np.shape(state.get("pose_value", ()))
+        if not expected <= found or shape != self.start.shape:
+            missing = sorted(expected - found)
+            what = f"no {missing[0]}" if missing else f"{' x '.join(map(str, shape))} numbers"
+            raise InputError(f"checkpoint: expected the state of a run of {len(self.start)} cameras, got {what}")
+        self.iteration, self.descent = int(state["iteration"]), int(state["descent"])
+        self._begun_at = int(state["begun_at"])
+        self._schedule = Schedule(self.settings, int(state["step_count"]))
+        self.rng.bit_generator.state = json.loads(str(state["random_numbers"]))
+        self._batches.waiting = [int(k) for k in state["waiting_scenes"]]
+        self._pose.restore(part("pose"))
+        self._multiplier.restore(part("multiplier"))
+        self.history.restore(part("candidate"))
+
+    @property
+    def _steps(self) -> int:
+        """Steps of this descent so far."""
+        return self.iteration - self._begun_at
+
+    @property
+    def _out_of_patience(self) -> bool:
+        """Whether this descent has been evaluated often enough without a better rig."""
+        patience = self.settings.patience
+        return patience is not None and self._steps > 0 and self.history.stale_evaluations(self.descent) >= patience
+
+    def _check(self, mount_pose: np.ndarray) -> Candidate:
+        """Evaluate the feasible poses nearest to these on all validation scenes."""
+        pose = mount_pose
+        pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
+        scenes, is_mixed = self.validation or self.scenes, bool(self.further_starts)
+        found = self.objective.evaluate(pose, scenes, detection_probability=is_mixed)
+        candidate = Candidate(pose, found.objective, self.iteration, self.descent, found.detection_probability)
+        self.candidates.append(candidate)
+        return candidate
+
+    def _check_mixture(self) -> None:
+        """Exchange cameras of the best rig for those of the best rigs of the descents."""
+        best = [lowest(self.history.of_descent(k)) for k in range(self.descent + 1)]
+        probability = [each.detection_probability for each in best if each.detection_probability is not None]
+        if len(probability) < len(best):
+            return
+        count = len(self.start)
+        first = best.index(lowest(best)) * count + np.arange(count)
+        frozen = self._mount.frozen
+        chosen = exchange_cameras(
+            np.concatenate(probability), first, is_frozen=None if frozen is None else frozen.is_frozen
+        )
+        self._check(np.concatenate([each.mount_pose for each in best])[chosen])
+
+    def _record(
+        self,
+        pose: np.ndarray,
+        multiplier: np.ndarray,
+        gradient: np.ndarray,
+        result: Evaluation,
+        checked: Candidate | None,
+    ) -> IterationRecord:
+        rig = self._mount.rig(pose)
+        position_m = np.array([camera.position_m for camera in rig.cameras])
+        distance_m = min_camera_distance_m(position_m)
+        is_free = self._mount.is_free
+        moving = np.where(self._rate > 0.0, gradient, 0.0)
+        free: dict[str, np.ndarray] = {}
+        norm = {
+            "position": gradient[:, [X_M, Y_M, *([HEIGHT_DELTA_M] if is_free[HEIGHT_DELTA_M] else [])]],
+            "rotation": gradient[:, [YAW_RAD, *([PITCH_RAD] if is_free[PITCH_RAD] else [])]],
+        }
+        if is_free[PITCH_RAD]:
+            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD])
+        if is_free[HEIGHT_DELTA_M]:
+            free["height_m"] = pose[:, HEIGHT_DELTA_M].astype(np.float64) + self._mount.height_offset_m
+        if is_free[LOG_ZOOM]:
+            free["fov_deg"] = np.degrees([camera.model.fov_rad for camera in rig.cameras])
+            norm["zoom"] = gradient[:, LOG_ZOOM]
+        return IterationRecord(
+            iteration=self.iteration,
+            descent=self.descent,
+            loss=result.total,
+            terms=result.terms,
+            multipliers=dict(zip(self.objective.constraints.names, multiplier.tolist(), strict=True)),
+            gradient_norm={name: float(np.linalg.norm(part)) for name, part in norm.items()},
+            positions_m=position_m.tolist(),
+            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
+            seconds=result.seconds,
+            min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
+            training_objective=checked.training_objective if checked else None,
+            best_training_objective=self.best.training_objective if self.candidates else None,
+            gradient={
+                "position_per_m": moving[:, [X_M, Y_M]].tolist(),
+                "yaw_per_rad": moving[:, YAW_RAD].tolist(),
+            },
+            free={name: numbers.tolist() for name, numbers in free.items()},
+        )

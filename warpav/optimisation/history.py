@@ -1,0 +1,119 @@
+"""What a run of the optimiser did, step by step, and the rigs that it evaluated on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class IterationRecord:
+    """What one step did; every field goes into ``events.jsonl`` as it is.
+
+    Attributes:
+        iteration: From 0.
+        loss: The Lagrangian on the batch, at the poses before the step.
+        terms: Every loss by name, unscaled.
+        multipliers: Every Lagrange multiplier by name.
+        gradient_norm: L2 norm of the gradient to all positions and to all angles; where it is free, to all zooms.
+        positions_m: Camera centres in the ego frame before the step [m], [camera][3].
+        yaw_deg: Yaw before the step [deg], [camera].
+        seconds: Wall time: render, detect, backward, total [s].
+        min_camera_distance_m: Smallest distance between two cameras [m].
+        training_objective: Objective of the feasible poses on all validation scenes, None where they were not checked.
+        best_training_objective: The lowest of them so far, None before the first check.
+        gradient: Of the loss to what the step moves: ``position_per_m`` to x and y on the surface, [camera][2], and
+            ``yaw_per_rad``, [camera]; 0 for frozen cameras.
+        free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
+        descent: From 0, of those that the run has one after the other.
+    """
+
+    iteration: int
+    loss: float
+    terms: dict[str, float]
+    multipliers: dict[str, float]
+    gradient_norm: dict[str, float]
+    positions_m: list[list[float]]
+    yaw_deg: list[float]
+    seconds: dict[str, float]
+    min_camera_distance_m: float | None
+    training_objective: float | None
+    best_training_objective: float | None
+    gradient: dict[str, list[Any]] = field(default_factory=dict)
+    free: dict[str, list[float]] = field(default_factory=dict)
+    descent: int = 0
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A rig that satisfies the constraints, and its objective on all validation scenes.
+
+    Attributes:
+        mount_pose: Mount poses, float32 [camera, 7].
+        training_objective: Its objective on all validation scenes.
+        iteration: Steps before it.
+        descent: The descent that it belongs to, from 0.
+        detection_probability: As in `Evaluation`; None where it was not asked for.
+    """
+
+    mount_pose: np.ndarray
+    training_objective: float
+    iteration: int
+    descent: int
+    detection_probability: np.ndarray | None = None
+
+
+def lowest(candidates: Sequence[Candidate]) -> Candidate:
+    """The one with the lowest objective, of equal ones the first."""
+    return min(candidates, key=lambda candidate: candidate.training_objective)
+
+
+class History:
+    """The rigs of a run that were evaluated on all validation scenes.
+
+    Attributes:
+        candidates: They, in order.
+    """
+
+    def __init__(self) -> None:
+        """None yet."""
+        self.candidates: list[Candidate] = []
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the lowest objective."""
+        return lowest(self.candidates)
+
+    def of_descent(self, descent: int) -> list[Candidate]:
+        """The candidates of one descent."""
+        return [each for each in self.candidates if each.descent == descent]
+
+    def stale_evaluations(self, descent: int) -> int:
+        """Evaluations of a descent since its best rig."""
+        own = self.of_descent(descent)
+        return len(own) - 1 - own.index(lowest(own))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that `restore` needs."""
+        fields = ("mount_pose", "training_objective", "iteration", "descent")
+        state = {name: np.array([getattr(each, name) for each in self.candidates]) for name in fields}
+        if any(each.detection_probability is not None for each in self.candidates):
+            state["detection_probability"] = np.array([each.detection_probability for each in self.candidates])
+        return state
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take up the candidates of a state."""
+        probability = state.get("detection_probability")
+        self.candidates = [
+            Candidate(
+                np.array(pose, np.float32),
+                float(state["training_objective"][k]),
+                int(state["iteration"][k]),
+                int(state["descent"][k]),
+                None if probability is None else np.array(probability[k]),
+            )
+            for k, pose in enumerate(state["mount_pose"])
+        ]

@@ -1,0 +1,125 @@
+"""What a loss is: what it needs, and how it is computed for one scene."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+if TYPE_CHECKING:
+    from warpav.optimisation.losses.scene_on_tape import SceneOnTape
+    from warpav.scene.device_scene import DeviceScene
+
+
+@dataclass(frozen=True)
+class LossSchedule:
+    """How losses change over an optimisation: the shares at one point of it.
+
+    Attributes:
+        panorama_share: How much of a camera's probability is what it would find if it turned to the object, weighted
+            by the object's share in the soft window of its field of view, in [0, 1]; 0 takes its image alone.
+        detector_share: How much of it is what the detector really found, in [0, 1).
+    """
+
+    panorama_share: float = 0.0
+    detector_share: float = 0.0
+
+
+class Detections(IntEnum):
+    """Whose images a loss sends to the detector."""
+
+    NONE = 0
+    ASSIGNED = 1  # those that show an object to the camera that it is assigned to
+    ALL = 2  # those that show any object
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What has to be there for a loss.
+
+    Attributes:
+        panorama: All rotational additions of every camera; without, each has only the view ahead.
+        detections: Detections in the images ahead.
+        true_boxes: The true visible boxes of the objects ahead.
+        detection_probability: The model of detection probability.
+        unblocked_area: What the ego vehicle leaves free of every vehicle.
+        one_field: One field of view for all cameras.
+    """
+
+    panorama: bool = False
+    detections: Detections = Detections.NONE
+    true_boxes: bool = False
+    detection_probability: bool = False
+    unblocked_area: bool = False
+    one_field: bool = False
+
+    def __or__(self, other: Needs) -> Needs:
+        """What has to be there for both."""
+        return Needs(
+            self.panorama or other.panorama,
+            max(self.detections, other.detections),
+            self.true_boxes or other.true_boxes,
+            self.detection_probability or other.detection_probability,
+            self.unblocked_area or other.unblocked_area,
+            self.one_field or other.one_field,
+        )
+
+
+class Loss(ABC):
+    """A number that says how badly a rig does on a scene; a batch's is the sum over its scenes over the sum of `count`.
+
+    Derive from `DeviceLoss` or `HostLoss`.
+
+    Attributes:
+        name: Under this name it is reported.
+        detector_share: How much of it is what the detector really found, at the end of an optimisation, in [0, 1).
+    """
+
+    name: str
+    detector_share: float = 0.0
+
+    @abstractmethod
+    def needs(self, schedule: LossSchedule) -> Needs:
+        """What has to be there at a point of the optimisation."""
+
+    def count(self, scene: DeviceScene) -> int:
+        """How many things of a scene the batch's mean is over: the scene itself, unless said otherwise."""
+        del scene
+        return 1
+
+
+class DeviceLoss(Loss):
+    """A loss that kernels compute, so that it can be part of a CUDA graph."""
+
+    @abstractmethod
+    def on_tape(self, scene: SceneOnTape) -> wp.array:
+        """The loss of a scene, recorded on the active tape.
+
+        It only launches kernels: it neither reads arrays on the host nor depends on numbers that change.
+
+        Returns:
+            float [1] with a gradient.
+        """
+
+
+class HostLoss(Loss):
+    """A loss that is computed on the host, from arrays on the tape; where one takes part, no CUDA graph is recorded."""
+
+    @abstractmethod
+    def on_host(
+        self, scene: SceneOnTape, weight: float | None, tape: wp.Tape | None
+    ) -> tuple[float, Mapping[wp.array, wp.array]]:
+        """The loss of a scene.
+
+        Args:
+            scene: The scene, on the active tape.
+            weight: Of the loss in the gradient; None: no gradient is wanted.
+            tape: The active tape; None: there is none.
+
+        Returns:
+            The loss, and ``weight`` times its gradient to arrays on the tape; empty without a weight.
+        """

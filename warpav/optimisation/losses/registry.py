@@ -1,0 +1,44 @@
+"""The losses that a configuration can name. Loading it loads no loss, so that configurations are read without Warp."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Registered(NamedTuple):
+    """A loss that has a name.
+
+    Attributes:
+        where: Its class, as ``module:class`` below this package.
+        description: What its weight weighs, for the configuration.
+        one_field: Whether it takes one field of view for all cameras.
+    """
+
+    where: str
+    description: str
+    one_field: bool = False
+
+
+LOSSES = {
+    "expected_miss_rate": Registered(
+        "expected_miss_rate:ExpectedMissRate", "the share of road users that no camera is expected to detect"
+    ),
+    "in_frame_rotation": Registered("in_frame_rotation:InFrameRotation", "the in-frame rotation loss", one_field=True),
+    "detected_area": Registered("detected_area:DetectedArea", "the detected object area loss", one_field=True),
+    "surface_blockage": Registered(
+        "surface_blockage:SurfaceBlockage", "the surface blockage loss: what the ego vehicle hides", one_field=True
+    ),
+    "object_visibility": Registered(
+        "detected_area:ObjectVisibility",
+        "the object visibility loss: detected_area without a detector",
+        one_field=True,
+    ),
+    "angular_coverage": Registered(
+        "angular_coverage:AngularCoverage", "the angular coverage loss: directions in no camera's view", one_field=True
+    ),
+    "detector_gradient": Registered(
+        "detector_gradient:DetectorGradient",
+        "the detection network's own loss, differentiated through it; needs warpav[torch]",
+    ),
+}
+"""By name, in the order in which they are added up."""

@@ -1,0 +1,195 @@
+"""A rendered scene as functions of the views' poses: what losses are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.optimisation.mount import CameraMount, PlacedViews
+from warpav.optimisation.settings import LossSettings
+from warpav.raster.areas import Measures
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene
+from warpav_kernels.placement import expected_misses, placement_losses
+
+
+@dataclass(frozen=True)
+class CameraProbability:
+    """How likely each camera is to detect an object: the model of its image, blended with that of its panorama.
+
+    Attributes:
+        model: Detection probability in a view.
+        probability: ``fitted`` takes the model; ``visible_share`` of an object's whole box, or its ``in_frame_share``,
+            to which hiding does not matter, stand in for it.
+        window_softness_rad: Of the fields of view over the panorama [rad], positive.
+    """
+
+    model: DetectionProbability
+    probability: str = "fitted"
+    window_softness_rad: float = np.radians(10.0)
+
+    @classmethod
+    def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
+        """With the parameters of a configuration; None without a model."""
+        return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneOnTape:
+    """A scene that was rendered from some views. What is asked for is recorded on the active tape, once.
+
+    Attributes:
+        mount: Knows the rotational additions and the lens.
+        frame: ``scene`` from ``views``.
+        scene: The scene.
+        views: The views; gradients flow to their poses and to the mount poses.
+        measures: Of this render.
+        assigned_camera: Camera of every vehicle, -1 for none, int32 [vehicle].
+        assigned_on_device: The same on the device.
+        detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
+        panorama_share: See `LossSchedule`, float [1].
+        detector_share: Likewise, float [1].
+        forward_view: The view of each camera in which it looks straight ahead.
+        image: What the cameras see ahead, 0..1, vec3 [camera, row, column].
+        camera_probability: How likely a camera is to detect; None where no loss needs it.
+        truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
+            them.
+    """
+
+    mount: CameraMount
+    frame: Frame
+    scene: DeviceScene
+    views: PlacedViews
+    measures: Measures
+    assigned_camera: np.ndarray
+    assigned_on_device: wp.array
+    detected: wp.array
+    panorama_share: wp.array
+    detector_share: wp.array
+    forward_view: list[int]
+    image: wp.array
+    camera_probability: CameraProbability | None = None
+    truth_box_px: np.ndarray | None = None
+    _area_around: dict[int, wp.array] = field(default_factory=dict)
+
+    @property
+    def camera_count(self) -> int:
+        """Number of cameras."""
+        return self.views.mount_pose.shape[0]
+
+    @property
+    def rotation_count(self) -> int:
+        """Views of every camera."""
+        return self.frame.view_count // self.camera_count
+
+    @cached_property
+    def assigned_count(self) -> int:
+        """Number of vehicles that have a camera."""
+        return int(np.count_nonzero(self.assigned_camera >= 0))
+
+    @cached_property
+    def measure(self) -> wp.array:
+        """Measures of every vehicle in every view, float [view, vehicle, measure], see `Measures`."""
+        return self.measures.on_tape(*self._pose)
+
+    def area_around(self, measure: int) -> wp.array:
+        """Area of every vehicle over all directions of its camera [px^2], by one of the measures, float [vehicle]."""
+        if measure not in self._area_around:
+            around = wp.zeros(self.scene.vehicle_count, dtype=float, device=self.frame.device, requires_grad=True)
+            wp.launch(
+                placement_losses.sum_area_around_kernel,
+                dim=around.shape,
+                inputs=[self.measure, self.assigned_on_device, self.rotation_count, measure],
+                outputs=[around],
+                device=self.frame.device,
+            )
+            self._area_around[measure] = around
+        return self._area_around[measure]
+
+    @cached_property
+    def unblocked(self) -> Measures:
+        """Area of every vehicle outside the ego vehicle's silhouette, in every view; not on the tape."""
+        return self.frame.unblocked_area()
+
+    @cached_property
+    def unblocked_area(self) -> wp.array:
+        """The same on the tape [px^2], float [view, vehicle, 1]."""
+        return self.unblocked.on_tape(*self._pose)
+
+    @cached_property
+    def detection_probability(self) -> wp.array:
+        """Probability that each camera detects each vehicle, without the detector's own word, float [camera, vehicle].
+
+        Where each camera has its panorama, what it would find if it turned is blended in by ``panorama_share``.
+        """
+        assert self.camera_probability is not None
+        device, rotation_count = self.frame.device, self.rotation_count
+        has_panorama = rotation_count > 1
+        appearance = Appearance.of(
+            self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
+        )
+        in_window = visible = window_rad = None
+        if has_panorama:
+            in_window = self.frame.window_area(
+                self.mount.windows(self.views, requires_grad=False),
+                softness_rad=self.camera_probability.window_softness_rad,
+                visible=True,
+            )
+            visible = self.frame.window_area(visible=True)
+            window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
+        probability = self._probability_of_views(appearance)
+        shape = self.detected.shape
+        best_view = wp.zeros(shape, dtype=wp.int32, device=device)
+        in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+        around_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+        if in_window is not None and visible is not None:
+            wp.launch(
+                expected_misses.find_best_views_kernel,
+                dim=shape,
+                inputs=[probability, rotation_count],
+                outputs=[best_view],
+                device=device,
+                record_tape=False,
+            )
+            window_sr = in_window.on_tape(*self._pose, window_rad)
+            for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
+                wp.launch(
+                    expected_misses.sum_over_panorama_kernel,
+                    dim=shape,
+                    inputs=[solid_angle, rotation_count],
+                    outputs=[total],
+                    device=device,
+                )
+        found = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
+        wp.launch(
+            expected_misses.camera_probability_kernel,
+            dim=shape,
+            inputs=[probability, best_view, in_window_sr, around_sr, self.panorama_share, rotation_count],
+            outputs=[found],
+            device=device,
+        )
+        return found
+
+    def _probability_of_views(self, appearance: Appearance) -> wp.array:
+        """Probability of detection in every view, float [view, vehicle]."""
+        assert self.camera_probability is not None
+        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
+        if self.camera_probability.probability == "fitted":
+            return seen.probability
+        share = wp.zeros_like(seen.probability, requires_grad=True)
+        wp.launch(
+            expected_misses.box_share_kernel,
+            dim=share.shape,
+            inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
+            outputs=[share],
+            device=self.frame.device,
+        )
+        return share
+
+    @property
+    def _pose(self) -> tuple[wp.array, wp.array, wp.array]:
+        return self.views.position_ego_m, self.views.camera_from_ego, self.views.log_zoom

@@ -1,0 +1,198 @@
+"""Settings of losses and optimiser: sections of the configuration, and what the code takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field, create_model, model_validator
+
+from warpav.core.section import Section, mistake
+from warpav.core.units import Degrees, Metres
+from warpav.optimisation.losses.registry import LOSSES
+
+METHOD_LOSSES: dict[str, dict[str, Any]] = {
+    "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},
+    "default": {"expected_miss_rate": 1.0},
+}
+"""Weights of the losses where the configuration says nothing, by method."""
+
+if TYPE_CHECKING:
+    LossWeights = Section
+else:
+    LossWeights = create_model(
+        "LossWeights",
+        __base__=Section,
+        **{
+            name: (float, Field(default=0.0, ge=0.0, description=f"weight of {loss.description}"))
+            for name, loss in LOSSES.items()
+        },
+    )
+
+
+class SegregationSettings(Section):
+    """Which camera is responsible for which vehicle."""
+
+    rotations: int = Field(default=16, ge=2, le=360, description="directions looked at from the origin")
+
+
+class LossSettings(LossWeights):
+    """Weights of the objectives, and the numbers inside them."""
+
+    renamed: ClassVar[Mapping[str, str]] = {"missed": "expected_miss_rate"}
+
+    min_detected_area: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=1.0,
+        description="detected (object_visibility: visible) share of a vehicle's area from which more brings nothing",
+    )
+    min_unblocked_area: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=1.0,
+        description="share of a vehicle's area that the ego vehicle leaves free, from which more brings nothing",
+    )
+    epsilon: float = Field(default=1e-5, gt=0.0, le=0.1, description="weight of pixels outside the detected boxes")
+    window_softness_deg: Degrees = Field(
+        default=10.0, gt=0.0, le=90.0, description="expected_miss_rate: softness of a field of view over the panorama"
+    )
+    detector_share: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=1.0,
+        description="expected_miss_rate: how much of a probability is what the detector really found, at the end of "
+        "a run",
+    )
+    combine: Literal["any", "best"] = Field(
+        default="any",
+        description="expected_miss_rate: any camera may find an object (noisy or), or the surest one alone counts",
+    )
+    probability: Literal["fitted", "visible_share", "in_frame_share"] = Field(
+        default="fitted",
+        description=(
+            "expected_miss_rate: fitted to the detector, or plainly the share of an object's whole box that is "
+            "visible, or that is in the image, be it hidden there or not"
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> LossSettings:
+        if not any(self.weights.values()):
+            mistake("expected at least one weight above 0, got only zeros", *self.weights)
+        return self
+
+    @property
+    def window_softness_rad(self) -> float:
+        """Softness of the fields of view over the panorama [rad]."""
+        return math.radians(self.window_softness_deg)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of every loss by its name."""
+        return {name: getattr(self, name) for name in LOSSES}
+
+    @property
+    def one_field(self) -> list[str]:
+        """Names of the losses that take part and take one field of view for all cameras."""
+        return [name for name, weight in self.weights.items() if weight and LOSSES[name].one_field]
+
+
+class VisibilitySettings(Section):
+    """What hides a vehicle."""
+
+    occlusion: Literal["pairwise", "exact"] = Field(
+        default="exact",
+        description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
+    )
+
+
+class OptimiserSettings(Section):
+    """Step sizes, multipliers, and which iterate is kept."""
+
+    learning_rate_position_m: Metres = Field(default=0.02, gt=0.0, le=10.0, description="AdamW step of a position")
+    learning_rate_yaw_deg: Degrees = Field(default=1.0, gt=0.0, le=180.0, description="AdamW step of a yaw angle")
+    learning_rate_pitch_deg: Degrees = Field(
+        default=2.0, gt=0.0, le=180.0, description="AdamW step of a pitch, where rig.free.pitch_deg frees it"
+    )
+    learning_rate_height_m: Metres = Field(
+        default=0.02, gt=0.0, le=2.0, description="AdamW step of a height, where rig.free.height_m frees it"
+    )
+    learning_rate_zoom: float = Field(
+        default=0.02,
+        gt=0.0,
+        le=1.0,
+        description="AdamW step of the logarithm of a focal length, where rig.free.fov_deg frees it",
+    )
+    schedule: Literal["constant", "cosine"] = Field(default="cosine", description="how the steps shrink over the run")
+    weight_decay: float = Field(default=0.0, ge=0.0, le=1.0, description="pull of positions and angles towards zero")
+    multiplier_learning_rate: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=100.0,
+        description="step of a multiplier, AdamW's (thesis) or of plain ascent (default); null: the method's",
+    )
+    multiplier_weight_decay: float = Field(
+        default=1e-3, ge=0.0, le=1.0, description="pull of the multipliers towards zero (method: thesis)"
+    )
+    multiplier_damping: float | None = Field(
+        default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
+    )
+    keep: Literal["last", "best"] = Field(default="best", description="the iterate that becomes the result")
+    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
+    panorama_until: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="expected_miss_rate: share of the run over which what lies outside the images ceases to pull",
+    )
+    detector_from: float = Field(
+        default=0.7,
+        ge=0.0,
+        le=1.0,
+        description="expected_miss_rate: share of the run from which the detector has a say",
+    )
+    starts: int = Field(
+        default=16, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
+    )
+    descents: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="parts of the run, each from the next best of the rigs that were looked at before it",
+    )
+    patience: int | None = Field(
+        default=None, ge=1, description="looks without a better rig after which a descent ends; null: it never does"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> OptimiserSettings:
+        if self.descents > self.starts:
+            text = f"expected at most one for each of the {self.starts} optimiser.starts, got {self.descents}"
+            mistake(text, "descents", "starts")
+        if self.descents > 1 and self.keep != "best":
+            mistake(f"expected 1 with optimiser.keep={self.keep}, got {self.descents}", "descents", "keep")
+        return self
+
+    @property
+    def learning_rate_yaw_rad(self) -> float:
+        """Step of a yaw angle [rad]."""
+        return math.radians(self.learning_rate_yaw_deg)
+
+    @property
+    def learning_rate_pitch_rad(self) -> float:
+        """Step of a pitch [rad]."""
+        return math.radians(self.learning_rate_pitch_deg)
+
+    def multiplier_step(self, *, are_inequalities: bool) -> float:
+        """Step of a multiplier; where none is given, the one of inequalities or of the thesis's penalties."""
+        if self.multiplier_learning_rate is not None:
+            return self.multiplier_learning_rate
+        return 1.0 if are_inequalities else 0.25
+
+    def damping(self, *, are_inequalities: bool) -> float:
+        """Damping of the multipliers; where none is given, the one of inequalities or of the thesis's penalties."""
+        if self.multiplier_damping is not None:
+            return self.multiplier_damping
+        return 10.0 if are_inequalities else 0.0

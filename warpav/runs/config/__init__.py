@@ -1,0 +1,62 @@
+"""The configuration: one tree, read strictly from YAML and ``key=value`` overrides.
+
+Every mistake is reported at once, one line each: where it stands, the field, what was expected, what came, a hint.
+Units are part of the names; lengths and angles in files may also carry their own (``20 cm``, ``1.57 rad``).
+Relative paths are relative to the working directory.
+
+What a file leaves out comes from the file that its ``extends`` names; what that leaves out too is as in ``quick``, or
+with ``method: thesis`` as in ``thesis``.
+"""
+
+from warpav.runs.config.explain import COMMAND_LINE, DescribedOption, described_options, option_values
+from warpav.runs.config.load import (
+    changed_config,
+    dump_config,
+    flow_text,
+    load_config,
+    overridden_option,
+    overrides_from,
+    placed_config,
+    with_absolute_paths,
+)
+from warpav.runs.config.schema import (
+    NAMED_STARTS,
+    START_FILE,
+    BaselineConfig,
+    CameraConfig,
+    Config,
+    DetectorConfig,
+    RigConfig,
+    RunConfig,
+    SceneConfig,
+    read_seeds,
+)
+from warpav.runs.config.shipped import config_dir, config_names, find_config
+
+__all__ = [
+    "COMMAND_LINE",
+    "NAMED_STARTS",
+    "START_FILE",
+    "BaselineConfig",
+    "CameraConfig",
+    "Config",
+    "DescribedOption",
+    "DetectorConfig",
+    "RigConfig",
+    "RunConfig",
+    "SceneConfig",
+    "changed_config",
+    "config_dir",
+    "config_names",
+    "described_options",
+    "dump_config",
+    "find_config",
+    "flow_text",
+    "load_config",
+    "option_values",
+    "overridden_option",
+    "overrides_from",
+    "placed_config",
+    "read_seeds",
+    "with_absolute_paths",
+]

@@ -1,0 +1,229 @@
+"""Configurations from files and overrides, and back.
+
+A file and the overrides are joined first and validated once, so that both have the same rules and the same messages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from warpav.core.errors import InputError, OptionError
+from warpav.core.section import move_option, renamed_options, shown, warn_renamed
+from warpav.core.yaml_file import Location, parse_yaml, read_yaml
+from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
+from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, Config, merged
+from warpav.runs.config.shipped import find_config
+
+
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:
+    """The configuration of a YAML file and ``key=value`` overrides.
+
+    Args:
+        path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
+        overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
+        origin: What messages call the source of the overrides.
+
+    Returns:
+        The validated, immutable tree.
+
+    Raises:
+        InputError: Anything is wrong; one line per mistake, each with its place, its field, what was expected and
+            what came.
+    """
+    file = find_config(path) if path is not None else None
+    data, written_at = _read_file(file) if file else ({}, {})
+    rig = data.get("rig")
+    if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
+        rig["start"] = str((file.parent / START_FILE).absolute())
+    return _validated(data, overrides, file, written_at, origin)
+
+
+def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
+    """The configuration with other values for some options.
+
+    Args:
+        config: The configuration.
+        overrides: As of :func:`load_config`.
+        origin: What messages call the source of the overrides; None: they do not name it.
+
+    Raises:
+        InputError: An override is wrong, or does not fit the rest.
+    """
+    return _validated(config.model_dump(mode="json"), overrides, None, {}, origin)
+
+
+def with_absolute_paths(config: Config) -> Config:
+    """The same configuration, whose files are found from every working directory; ``run.out`` stays as it is."""
+    overrides = []
+    for option, value in (
+        ("scenes.folder", config.scenes.folder),
+        ("scenes.ego", config.scenes.ego),
+        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
+        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
+        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
+    ):
+        if value is not None:
+            overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
+    return changed_config(config, overrides) if overrides else config
+
+
+def _is_path(start: str) -> bool:
+    path = Path(start).expanduser()
+    return start not in NAMED_STARTS and (path.is_file() or (path / "config.yaml").is_file())
+
+
+def overridden_option(override: str) -> str:
+    """The option's name in an override such as ``rig.cameras=6``.
+
+    Raises:
+        InputError: It is none.
+    """
+    return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
+
+
+def _validated(
+    data: dict[str, Any],
+    overrides: Sequence[str],
+    file: Path | None,
+    written_at: Mapping[Location, str],
+    origin: str | None = COMMAND_LINE,
+) -> Config:
+    override_of: dict[Location, str] = {}
+    written_at, new_name = dict(written_at), dict(renamed_options(Config))
+    for old, new in new_name.items():
+        if move_option(data, old, new):
+            if old in written_at:
+                written_at[new] = written_at[old]
+            warn_renamed(place_of(new, file, written_at, {}), ".".join(old), ".".join(new))
+    for override in overrides:
+        place = _override_place(override, origin)
+        location, value = _read_override(override, place)
+        if location in new_name:
+            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
+            location = new_name[location]
+        override_of[location] = place
+        _put(data, location, value, place)
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        lines = [explain(found, file, written_at, override_of) for found in error.errors(include_url=False)]
+        raise InputError("\n".join(dict.fromkeys(lines))) from None
+
+
+@contextlib.contextmanager
+def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[Config]:
+    """The configuration as of :func:`load_config`, to be used inside a ``with`` block.
+
+    What turns out wrong with an option only when it is used is told as what is wrong with it at once: with the file
+    and the line, or the override, where it stands.
+
+    Raises:
+        InputError: As :func:`load_config`; and for every :class:`OptionError` of the block.
+    """
+    config = load_config(path, overrides)
+    try:
+        yield config
+    except OptionError as error:
+        file = find_config(path)
+        override_of = {_read_override(each)[0]: _override_place(each, COMMAND_LINE) for each in overrides}
+        place = place_of(tuple(error.option.split(".")), file, _read_file(file)[1], override_of)
+        raise InputError(f"{place}: {error}") from None
+
+
+def dump_config(config: Config) -> str:
+    """The whole tree as YAML that :func:`load_config` reads back to an equal tree."""
+    return yaml.dump(config.model_dump(mode="json"), Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
+
+
+def overrides_from(base: Config, config: Config) -> list[str]:
+    """The overrides that make one configuration of another, as :func:`load_config` takes them.
+
+    Args:
+        base: The configuration that is overridden.
+        config: What it becomes.
+    """
+    before = option_values(base)
+    changed = {name: value for name, value in option_values(config).items() if value != before[name]}
+    return [f"{name}={flow_text(value)}" for name, value in changed.items()]
+
+
+def flow_text(value: object) -> str:
+    """A value as YAML on one line."""
+    return yaml.safe_dump(value, default_flow_style=True, width=math.inf, allow_unicode=True).partition("\n")[0]
+
+
+def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any], dict[Location, str]]:
+    """What a file says, on top of what the file says that its ``extends`` names, and where each option stands."""
+    data, line_of = read_yaml(file)
+    if data is not None and not isinstance(data, dict):
+        raise InputError(f"{file}:1: expected sections such as 'rig: {{cameras: 4}}', got {shown(data)}")
+    if data is not None and {"frame", "cameras"} <= data.keys():
+        raise InputError(f"{file}: expected a configuration, got a rig file; rig.start={file} begins with it")
+    data = data or {}
+    written_at = {location: f"{file}:{line}" for location, line in line_of.items()}
+    for old, new in renamed_options(Config):
+        if move_option(data, old, new):
+            written_at[new] = written_at.get(old, f"{file}:1")
+            warn_renamed(written_at[new], ".".join(old), ".".join(new))
+    base = data.pop(EXTENDS, None)
+    if base is None:
+        return data, written_at
+    place = written_at[(EXTENDS,)]
+    if not isinstance(base, str):
+        raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name such as quick, got {shown(base)}")
+    beside = file.parent / Path(base).expanduser()
+    found = beside if beside.is_file() else _extended(base, place)
+    if found.resolve() in (*above, file.resolve()):
+        raise InputError(f"{place}: {EXTENDS}: expected a file that does not extend this one, got {base}")
+    below, below_at = _read_file(found, (*above, file.resolve()))
+    return merged(below, data), {**below_at, **written_at}
+
+
+def _extended(name: str, place: str) -> Path:
+    try:
+        return find_config(name)
+    except InputError as error:
+        raise InputError(f"{place}: {EXTENDS}: {error}") from None
+
+
+class _FlowListDumper(yaml.SafeDumper):
+    """Dumper that writes lists on one line."""
+
+
+_FlowListDumper.add_representer(
+    list, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=True)
+)
+
+
+def _override_place(override: str, origin: str | None) -> str:
+    """Where an override stands, for messages; empty where that needs no saying."""
+    return "" if origin is None else f"{origin} ({override})"
+
+
+def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, object]:
+    key, equals, text = override.partition("=")
+    location = tuple(part.strip() for part in key.split("."))
+    if not equals or not all(location):
+        near = difflib.get_close_matches(key, [".".join(name) for name in option_locations(Config)], 1, 0.6)
+        hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
+        raise InputError(placed(place, f"expected key=value, got {override!r}; {hint}"))
+    return location, parse_yaml(text, place or key, has_lines=False)[0]
+
+
+def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:
+    for depth, part in enumerate(location[:-1], start=1):
+        if data.get(part) is None:
+            data[part] = {}
+        data = data[part]
+        if not isinstance(data, dict):
+            outer = ".".join(location[:depth])
+            raise InputError(placed(place, f"{outer}: expected a section, got {shown(data)} in the file"))
+    data[location[-1]] = value

@@ -1,0 +1,685 @@
+"""Sections of the configuration: every option, what it takes, and what it is by default."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from warpav.core.errors import InputError
+from warpav.core.section import Expectation, Section, mistake, shown
+from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
+from warpav.core.yaml_file import parse_yaml
+from warpav.optimisation.settings import (
+    METHOD_LOSSES,
+    LossSettings,
+    OptimiserSettings,
+    SegregationSettings,
+    VisibilitySettings,
+)
+from warpav.raster.lens import Lens, LensShape, checked_distortion
+from warpav.rig.presets import preset_names
+from warpav.runs.config.shipped import shipped_values
+from warpav.scene.scene import ROAD_USERS
+
+if TYPE_CHECKING:
+    from warpav.runs.placement import Placement
+
+NAMED_STARTS = ("random", "highest")
+"""What rig.start may be besides a rig."""
+
+EXTENDS = "extends"
+"""Key of a file that names another file, on top of which it stands."""
+
+START_FILE = "rig_start.yaml"
+"""A rig.start of this name is the file beside the configuration, as a run leaves it."""
+
+MAX_SEED = 2**31 - 1
+MAX_SEED_COUNT = 100_000
+
+
+_SEEDS_TEXT = "seeds as a range such as 1000..1009 or a list such as [1, 2, 3]"
+
+
+def _read_seeds(value: object) -> tuple[int, ...]:
+    seeds: list[int] = []
+    for item in value if isinstance(value, (list, tuple)) else [value]:
+        match = re.fullmatch(r"\s*([0-9]+)\s*\.\.\s*([0-9]+)\s*", item) if isinstance(item, str) else None
+        if match:
+            first, last = int(match[1]), int(match[2])
+            if last < first:
+                mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
+            if last > MAX_SEED or last - first >= MAX_SEED_COUNT:
+                mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
+            seeds.extend(range(first, last + 1))
+        elif isinstance(item, int) and not isinstance(item, bool):
+            if not 0 <= item <= MAX_SEED:
+                mistake(f"expected seeds from 0 to {MAX_SEED}, got {item}")
+            seeds.append(item)
+        else:
+            mistake(f"expected {_SEEDS_TEXT}, got {shown(value)}")
+    if not seeds:
+        mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
+    twice = sorted({seed for seed in seeds if seeds.count(seed) > 1}) if len(set(seeds)) < len(seeds) else []
+    if twice:
+        mistake(f"expected every seed once, got {twice[0]} twice")
+    return tuple(seeds)
+
+
+def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
+    if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[-1] + 1)):
+        return f"{seeds[0]}..{seeds[-1]}"
+    return list(seeds)
+
+
+Seeds = Annotated[
+    tuple[int, ...],
+    BeforeValidator(_read_seeds),
+    PlainSerializer(_shown_seeds),
+    Expectation(_SEEDS_TEXT),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "array"}]}),
+]
+
+
+_TARGETS_TEXT = f"a list out of {', '.join(ROAD_USERS)}"
+
+
+def _read_targets(value: object) -> tuple[str, ...]:
+    targets = list(value) if isinstance(value, (list, tuple)) else [value]
+    for target in targets:
+        if target not in ROAD_USERS:
+            near = difflib.get_close_matches(str(target), ROAD_USERS, 1, 0.6)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            mistake(f"expected {_TARGETS_TEXT}, got {shown(target)}{hint}")
+    if not targets:
+        mistake(f"expected {_TARGETS_TEXT}, got none; a rig has to be made for somebody")
+    return tuple(each for each in ROAD_USERS if each in targets)
+
+
+def _read_path(value: object) -> object:
+    if isinstance(value, str):
+        if not value.strip():
+            mistake(f"expected a path, got {value!r}")
+        return Path(value).expanduser()
+    return value
+
+
+def _read_device(value: object) -> object:
+    if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
+        hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
+        mistake(f"expected cpu or a GPU such as cuda:0, got {shown(value)}{hint}")
+    return value
+
+
+_START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
+
+
+def _read_start(value: object) -> object:
+    if isinstance(value, str) and value not in NAMED_STARTS:
+        names = preset_names()
+        if value not in names and not (Path(value).expanduser() / "config.yaml").is_file():
+            _existing_file(value, _START_TEXT, [value], [*NAMED_STARTS, *names])
+    return value
+
+
+_NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
+
+
+def _read_names(value: object) -> tuple[Any, ...]:
+    names = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    for name in names:
+        if not isinstance(name, str) or not name:
+            mistake(f"expected {_NAMES_TEXT}, got {shown(value)}")
+        if names.count(name) > 1:
+            mistake(f"expected every name once, got {name!r} {names.count(name)} times")
+    return names
+
+
+def _read_model(value: object) -> object:
+    if isinstance(value, str) and value != "builtin":
+        _existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
+    return value
+
+
+def _read_mesh_file(value: object) -> object:
+    if isinstance(value, str):
+        _existing_file(value, "the path of a mesh file, or null", [value], [])
+    return _read_path(value)
+
+
+def _existing_file(value: str, expected: str, candidates: Sequence[str], words: Sequence[str]) -> None:
+    if any(Path(candidate).expanduser().is_file() for candidate in candidates):
+        return
+    near = difflib.get_close_matches(value, words, 1, 0.6)
+    hint = f"did you mean {near[0]}?" if near else "no such file"
+    mistake(f"expected {expected}, got {value!r}; {hint}")
+
+
+class RunConfig(Section):
+    """The run as a whole."""
+
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="seed of every random choice of the run")
+    out: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+        default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
+    )
+    iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
+    batch_size: int = Field(default=4, ge=1, description="scenes per step")
+
+
+class SceneConfig(Section):
+    """Which traffic scenes are trained and tested on."""
+
+    source: Literal["town", "captured", "folder"] = Field(
+        default="town",
+        description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
+        "folder reads scene_<seed>.glb files",
+    )
+    train_seeds: Seeds = Field(default=tuple(range(30)), description="scenes that the optimiser sees")
+    validation_seeds: Seeds | None = Field(
+        default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
+    )
+    test_seeds: Seeds = Field(default=tuple(range(1000, 1010)), description="scenes that only the evaluation sees")
+    folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+        default=None,
+        description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
+        "makes; null keeps that in the user's cache",
+    )
+    ego: (
+        Annotated[
+            Path,
+            BeforeValidator(_read_mesh_file),
+            PlainSerializer(str),
+            Expectation("the path of a mesh file"),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="mesh of your own vehicle, which takes the place of every scene's own; warpav vehicle check "
+        "examines and mends it; null: the scene's own",
+    )
+    mirror: bool = Field(
+        default=False,
+        description="train on every scene's mirror image as well, against traffic that keeps to one side",
+    )
+    targets: Annotated[
+        tuple[str, ...],
+        BeforeValidator(_read_targets),
+        PlainSerializer(list),
+        Expectation(_TARGETS_TEXT),
+        WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
+    ] = Field(
+        default=("vehicle",),
+        description="the road users that rigs are optimised and judged for; all others only stand in the way",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> SceneConfig:
+        for name in ("train_seeds", "validation_seeds"):
+            both = sorted(set(getattr(self, name) or ()) & set(self.test_seeds))
+            if both:
+                mistake(
+                    f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
+                    "test_seeds",
+                    name,
+                )
+        if self.source == "folder":
+            if self.folder is None:
+                mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
+            if not self.folder.is_dir():
+                mistake(
+                    f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one",
+                    "folder",
+                )
+        return self
+
+
+class CaptureConfig(Section):
+    """The images that source: captured and warpav scenes capture take of a situation."""
+
+    width_px: int = Field(default=640, ge=32, le=4096, description="image width")
+    height_px: int = Field(default=480, ge=32, le=4096, description="image height")
+    vehicles: int = Field(default=12, ge=1, le=200, description="vehicles besides the ego vehicle, at most")
+    radius_m: Metres = Field(
+        default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego vehicle"
+    )
+    rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
+    ego_sides: int = Field(default=4, ge=0, le=64, description="images of the ego vehicle from beside it")
+    scene_heights_m: Annotated[
+        tuple[float, ...],
+        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+        PlainSerializer(list),
+        Expectation("a list of heights in metres, such as [14, 28, 45]"),
+    ] = Field(default=(14.0, 28.0, 45.0), description="heights of the images of the whole place from above")
+
+
+class ReconstructionConfig(Section):
+    """How source: captured and warpav scenes reconstruct make meshes from images."""
+
+    method: Literal["poisson", "signed_distance", "nksr"] = Field(
+        default="poisson", description="surface method; nksr needs the package of that name"
+    )
+    radius_m: Metres = Field(
+        default=40.0, gt=1.0, le=1000.0, description="the environment beyond is drawn on a sphere of this radius"
+    )
+    max_height_m: Metres = Field(default=10.0, gt=0.0, le=1000.0, description="what is higher is left out")
+    far_depth_m: Metres = Field(default=900.0, gt=1.0, description="depths from here on are sky")
+    vehicle_points: int = Field(default=200_000, ge=200, description="points that are kept of each vehicle")
+    vehicle_triangles: int = Field(default=4500, ge=50, description="triangles of each vehicle")
+    vehicle_cell_m: Metres = Field(default=0.03, ge=0.005, le=1.0, description="cells in which a vehicle is found")
+    environment_points: int = Field(default=150_000, ge=200, description="points that are kept of the environment")
+    environment_triangles: int = Field(default=36_000, ge=50, description="triangles of the environment")
+    environment_cell_m: Metres = Field(
+        default=0.25, ge=0.02, le=5.0, description="cells in which the environment is found"
+    )
+
+
+_PITCHES_TEXT = "two angles from -60 deg to 60 deg, the lower one first, such as [-20, 20]"
+_HEIGHTS_TEXT = "two heights from 0 m to 2 m, the lower one first, such as [0.05, 0.4]"
+_FOVS_TEXT = "two angles from 10 deg to 170 deg, the lower one first, such as [60, 110]"
+_RANGE_AS_LIST = PlainSerializer(lambda value: None if value is None else list(value))
+_RANGE_SCHEMA = WithJsonSchema(
+    {"anyOf": [{"type": "array", "items": NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
+)
+
+Range = tuple[float, float] | None
+PitchRange = Annotated[
+    Range,
+    range_reader(DEGREES_PER_UNIT, _PITCHES_TEXT, low=-60.0, high=60.0),
+    _RANGE_AS_LIST,
+    Expectation(_PITCHES_TEXT),
+    _RANGE_SCHEMA,
+]
+HeightRange = Annotated[
+    Range,
+    range_reader(METRES_PER_UNIT, _HEIGHTS_TEXT, low=0.0, high=2.0),
+    _RANGE_AS_LIST,
+    Expectation(_HEIGHTS_TEXT),
+    _RANGE_SCHEMA,
+]
+FovRange = Annotated[
+    Range,
+    range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=170.0),
+    _RANGE_AS_LIST,
+    Expectation(_FOVS_TEXT),
+    _RANGE_SCHEMA,
+]
+
+
+class FreeConfig(Section):
+    """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
+
+    pitch_deg: PitchRange = Field(default=None, description="bounds of each camera's pitch, nose-down positive")
+    height_m: HeightRange = Field(
+        default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
+    )
+    fov_deg: FovRange = Field(
+        default=None, description="bounds of each camera's horizontal field of view, around camera.fov_deg"
+    )
+
+
+class RigConfig(Section):
+    """How many cameras there are, where they start, how close they may come, and what else of them is free."""
+
+    cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
+    start: Annotated[str, BeforeValidator(_read_start), Expectation(_START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {_START_TEXT}"
+    )
+    freeze: Annotated[
+        tuple[str, ...],
+        BeforeValidator(_read_names),
+        PlainSerializer(list),
+        Expectation(_NAMES_TEXT),
+        WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "string"}}, {"type": "string"}]}),
+    ] = Field(
+        default=(),
+        description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
+        "others are optimised around them",
+    )
+    height_offset_m: Metres = Field(
+        default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
+    )
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="least distance between two cameras")
+    free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
+
+
+class CameraConfig(Section):
+    """The camera model that all cameras share."""
+
+    fov_deg: Degrees = Field(
+        default=90.0, ge=10.0, le=360.0, description="horizontal field of view; beyond 170 a fisheye's or a panorama's"
+    )
+    width_px: int = Field(default=256, ge=16, le=4096, description="image width")
+    height_px: int = Field(default=256, ge=16, le=4096, description="image height")
+    near_m: Metres = Field(default=0.1, gt=0.0, le=10.0, description="what is nearer than this is cut away")
+    supersampling: Literal[1, 2, 4, 8] = Field(default=1, description="samples per pixel edge of the renderer")
+    lens: Literal["pinhole", "brown_conrady", "fisheye", "panorama"] = Field(
+        default="pinhole", description="how directions become places in the image"
+    )
+    distortion: Annotated[
+        tuple[float, ...],
+        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+        PlainSerializer(list),
+        Expectation("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]"),
+    ] = Field(default=(), description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye")
+
+    @model_validator(mode="after")
+    def _check(self) -> CameraConfig:
+        lens = Lens(self.lens)
+        try:
+            shape = LensShape(lens, checked_distortion(lens, self.distortion))
+        except ValueError as error:
+            mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
+        widest_deg = 170.0
+        if shape.has_unit_rays:
+            widest_deg = 360.0 if lens is Lens.PANORAMA else 350.0
+        if shape.is_radial:
+            # rounded down, so that the angle in the message is one that is taken
+            widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
+        if self.fov_deg > widest_deg:
+            text = f"expected an angle in degrees from 10 deg to {widest_deg:g} deg, the widest for this {lens} lens"
+            mistake(f"{text}, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
+        return self
+
+
+class MountConfig(Section):
+    """The height map on which cameras may sit."""
+
+    cell_m: Metres = Field(default=0.02, ge=0.002, le=0.5, description="cell size of the height map")
+    min_upward_normal: float = Field(
+        default=0.8,
+        gt=0.0,
+        le=1.0,
+        description="least vertical part of the unit normal of what the height map is made of",
+    )
+    min_zone_normal: float = Field(
+        default=0.9,
+        gt=0.0,
+        le=1.0,
+        description="the same of what can carry a camera; a windscreen cannot (method: default)",
+    )
+    margin_m: Metres = Field(
+        default=0.02,
+        ge=0.0,
+        le=1.0,
+        description="least distance of a camera's centre to the border of the mountable zone (method: default)",
+    )
+    smoothing_tolerance_m: Metres = Field(
+        default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
+    )
+
+
+_LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
+_CLASSES_TEXT = "a list of labels of the detector, such as [car, bus]"
+
+
+def _read_labels(value: object) -> object:
+    if isinstance(value, str):
+        _existing_file(value, _LABELS_TEXT, [value], [])
+        return value
+    return tuple(value) if isinstance(value, list) else value
+
+
+Labels = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+    PlainSerializer(list),
+    Expectation(_CLASSES_TEXT),
+]
+
+
+class ClassesConfig(Section):
+    """Which labels of the detector count as which kind of road user; null takes the usual names."""
+
+    vehicle: Labels | None = Field(default=None, description="labels of motor vehicles, such as [car, bus]")
+    pedestrian: Labels | None = Field(default=None, description="labels of people on foot, such as [person]")
+    cyclist: Labels | None = Field(
+        default=None, description="labels of people on bicycles; a bicycle alone is none unless it is named here"
+    )
+
+
+class DetectorConfig(Section):
+    """The object detector, and when its boxes count."""
+
+    model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
+        default="builtin", description="builtin or the path of an ONNX file"
+    )
+    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="least confidence of a detection")
+    iou_min: float = Field(
+        default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
+    )
+    nms_iou_max: float = Field(default=0.5, gt=0.0, le=1.0, description="boxes that overlap more are merged")
+    format: Literal[
+        "auto",
+        "ultralytics",
+        "ultralytics-end2end",
+        "ultralytics-rtdetr",
+        "yolox",
+        "yolox-decoded",
+        "torchvision",
+        "rtdetr",
+        "rtdetr-single",
+    ] = Field(default="auto", description="layout of the file's inputs and outputs; auto finds it out")
+    labels: Annotated[
+        tuple[str, ...] | str | None,
+        BeforeValidator(_read_labels),
+        PlainSerializer(lambda value: list(value) if isinstance(value, tuple) else value),
+        Expectation(_LABELS_TEXT),
+    ] = Field(
+        default=None,
+        description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
+    )
+    classes: ClassesConfig = Field(default=ClassesConfig(), description="which labels count as which road user")
+    input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
+    provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
+
+
+class BaselineConfig(Section):
+    """The rigs that the result is compared with."""
+
+    random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
+    random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
+
+
+class ExecutorConfig(Section):
+    """Where the tasks of an experiment run."""
+
+    name: Literal["serial", "process", "ray", "slurm"] = Field(
+        default="serial",
+        description="serial: one after the other; process: in processes of this machine; ray and slurm: on a cluster",
+    )
+    workers: int | None = Field(default=None, ge=1, description="tasks at a time; null takes as many as fit")
+    address: str | None = Field(
+        default=None, description="of a Ray cluster; null takes RAY_ADDRESS, else a Ray of this machine"
+    )
+    options: Annotated[dict[str, Any], Expectation("options such as {num_gpus: 1}")] = Field(
+        default={}, description="what a task needs: options of ray.remote, or parameters of submitit for Slurm"
+    )
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Sections laid over others: what the upper ones leave out comes from below."""
+    result = dict(below)
+    for name, value in above.items():
+        under = result.get(name)
+        is_section = isinstance(under, Mapping) and isinstance(value, Mapping)
+        result[name] = merged(under, value) if is_section else value
+    return result
+
+
+def _add_extends(schema: dict[str, Any]) -> None:
+    """Let editors know the key that files have besides the options."""
+    text = "YAML file, beside this one or by its path, or shipped name, on top of which this file stands"
+    schema["properties"][EXTENDS] = {"type": "string", "description": text}
+
+
+class Config(Section):
+    """Everything that a run of warpav can be told.
+
+    What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_add_extends)
+
+    run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
+    device: Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")] = Field(
+        default="cpu", description="what renders, and what gradients are computed on"
+    )
+    method: Literal["thesis", "default"] = Field(
+        default="default",
+        description="thesis: the losses and constraints as printed; default: the share of road users that the rig is "
+        "expected to miss, cameras on roof and bonnet alone",
+    )
+    scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
+    capture: CaptureConfig = Field(default=CaptureConfig(), description="images of scenes")
+    reconstruction: ReconstructionConfig = Field(default=ReconstructionConfig(), description="scenes from images")
+    rig: RigConfig = Field(default=RigConfig(), description="the cameras together")
+    camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
+    mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
+    detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
+    segregation: SegregationSettings = Field(
+        default=SegregationSettings(), description="which camera answers for which vehicle"
+    )
+    losses: LossSettings = Field(
+        default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
+    )
+    visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
+    optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
+    baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
+    executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
+
+    @classmethod
+    def load(cls, path: str | Path | None = None, *overrides: str) -> Config:
+        """The configuration of a YAML file or a shipped name, such as ``quick``, with ``key=value`` overrides.
+
+        Args:
+            path: The file or the name; None: the defaults, which are those of ``quick``.
+            overrides: Such as ``"rig.cameras=6"``; the value is read as YAML.
+
+        Raises:
+            InputError: Anything is wrong; one line a mistake.
+        """
+        from warpav.runs.config.load import load_config
+
+        return load_config(path, overrides, origin="override")
+
+    def placement(self) -> Placement:
+        """The placement that it describes; scenes and detector are loaded when they are first needed.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        from warpav.runs.build import build
+
+        return build(self)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, data: object) -> object:
+        if not isinstance(data, dict):
+            return data
+        method = data.get("method", cls.model_fields["method"].default)
+        if not isinstance(method, str) or method not in METHOD_LOSSES:
+            return data  # refused in a moment, with its place
+        if isinstance(data.get("losses"), dict):
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
+        if method == "thesis":
+            return merged(shipped_values("thesis"), data)
+        return merged({"losses": METHOD_LOSSES[method]}, data)
+
+    @model_validator(mode="after")
+    def _check(self) -> Config:
+        scene_count = len(self.scenes.train_seeds)
+        if self.run.batch_size > scene_count:
+            mistake(
+                f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
+                f"set run.batch_size={scene_count} or lower",
+                "run.batch_size",
+                "scenes.train_seeds",
+            )
+        self._check_free()
+        self._check_freeze()
+        if self.segregation.rotations < self.rig.cameras:
+            mistake(
+                f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
+                "segregation.rotations",
+                "rig.cameras",
+            )
+        return self
+
+    def _check_freeze(self) -> None:
+        frozen = self.rig.freeze
+        if not frozen:
+            return
+        if self.rig.start in NAMED_STARTS:
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
+            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+        if len(frozen) >= self.rig.cameras:
+            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
+            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
+        if self.method == "thesis":
+            text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
+            mistake(text, "rig.freeze", "method")
+
+    def _check_free(self) -> None:
+        free = self.rig.free
+        configured = {
+            "pitch_deg": (0.0, "level cameras", "rig.free.pitch_deg"),
+            "height_m": (self.rig.height_offset_m, "rig.height_offset_m", "rig.height_offset_m"),
+            "fov_deg": (self.camera.fov_deg, "camera.fov_deg", "camera.fov_deg"),
+        }
+        for name, (value, what, option) in configured.items():
+            pair = getattr(free, name)
+            if pair is None:
+                continue
+            fields = dict.fromkeys((f"rig.free.{name}", option))
+            if not pair[0] <= value <= pair[1]:
+                text = f"expected bounds that hold the {value:g} of {what}, got {shown(pair)}"
+                mistake(text, *fields)
+            if self.method == "thesis":
+                mistake(
+                    f"expected null, as the thesis moves x, y and yaw alone, got {shown(pair)}; take method: default",
+                    f"rig.free.{name}",
+                    "method",
+                )
+        if free.fov_deg is None:
+            return
+        if self.camera.lens != "pinhole":
+            text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
+            mistake(text, "rig.free.fov_deg", "camera.lens")
+        alike = self.losses.one_field
+        if alike:
+            mistake(
+                f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
+                f"{shown(free.fov_deg)}",
+                "rig.free.fov_deg",
+                f"losses.{alike[0]}",
+            )
+
+
+def read_seeds(text: str, place: str) -> tuple[int, ...]:
+    """Seeds from a range such as ``1000..1009`` or a list such as ``[1, 2, 3]``.
+
+    Args:
+        text: What the user wrote.
+        place: Where it stands, for messages.
+
+    Raises:
+        InputError: It is neither, or a seed is out of range or there twice.
+    """
+    try:
+        return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
+    except PydanticCustomError as error:
+        raise InputError(f"{place}: {error.message()}") from None

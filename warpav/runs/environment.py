@@ -1,0 +1,74 @@
+"""What a run depended on besides its configuration: versions, commit, command, time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from warpav.runs.config import Config
+
+# worth knowing although warpav does not ask for them itself
+_RELATED_PACKAGES = ("onnxruntime-gpu", "vtk")
+
+
+def environment(config: Config, device: str) -> dict[str, Any]:
+    """What a run depended on: versions, device, seeds, command, time."""
+    return {
+        "warpav": metadata.version("warpav"),
+        "git_commit": _git_commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu_count": os.cpu_count(),
+        "device": device or config.device,
+        "packages": package_versions(),
+        "seeds": {
+            "run": config.run.seed,
+            "train": list(config.scenes.train_seeds),
+            "validation": list(config.scenes.validation_seeds or ()),
+            "test": list(config.scenes.test_seeds),
+        },
+        "command": command_line(),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+
+
+def command_line() -> str:
+    """The command that runs, as it can be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def required_packages() -> list[str]:
+    """Distribution names of the packages that an installation of warpav needs, extras left out."""
+    requirements = [each for each in metadata.requires("warpav") or [] if "extra ==" not in each]
+    return [re.split(r"[^A-Za-z0-9._-]", each, maxsplit=1)[0] for each in requirements]
+
+
+def package_versions() -> dict[str, str]:
+    """Installed versions of the packages that warpav builds on, by distribution name; absent ones are left out."""
+    versions = {}
+    for package in (*required_packages(), *_RELATED_PACKAGES):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = metadata.version(package)
+    return versions
+
+
+def _git_commit() -> str | None:
+    """Commit of the checkout that runs, with ``+`` when it has changes; None for an installed package."""
+    checkout = Path(__file__).resolve().parents[2]
+    if not (checkout / ".git").exists():
+        return None
+    command = ["git", "-C", str(checkout), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None

@@ -1,0 +1,95 @@
+"""Rigs on the scenes of a placement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.progress import Progress
+from warpav.evaluation.metrics import metrics_of, observe_scenes
+from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
+from warpav.optimisation.assignment import AssignedScene
+from warpav.rig.rig import Rig
+from warpav.runs.placement import Placement
+from warpav.runs.progress import shown_progress
+from warpav.scene.scene import Scene
+from warpav.view import Canvas, drawing_of
+
+
+def evaluate(
+    rigs: Rig | Mapping[str, Rig],
+    scenes: Sequence[Scene],
+    placement: Placement,
+    *,
+    progress: bool | Progress | None = None,
+) -> RigEvaluation:
+    """Measure rigs on scenes, with the detector of a placement and around its vehicle. Nothing is written.
+
+    Args:
+        rigs: A rig, or several by name. They need not be the placement's: only of rigs with its number and model of
+            cameras the objective is known.
+        scenes: Scenes that no rig was optimised on.
+        placement: Gives the detector, the vehicle, the targets and the objective.
+        progress: As of `warpav.runs.optimise.optimise`.
+
+    Raises:
+        InputError: There is no rig or no scene, or a scene is around another vehicle.
+        TypeError: An argument is of another type.
+    """
+    if not isinstance(placement, Placement):
+        raise TypeError(f"placement: expected a Placement, got {type(placement).__name__}")
+    named = {"rig": rigs} if isinstance(rigs, Rig) else dict(rigs)
+    if not named:
+        raise ArgumentError("rigs", "expected at least one rig, got none")
+    for name, rig in named.items():
+        if not isinstance(rig, Rig):
+            raise TypeError(f"rigs: expected rigs by name, got {type(rig).__name__} as {name!r}")
+    with shown_progress(progress) as shown:
+        return evaluate_on(named, placement.observed(scenes, progress=shown), placement, progress=shown)
+
+
+@drawing_of.register(RigEvaluation)
+def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.view.figures.statistics import recall_figure
+
+    if not evaluation.objects:
+        raise InputError("plot: expected an evaluation with objects, got none")
+    headings = {"distance_m": "Recall by distance [m]", "sector": "Recall by sector", "category": "Recall by category"}
+    groupings = {
+        heading: {name: metrics.recall_by[by] for name, metrics in evaluation.metrics.items()}
+        for by, heading in headings.items()
+    }
+    title = canvas.title or f"{len(evaluation.scenes)} scenes, {len(evaluation.objects)} objects"
+    return recall_figure(groupings, title=title)
+
+
+def evaluate_on(
+    rigs: Mapping[str, Rig],
+    scenes: list[AssignedScene],
+    placement: Placement,
+    *,
+    began_as: Mapping[str, Rig | None] | None = None,
+    progress: Progress,
+) -> RigEvaluation:
+    """Measure rigs on scenes that are on the device.
+
+    Args:
+        rigs: By name.
+        scenes: Of `Placement.observed`, or of the placement itself.
+        placement: Likewise.
+        began_as: The rig that a rig began as, by name, see `Placement.assigned`; without one a rig is its own.
+        progress: Shows how many rigs are done.
+    """
+    began_as = {} if began_as is None else began_as
+    looks = {
+        name: observe_scenes(rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective)
+        for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
+    }
+    packed = [assigned.scene for assigned in scenes]
+    return RigEvaluation(
+        dict(rigs),
+        {name: metrics_of(look, placement.objective) for name, look in looks.items()},
+        tuple(scene.name for scene in packed),
+        seen_objects(looks, packed, rigs),
+    )

@@ -1,0 +1,135 @@
+"""The iterations of a run, as ``events.jsonl`` has them: read, checked, made a trajectory or numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpav.core.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+_MEND_EVENTS = "remove the line, or the file to go without the iterations"
+
+
+def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
+    """The iterations in a file; a line that was cut off in the middle of being written is left out.
+
+    Args:
+        file: The file; without it there are none.
+        least: How many there have to be.
+
+    Raises:
+        InputError: The file cannot be read, a line is no iteration of a run, or iterations are missing.
+    """
+    try:
+        lines = file.read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
+    events: list[dict[str, Any]] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            event = json.loads(line) if line.strip() else None
+        except (ValueError, RecursionError):  # also where the bytes are no text
+            if number == len(lines):
+                break
+            shown = line[:40].decode(errors="backslashreplace")
+            raise InputError(
+                f"{file}:{number}: expected one JSON object per line, got {shown!r}; {_MEND_EVENTS}"
+            ) from None
+        if event is not None:
+            count = len(events[0]["positions_m"]) if events else None
+            wrong = _event_mistake(event, camera_count=count)
+            if wrong:
+                raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
+            events.append(event)
+    if len(events) < least:
+        raise InputError(
+            f"{file}: expected the {least} iterations of a run that has ended, got {len(events)}; was it cut off?"
+        )
+    return events
+
+
+def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
+    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
+
+    Of several descents it is the way of the one that came upon the best rig.
+    """
+    import numpy as np
+
+    looks = [event for event in events if event.get("training_objective") is not None]
+    best = min(looks, key=lambda event: event["training_objective"], default=None)
+    way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
+    return np.array(way) if len(way) > 1 else None
+
+
+def _event_mistake(event: object, *, camera_count: int | None) -> str | None:
+    """What keeps a line of ``events.jsonl`` from being an iteration of a run of so many cameras; None: nothing."""
+    if not isinstance(event, dict):
+        return f"expected one JSON object per line, got {str(event)[:40]!r}"
+    missing = [name for name in ("iteration", "loss", "positions_m", "yaw_deg") if name not in event]
+    if missing:
+        return f"expected an iteration of a run with {missing[0]}, got {', '.join(list(event)[:5]) or 'no field'}"
+    places, yaws = event["positions_m"], event["yaw_deg"]
+    if not (isinstance(places, list) and places and all(_are_finite(place, 3) for place in places)):
+        return f"positions_m: expected [x, y, z] of every camera, got {str(places)[:40]}"
+    if camera_count not in (None, len(places)):
+        return f"positions_m: expected {camera_count} cameras as in the lines before, got {len(places)}"
+    if not _are_finite(yaws, len(places)):
+        return f"yaw_deg: expected a number for each of {len(places)} cameras, got {str(yaws)[:40]}"
+    for name in ("loss", "training_objective"):
+        if not _is_number_or_none(event.get(name)):
+            return f"{name}: expected a number or null, got {str(event[name])[:40]!r}"
+    return _part_mistake(event, len(places))
+
+
+def _part_mistake(event: Mapping[str, Any], camera_count: int) -> str | None:
+    """The same for what is under a name: terms, multipliers, gradient and free, where they are there."""
+    for name in ("terms", "multipliers", "gradient", "free"):
+        if not isinstance(event.get(name, {}), dict):
+            return f"{name}: expected values by name, got {str(event[name])[:40]}"
+    for name in ("terms", "multipliers"):
+        for key, value in event.get(name, {}).items():
+            is_list = name == "multipliers" and isinstance(value, list)
+            if not all(_is_number_or_none(each) for each in (value if is_list else [value])):
+                return f"{name}.{key}: expected a number or null, got {str(value)[:40]!r}"
+    gradient = event.get("gradient")
+    if gradient:
+        slopes = gradient.get("position_per_m")
+        has_slopes = isinstance(slopes, list) and len(slopes) == camera_count
+        if not has_slopes or not all(_are_finite(slope, 2) for slope in slopes):
+            return f"gradient.position_per_m: expected [x, y] of {camera_count} cameras, got {str(slopes)[:40]}"
+    turns = {"gradient.yaw_per_rad": gradient.get("yaw_per_rad")} if gradient else {}
+    for name, values in {**turns, **{f"free.{key}": value for key, value in event.get("free", {}).items()}}.items():
+        if not _are_finite(values, camera_count):
+            return f"{name}: expected a number for each of {camera_count} cameras, got {str(values)[:40]}"
+    return None
+
+
+def _is_number_or_none(value: object) -> bool:
+    return value is None or (isinstance(value, (int, float)) and math.isfinite(value))
+
+
+def _are_finite(numbers: object, count: int) -> bool:
+    return (
+        isinstance(numbers, list)
+        and len(numbers) == count
+        and all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
+    )
+
+
+def flat_numbers(event: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The numbers of an event by dotted name; lists are left to ``events.jsonl``."""
+    row: dict[str, Any] = {}
+    for name, value in event.items():
+        if isinstance(value, dict):
+            row |= flat_numbers(value, f"{prefix}{name}.")
+        elif not isinstance(value, (list, str)):
+            row[prefix + name] = value
+    return row

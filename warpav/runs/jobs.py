@@ -1,0 +1,101 @@
+"""The jobs of ``warpav optimise`` and ``warpav evaluate``: from a configuration to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from warpav.core.devices import device_name
+from warpav.core.errors import ArgumentError
+from warpav.core.files import write_json
+from warpav.core.progress import Progress
+from warpav.optimisation.history import IterationRecord
+from warpav.runs.build import build
+from warpav.runs.config import Config
+from warpav.runs.evaluate import evaluate_on
+from warpav.runs.optimise import Optimisation
+from warpav.runs.result import StageTimer, write_verdict
+from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
+from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
+
+
+def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
+    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
+
+    Args:
+        config: What to do.
+        name: Name of the run when ``run.out`` gives none.
+        progress: Where to show it.
+
+    Returns:
+        The run folder, and the content of its ``evaluation.json``.
+
+    Raises:
+        InputError: Something in the input is wrong.
+        KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
+    """
+    timer = StageTimer()
+    check_new_run(config)
+    placement = build(config).prepare(progress)
+    timer.end("scenes and detector")
+    optimisation = Optimisation.begin(placement, progress=progress)
+    timer.end("looking for a start")
+
+    folder = RunFolder.create(
+        config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze
+    )
+    progress.say(f"run folder: {folder.path}")
+    folder.write_rig("initial", optimisation.start)
+    try:
+        optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
+        result = optimisation.result()
+        timer.end("descent")
+        evaluation = write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
+    except KeyboardInterrupt:
+        progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
+        raise
+    return folder, evaluation
+
+
+def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
+    """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
+    descent, mount = optimisation.descent, optimisation.placement.mount
+    folder.append_event(record)
+    folder.write_rig("final", mount.rig(descent.mount_pose))
+    if record.training_objective is not None:
+        folder.write_rig("best", mount.rig(descent.best.mount_pose))
+        folder.write_checkpoint(descent.state())
+
+
+def measure_rig(source: str, config: Config, *, json_file: Path | None, progress: Progress) -> dict[str, Any]:
+    """Metrics of one rig on the test scenes, written to a file if there is one.
+
+    Args:
+        source: Rig YAML, preset, run folder, or ``highest``.
+        config: The scenes, the detector and the objective.
+        json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
+        progress: Where to show it.
+
+    Returns:
+        What the file holds.
+
+    Raises:
+        InputError: The rig, the file or something in the configuration cannot be used.
+    """
+    check_rig_source(source)
+    if json_file is not None and not json_file.absolute().parent.is_dir():
+        raise ArgumentError(
+            "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
+        )
+    placement = build(config).prepare(progress)
+    rig = find_rig(source, config, placement.ego)
+    began_as = rig
+    if is_run_folder(source):
+        began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
+    name = arm_name(source)
+    found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
+    evaluation = {"schema": EVALUATION_SCHEMA, **found.to_json()}
+    if json_file is not None:
+        write_json(json_file, evaluation)
+        progress.say(f"wrote {json_file}")
+    return evaluation

@@ -1,0 +1,155 @@
+"""Cameras and the vehicle below them, as the configuration says: camera model, mount surface, constraints."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+from warpav.core.devices import checked_device
+from warpav.core.errors import OptionError
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
+from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.rig.rig import Rig
+from warpav.runs.config import NAMED_STARTS, Config
+
+if TYPE_CHECKING:
+    from warpav.optimisation.constraints import Constraints
+    from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
+    from warpav.raster.mesh import Mesh
+
+
+def camera_model(config: Config) -> CameraModel:
+    """The camera model that all cameras of a run share."""
+    camera = config.camera
+    return CameraModel(
+        camera.width_px,
+        camera.height_px,
+        math.radians(camera.fov_deg),
+        camera.near_m,
+        Lens(camera.lens),
+        distortion=camera.distortion,
+    )
+
+
+def free_ranges(config: Config) -> FreeRanges:
+    """What may differ from camera to camera besides x, y and yaw."""
+    from warpav.optimisation.mount import FreeRanges
+
+    free = config.rig.free
+    angles = (
+        None if pair is None else (math.radians(pair[0]), math.radians(pair[1]))
+        for pair in (free.pitch_deg, free.fov_deg)
+    )
+    pitch_rad, fov_rad = angles
+    return FreeRanges(pitch_rad=pitch_rad, height_m=free.height_m, fov_rad=fov_rad)
+
+
+def mount_surface(config: Config, ego: Mesh) -> MountSurface:
+    """Where cameras may stand on the ego vehicle.
+
+    Raises:
+        InputError: Nothing on it faces upwards enough.
+    """
+    return mount_surface_from_mesh(
+        ego,
+        cell_m=config.mount.cell_m,
+        min_upward_normal=config.mount.min_upward_normal,
+        min_zone_normal=config.mount.min_zone_normal,
+        smoothing_tolerance_m=config.mount.smoothing_tolerance_m,
+    )
+
+
+def camera_mount(config: Config, ego: Mesh) -> CameraMount:
+    """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
+    from warpav.optimisation.mount import CameraMount
+
+    return CameraMount(
+        mount_surface(config, ego),
+        camera=camera_model(config),
+        height_offset_m=config.rig.height_offset_m,
+        device=checked_device(config.device),
+        free=free_ranges(config),
+    )
+
+
+def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras | None = None) -> Constraints:
+    """What the method demands of the places of the cameras.
+
+    Args:
+        config: The configuration.
+        surface: What they stand on.
+        frozen: Those that stay as they are.
+
+    Raises:
+        InputError: No place of the mountable zone is far enough from its border.
+    """
+    from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
+
+    if config.method == "thesis":
+        return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
+    return ZoneAndSpacing(
+        surface,
+        camera_count=config.rig.cameras,
+        min_spacing_m=config.rig.min_spacing_m,
+        margin_m=config.mount.margin_m,
+        frozen=frozen,
+    )
+
+
+def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
+    """The rig that a run starts from, as a mount can hold some of its cameras.
+
+    Args:
+        config: Gives the other cameras their model.
+        start: The rig.
+        freeze: Names of the cameras that stay as they are.
+
+    Raises:
+        InputError: The rig has no such camera, or one that cannot be in one rig with those of the configuration.
+    """
+    named = "the start rig" if config.rig.start in NAMED_STARTS else config.rig.start
+    shared, known = camera_model(config), [camera.name for camera in start.cameras]
+    cameras = []
+    for camera in start.cameras:
+        model = dataclasses.replace(camera.model, near_m=shared.near_m)
+        cameras.append(dataclasses.replace(camera, model=model))
+    models = {camera.name: camera.model for camera in cameras}
+    for name in freeze:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            names = f"{', '.join(known)}, the cameras of {named}"
+            raise OptionError("rig.freeze", f"expected names out of {names}, got {name!r}{hint}")
+        model = models[name]
+        if not model.fits_beside(shared):
+            raise OptionError(
+                "rig.freeze",
+                "expected cameras with the image and the lens of the others, but for a pinhole's field of view, got "
+                f"{name} with {model.width_px} x {model.height_px} px ({model.lens}"
+                f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
+                f"({shared.lens}); {_as_frozen(model)}",
+            )
+        alike = config.losses.one_field
+        if alike and model.log_zoom_over(shared):
+            raise OptionError(
+                "rig.freeze",
+                f"expected cameras of camera.fov_deg={config.camera.fov_deg:g}, as losses.{alike[0]} takes one field "
+                f"of view for all, got {name} with {math.degrees(model.fov_rad):g}",
+            )
+    return Rig.create(cameras, name="rig.start")
+
+
+def _as_frozen(model: CameraModel) -> str:
+    """How a run's cameras can have the image and the lens of a camera."""
+    if model.focal_px is not None:
+        return "replace focal_px and centre_px by fov_deg in the rig's file"
+    options = f"camera.width_px={model.width_px} camera.height_px={model.height_px}"
+    if model.lens is Lens.PINHOLE:
+        return f"set {options} camera.lens=pinhole, or write the camera with the smaller image into a rig's file"
+    numbers = ",".join(f"{value:g}" for value in model.distortion)
+    angle = f" camera.fov_deg={math.degrees(model.fov_rad):g}"
+    return f"set {options} camera.lens={model.lens}{angle} camera.distortion=[{numbers}]"

@@ -1,0 +1,108 @@
+"""The detector of a configuration, and what identifies a fit of its detection probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.core.devices import checked_device
+from warpav.core.fingerprint import digest
+from warpav.detection.differentiable import DifferentiableDetector
+from warpav.runs.config import Config, with_absolute_paths
+from warpav.runs.mounts import camera_model
+from warpav.runs.scene_set import own_vehicle_digest
+
+if TYPE_CHECKING:
+    from warpav.detection.detector import Detector
+    from warpav.detection.onnx_detector import OnnxDetector
+    from warpav.detection.probability import DetectorUse
+    from warpav.raster.mesh import Mesh
+
+
+def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
+    """The detector of the configuration, tried on a grey image of the configured camera.
+
+    Args:
+        config: Says which, and whom it is to find.
+        every_road_user: Let it find whomever it has labels for, if vehicles are among those to be found.
+
+    Raises:
+        InputError: Its file cannot be used, or gives something else than detections.
+    """
+    from warpav.detection.families import GREY
+    from warpav.detection.onnx_detector import OnnxDetector
+
+    detector = OnnxDetector(
+        config.detector.model,
+        confidence_min=config.detector.confidence_min,
+        nms_iou_max=config.detector.nms_iou_max,
+        family=config.detector.format,
+        labels=config.detector.labels,
+        classes=dict(config.detector.classes),
+        targets=None if every_road_user and "vehicle" in config.scenes.targets else config.scenes.targets,
+        input_px=config.detector.input_px,
+        provider=config.detector.provider,
+    )
+    # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
+    detector.detect(np.full((1, config.camera.height_px, config.camera.width_px, 3), GREY, np.uint8))
+    return detector
+
+
+def detector_use(config: Config, ego: Mesh | None = None) -> DetectorUse:
+    """The detector, and everything in the configuration on which its detection probability in a view depends.
+
+    Args:
+        config: The configuration.
+        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
+    """
+    from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+    from warpav.detection.probability import DetectorUse
+
+    config = with_absolute_paths(config)  # a run folder writes them so, and finds the same fit
+    model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
+    vehicle = own_vehicle_digest(config) if ego is None else digest(ego.vertex_m.tobytes(), ego.triangle.tobytes())
+    free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}
+    return DetectorUse(
+        model,
+        {
+            "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
+            "camera": config.camera.model_dump(mode="json"),
+            "scenes": config.scenes.model_dump(
+                mode="json", exclude={"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego"}
+            ),
+            **({} if vehicle is None else {"scenes.ego": vehicle}),
+            "rig.height_offset_m": config.rig.height_offset_m,
+            "visibility.occlusion": config.visibility.occlusion,
+            **({"rig.free": free} if free else {}),
+        },
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """The detector, and what losses need of it.
+
+    Attributes:
+        detector: The detector.
+        differentiable: The same network, differentiable; None where no loss needs it.
+    """
+
+    detector: Detector
+    differentiable: DifferentiableDetector | None
+
+
+def load_networks(config: Config) -> Networks:
+    """Load the detector, differentiable as well where the losses of the configuration need it.
+
+    Raises:
+        InputError: The device or the detector cannot be used.
+    """
+    device = checked_device(config.device)
+    detector = load_detector(config)
+    differentiable = None
+    if config.losses.detector_gradient > 0.0:
+        differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
+    return Networks(detector, differentiable)

@@ -1,0 +1,632 @@
+"""The task of placing cameras: scenes, a vehicle, cameras, a detector and an objective, joined.
+
+`Placement` is what `warpav.optimise` and `warpav.evaluate` take. It can be made of objects, or of a configuration
+(`warpav.runs.build.build`); both ways lead to the same objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.progress import NullProgress, Progress
+from warpav.detection.probability import DetectionProbability
+from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras, assign_vehicles, nearest_cameras
+from warpav.optimisation.losses.build import losses_of
+from warpav.optimisation.losses.loss import Loss, LossSchedule
+from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.registry import LOSSES
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.segregation import Segregation, choose_orientations
+from warpav.raster.decide import Occlusion
+from warpav.raster.mesh import Mesh
+from warpav.rig.rig import Rig
+from warpav.runs.config import Config, RigConfig, changed_config, flow_text
+from warpav.runs.detector_fit import ensure_fit
+from warpav.runs.mounts import checked_frozen, constraints_of
+from warpav.runs.networks import Networks, load_networks
+from warpav.runs.rig_source import read_start
+from warpav.runs.scene_set import SceneSet, checked_vehicle, own_vehicle, pack_scenes
+from warpav.scene.device_scene import DeviceScene
+from warpav.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from warpav.detection.detector import Detector
+
+TOWN_SOURCE = "town seed "
+"""How the source of an embedded scene begins; its seed follows."""
+
+DEGREES_OF_FREEDOM = {
+    "x_m": X_M,
+    "y_m": Y_M,
+    "height_m": HEIGHT_DELTA_M,
+    "yaw_rad": YAW_RAD,
+    "pitch_rad": PITCH_RAD,
+    "log_focal": LOG_ZOOM,
+}
+"""Degrees of freedom of a camera on the mount surface, and their column among its mount pose."""
+
+
+class Stream(IntEnum):
+    """Purposes of random numbers: one more draw for one of them moves nothing for the others."""
+
+    SEGREGATION = 0
+    START = 1
+    BATCHES = 2
+    SEARCH = 3
+    STARTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What a placement is made of, as far as it is known without work.
+
+    Attributes:
+        config: All numbers.
+        start: The rig that the optimiser starts from; None: as ``config.rig.start`` says, ``random`` or ``highest``.
+        freeze: Names of the cameras of ``start`` that stay as they are.
+        ego: The vehicle that takes the place of every scene's own, where it is not ``config.scenes.ego``.
+        networks: The detector; None: that of ``config``.
+        probability: The model of detection probability; None: `warpav.runs.detector_fit.ensure_fit` gives it.
+        losses: Every loss with its weight; None: those of ``config``.
+        has_own_detector: Whether the detector is an object that no configuration describes.
+        has_own_scenes: Whether the scenes are objects that no configuration describes.
+    """
+
+    config: Config
+    start: Rig | None = None
+    freeze: tuple[str, ...] = ()
+    ego: Mesh | None = None
+    networks: Networks | None = None
+    probability: DetectionProbability | None = None
+    losses: tuple[tuple[float, Loss], ...] | None = None
+    has_own_detector: bool = False
+    has_own_scenes: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """What a placement has after its work: on the device, assigned, ready to be measured against."""
+
+    scenes: SceneSet
+    networks: Networks
+    probability: DetectionProbability | None
+    objective: RigObjective
+    segregation: Segregation
+    train: list[AssignedScene]
+    validation: list[AssignedScene]
+    test: list[AssignedScene]
+
+
+class Placement:
+    """Which cameras a vehicle is to carry, in which traffic, for which detector.
+
+    Nothing is loaded or rendered before it is needed: `prepare` does it with progress, everything else calls it.
+
+    Attributes:
+        config: All numbers, as a configuration; scenes, detectors and vehicles that are objects have no place there.
+        start_rig: The rig that the optimiser starts from; None: ``random`` or ``highest``, as ``config.rig.start``
+            says.
+    """
+
+    def __init__(
+        self,
+        train: Sequence[Scene],
+        *,
+        validation: Sequence[Scene] = (),
+        cameras: int | None = None,
+        fov_deg: float | None = None,
+        detector: str | Path | Detector | None = None,
+        ego: str | Path | Mesh | trimesh.Trimesh | tuple[Any, Any] | None = None,
+        device: str | None = None,
+        start: str | Path | Rig | None = None,
+        freeze: str | Sequence[str] = (),
+        rig: RigConfig | Mapping[str, Any] | None = None,
+        losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
+        config: Config | None = None,
+    ) -> None:
+        """A placement from objects.
+
+        Args:
+            train: Scenes that the optimiser sees, at least one, all around the same ego vehicle.
+            validation: Scenes on which rigs are compared; none: the training scenes.
+            cameras: Number of cameras, 2 to 16; None: those of ``start``, else ``config.rig.cameras``.
+            fov_deg: Horizontal field of view of every camera [deg].
+            detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
+            ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, `Mesh`, trimesh, or
+                ``(vertices [n, 3], faces [m, 3])``. None: the scenes' own.
+            device: Warp device such as ``"cuda:0"``.
+            start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
+            freeze: Names of cameras of ``start`` that stay as they are.
+            rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
+            losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
+                `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+            config: What the arguments leave out; None: the shipped configuration ``quick``.
+
+        Raises:
+            InputError: An argument cannot be used; the text names it.
+            TypeError: An argument is of another type.
+        """
+        train, validation = _checked_scenes("train", train), _checked_scenes("validation", validation, least=0)
+        start_rig = start if isinstance(start, Rig) else None
+        own_detector = None if detector is None or isinstance(detector, (str, Path)) else detector
+        if own_detector is not None and not callable(getattr(own_detector, "detect", None)):
+            raise TypeError(
+                "detector: expected the path of an ONNX file, 'builtin' or an object with detect(images_rgb) and "
+                f"names, got {type(own_detector).__name__}"
+            )
+        ego_is_file = isinstance(ego, (str, Path))
+        mesh = None if ego is None or ego_is_file else checked_vehicle(ego)
+        if cameras is None and start_rig is not None:
+            cameras = len(start_rig.cameras)
+        base = Config() if config is None else config
+        options: dict[str, object] = {
+            "rig.cameras": cameras,
+            "camera.fov_deg": fov_deg,
+            "device": device,
+            "detector.model": None if own_detector is not None or detector is None else str(detector),
+            "scenes.ego": str(ego) if ego_is_file else None,
+            "rig.start": "random" if start_rig is not None else None if start is None else str(start),
+            "rig.freeze": None if start is None else [],
+            "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
+            **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
+            **_scene_options(train, validation, base),
+        }
+        overrides = [f"{name}={flow_text(value)}" for name, value in options.items() if value is not None]
+        found = changed_config(base, overrides, origin=None)
+        if start_rig is None:
+            start_rig = read_start(found)
+        elif len(start_rig.cameras) != found.rig.cameras:
+            raise ArgumentError(
+                "start",
+                f"expected a rig of {found.rig.cameras} cameras, as `cameras` says, got {len(start_rig.cameras)}",
+            )
+        names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
+        if names and start_rig is None:
+            raise ArgumentError("freeze", f"expected a rig as `start` that has the cameras, got {', '.join(names)}")
+        if start_rig is not None and names:
+            if len(names) >= len(start_rig.cameras):
+                raise ArgumentError("freeze", f"expected fewer than all {len(start_rig.cameras)} cameras")
+            checked_frozen(found, start_rig, names)
+        self._parts = Parts(
+            found,
+            start_rig,
+            names or found.rig.freeze,
+            mesh,
+            networks=None if own_detector is None else Networks(own_detector, None),
+            losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
+            has_own_detector=own_detector is not None,
+            has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),
+        )
+        self._own: tuple[list[Scene], list[Scene]] | None = (train, validation)
+        self._load = _packer(train, validation, self._parts)
+        self._prepared: _Prepared | None = None
+
+    @classmethod
+    def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:
+        """A placement from its parts, whose scenes are loaded when they are first needed."""
+        placement = cls.__new__(cls)
+        placement._parts, placement._load = parts, load
+        placement._own = placement._prepared = None
+        return placement
+
+    @property
+    def config(self) -> Config:
+        """All numbers of the placement."""
+        return self._parts.config
+
+    @property
+    def parts(self) -> Parts:
+        """What it is made of."""
+        return self._parts
+
+    @property
+    def own_scenes(self) -> tuple[list[Scene], list[Scene]] | None:
+        """Scenes of training and of validation that were given as objects; None where a configuration gives them."""
+        return self._own
+
+    def as_seen(self, scenes: Sequence[Scene]) -> Iterator[Scene]:
+        """Scenes around the vehicle of the placement, with its targets."""
+        return _as_seen(scenes, self._parts)
+
+    @property
+    def start_rig(self) -> Rig | None:
+        """The rig that the optimiser starts from, if it is a certain one."""
+        return self._parts.start
+
+    def with_config(self, config: Config) -> Placement:
+        """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
+        parts = replace(self._parts, config=config)
+        placement = Placement.of(parts, self._load)
+        placement._own = self._own
+        if self._prepared is not None and _have_one_objective(config, self.config):
+            placement._prepared = self._prepared
+        elif self._prepared is not None:
+            done = self._prepared
+            placement._prepared = _assembled(parts, done.scenes, done.networks, done.probability)
+        return placement
+
+    def prepare(self, progress: Progress | None = None) -> Placement:
+        """Load the scenes and the detector, fit its detection probability if there is no fit, assign the vehicles.
+
+        Returns:
+            The same placement.
+
+        Raises:
+            InputError: The device, the detector or a scene cannot be used.
+        """
+        if self._prepared is None:
+            progress = progress or NullProgress()
+            parts = self._parts
+            networks = parts.networks or load_networks(parts.config)
+            scenes = self._load(progress)
+            probability = parts.probability
+            if probability is None and _needs_fit(parts):
+                own = networks.detector if parts.has_own_detector else None
+                probability = ensure_fit(parts.config, detector=own, ego=parts.ego, progress=progress)
+            progress.stage("assigning the vehicles to the cameras")
+            self._prepared = _assembled(parts, scenes, networks, probability)
+        return self
+
+    @property
+    def _ready(self) -> _Prepared:
+        self.prepare()
+        assert self._prepared is not None
+        return self._prepared
+
+    @property
+    def objective(self) -> RigObjective:
+        """What is minimised; it knows the mount surface, the constraints and the detector."""
+        return self._ready.objective
+
+    @property
+    def mount(self) -> CameraMount:
+        """Where the cameras may stand, and their model."""
+        return self.objective.mount
+
+    @property
+    def segregation(self) -> Segregation:
+        """Orientations that share the vehicles among the cameras."""
+        return self._ready.segregation
+
+    @property
+    def train(self) -> list[AssignedScene]:
+        """Training scenes, each vehicle assigned to an orientation."""
+        return self._ready.train
+
+    @property
+    def validation(self) -> list[AssignedScene]:
+        """Scenes on which rigs are compared, likewise; the training scenes if there are none."""
+        return self._ready.validation
+
+    @property
+    def test(self) -> list[AssignedScene]:
+        """Test scenes of the configuration, likewise; none where the placement is made of objects."""
+        return self._ready.test
+
+    @property
+    def ego(self) -> Mesh:
+        """The vehicle that carries the cameras."""
+        return self._ready.scenes.ego
+
+    @property
+    def shown(self) -> Scene:
+        """The scene for figures."""
+        return self._ready.scenes.shown
+
+    @property
+    def detector(self) -> Detector:
+        """The detector."""
+        return self._ready.networks.detector
+
+    @property
+    def frozen_rig(self) -> Rig | None:
+        """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
+        return self._parts.start if self._parts.freeze else None
+
+    @cached_property
+    def yaw_rad(self) -> np.ndarray:
+        """The orientation that each camera takes, unless its rig began otherwise [rad], [camera]."""
+        orientation_rad = self.segregation.yaw_rad
+        if self.frozen_rig is None:
+            return orientation_rad
+        return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.frozen_rig))]
+
+    @property
+    def has_ordered_start(self) -> bool:
+        """Whether the cameras of the rig that a run starts from are in the order of `yaw_rad`."""
+        config = self.config
+        is_random = self.start_rig is None and config.rig.start == "random"
+        return is_random or config.optimiser.starts > 1
+
+    def random_numbers(self, stream: Stream) -> np.random.Generator:
+        """Random numbers for one purpose, from ``run.seed``."""
+        return _random_numbers(self.config, stream)
+
+    def assigned(self, scenes: list[AssignedScene], rig: Rig | None) -> list[AssignedScene]:
+        """The scenes with vehicles assigned to the cameras of a rig.
+
+        Args:
+            scenes: Some of the placement's scenes.
+            rig: Its cameras are paired with the orientations by their directions; None pairs camera k with
+                orientation k. A rig keeps the pairs it began with, so for one that has moved this is its start.
+        """
+        if rig is None or len(rig.cameras) != len(self.segregation.yaw_rad):
+            return scenes
+        return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
+
+    def observed(self, scenes: Sequence[Scene], *, progress: Progress | None = None) -> list[AssignedScene]:
+        """Other scenes as this placement sees them: around its vehicle, with its targets, assigned, on its device.
+
+        Raises:
+            InputError: There is none, or one has another ego vehicle.
+        """
+        progress = progress or NullProgress()
+        scenes = _checked_scenes("scenes", scenes)
+        self.prepare(progress)
+        known = self._ready.scenes
+        packed = []
+        for scene in progress.steps("scenes", _as_seen(scenes, self._parts), count=len(scenes)):
+            known.check_vehicle(scene)
+            packed.append(DeviceScene.pack(scene, device=self.mount.device))
+        areas = known.areas_of(packed, self.config.segregation.rotations)
+        return assign_vehicles(packed, [area[:, self.segregation.rotation] for area in areas])
+
+    def value_and_grad(
+        self, rig: Rig, scenes: Sequence[Scene] | None = None
+    ) -> tuple[float, dict[str, dict[str, float]]]:
+        """The objective of a rig, and its gradient to the poses of the cameras on the mount surface.
+
+        The objective is the weighted sum of the losses, without the constraints. Gradients flow through the boundaries
+        of what the cameras see; what a frozen camera would gain is 0.
+
+        Args:
+            rig: As many cameras as the placement has, of its camera model, anywhere.
+            scenes: Where to look; None: all training scenes.
+
+        Returns:
+            The objective; and by name of the camera the derivatives to ``x_m``, ``y_m`` [1/m] and ``yaw_rad``
+            [1/rad], and to ``height_m``, ``pitch_rad`` and ``log_focal`` where these are free.
+
+        Raises:
+            InputError: The rig does not fit the placement.
+        """
+        found = self.objective.evaluate(
+            self._pose_of(rig), self._scenes_for(rig, scenes), gradient=True, with_constraints=False
+        )
+        assert found.gradient is not None
+        columns = {
+            name: column
+            for name, column in DEGREES_OF_FREEDOM.items()
+            if name in ("x_m", "y_m", "yaw_rad") or self.mount.is_free[column]
+        }
+        gradient = {
+            camera.name: {name: float(found.gradient[k, column]) for name, column in columns.items()}
+            for k, camera in enumerate(rig.cameras)
+        }
+        return found.objective, gradient
+
+    def detection_probabilities(self, rig: Rig, scenes: Sequence[Scene] | None = None) -> np.ndarray:
+        """The probability that each camera of a rig detects each object, by the model of detection probability.
+
+        Args:
+            rig: As in `value_and_grad`.
+            scenes: Where to look; None: all training scenes.
+
+        Returns:
+            0..1, float [camera, object]; the objects scene by scene.
+
+        Raises:
+            InputError: The rig does not fit the placement, or the objective takes no part in detection probability.
+        """
+        found = self.objective.evaluate(self._pose_of(rig), self._scenes_for(rig, scenes), detection_probability=True)
+        if found.detection_probability is None:
+            raise InputError("losses: expected a loss that knows detection probabilities, such as expected_miss_rate")
+        return found.detection_probability
+
+    def _pose_of(self, rig: Rig) -> np.ndarray:
+        if not isinstance(rig, Rig):
+            raise TypeError(f"rig: expected a Rig, got {type(rig).__name__}")
+        count = self.config.rig.cameras
+        if len(rig.cameras) != count:
+            raise ArgumentError("rig", f"expected {count} cameras as the placement has, got {len(rig.cameras)}")
+        for camera in rig.cameras:
+            if not self.mount.has_model(camera.model):
+                raise ArgumentError(
+                    "rig", f"expected cameras of the placement's model {self.mount.camera}, got {camera.model}"
+                )
+        return self.mount.mount_pose_of_rig(rig)
+
+    def _scenes_for(self, rig: Rig, scenes: Sequence[Scene] | None) -> list[AssignedScene]:
+        return self.assigned(self.train if scenes is None else self.observed(scenes), rig)
+
+    def __repr__(self) -> str:
+        return f"Placement({self._description()})"
+
+    def _repr_html_(self) -> str:
+        return f"<b>Placement</b>: {self._description()}"
+
+    def _description(self) -> str:
+        config = self.config
+        scenes = "own" if self._parts.has_own_scenes else config.scenes.source
+        detector = "own" if self._parts.has_own_detector else config.detector.model
+        return (
+            f"{config.rig.cameras} cameras of {config.camera.fov_deg:g} deg, {config.camera.width_px} x "
+            f"{config.camera.height_px} px, {scenes} scenes, detector {detector}, {config.device}"
+        )
+
+
+def placement_on(
+    scenes: SceneSet, config: Config, networks: Networks, probability: DetectionProbability | None
+) -> Placement:
+    """A placement on scenes that are on the device already.
+
+    Args:
+        scenes: Of `load_scene_set`, from this configuration or from one with the same `scene_part`.
+        config: The configuration.
+        networks: Of `load_networks`, from this configuration.
+        probability: Of `ensure_fit`, likewise.
+    """
+    start = read_start(config)
+    parts = Parts(config, start, config.rig.freeze, networks=networks, probability=probability)
+    placement = Placement.of(parts, lambda _: scenes)
+    placement._prepared = _assembled(parts, scenes, networks, probability)
+    return placement
+
+
+def needed_fit(config: Config, progress: Progress) -> DetectionProbability | None:
+    """What `ensure_fit` gives, where the losses of a configuration need it; else None."""
+    return ensure_fit(config, progress=progress) if _needs_fit(Parts(config)) else None
+
+
+def _needs_fit(parts: Parts) -> bool:
+    """Whether a loss needs the model of detection probability."""
+    if parts.losses is None:
+        return parts.config.losses.weights["expected_miss_rate"] > 0.0
+    return any(loss.needs(LossSchedule()).detection_probability for _, loss in parts.losses)
+
+
+def _have_one_objective(one: Config, other: Config) -> bool:
+    """Whether two configurations differ in nothing but how the optimiser steps."""
+    dampings = [{each.optimiser.damping(are_inequalities=flag) for flag in (True, False)} for each in (one, other)]
+    steps = {"run": other.run, "optimiser": other.optimiser}
+    return one.run.seed == other.run.seed and dampings[0] == dampings[1] and one.model_copy(update=steps) == other
+
+
+def _assembled(
+    parts: Parts, scenes: SceneSet, networks: Networks, probability: DetectionProbability | None
+) -> _Prepared:
+    """The objective, and the vehicles of all scenes assigned to orientations."""
+    config = parts.config
+    areas = scenes.areas(config.segregation.rotations)
+    train_count = len(scenes.train)
+    segregation = choose_orientations(
+        areas[:train_count],
+        config.rig.cameras,
+        config.segregation.rotations,
+        _random_numbers(config, Stream.SEGREGATION),
+    )
+    assigned = assign_vehicles(scenes.scenes, [area[:, segregation.rotation] for area in areas])
+    mount = scenes.mount
+    if parts.start is not None and parts.freeze:
+        mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
+    constraints = constraints_of(config, mount.surface, mount.frozen)
+    reference = Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE
+    options = LossOptions(config.losses, reference, networks.differentiable)
+    objective = RigObjective(
+        mount,
+        networks.detector,
+        camera_count=config.rig.cameras,
+        losses=losses_of(options) if parts.losses is None else parts.losses,
+        camera_probability=CameraProbability.of(config.losses, probability),
+        multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
+        constraints=constraints,
+        confidence_min=config.detector.confidence_min,
+        iou_min=config.detector.iou_min,
+        occlusion=Occlusion(config.visibility.occlusion),
+        supersampling=config.camera.supersampling,
+    )
+    train, others = assigned[:train_count], assigned[train_count:]
+    validation_count = len(scenes.validation)
+    return _Prepared(
+        scenes,
+        networks,
+        probability,
+        objective,
+        segregation,
+        train,
+        others[:validation_count] or train,
+        others[validation_count:],
+    )
+
+
+def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:
+    return np.random.default_rng([config.run.seed, int(stream)])
+
+
+def _checked_scenes(name: str, scenes: Sequence[Scene], *, least: int = 1) -> list[Scene]:
+    """Scenes of an argument, as a list."""
+    if isinstance(scenes, Scene):
+        raise TypeError(f"{name}: expected a list of scenes, got one Scene; write [scene]")
+    found = list(scenes)
+    for scene in found:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"{name}: expected scenes, such as town([0, 1]) gives, got {type(scene).__name__}")
+    if len(found) < least:
+        raise ArgumentError(name, "expected at least one scene, got none")
+    return found
+
+
+def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tuple[tuple[float, Loss], ...]:
+    """The losses of an argument, functions among them."""
+    found = []
+    for each in losses:
+        if (
+            not isinstance(each, tuple)
+            or len(each) != 2
+            or isinstance(each[0], bool)
+            or not isinstance(each[0], (int, float))
+        ):
+            raise TypeError(f"losses: expected pairs of a weight and a loss, such as (0.1, my_loss), got {each!r}")
+        found.append((float(each[0]), each[1] if isinstance(each[1], Loss) else UserLoss.of(each[1])))
+    return tuple(found)
+
+
+def _are_town(scenes: Sequence[Scene]) -> bool:
+    """Whether these are embedded scenes as they are made."""
+    return all(scene.source.startswith(TOWN_SOURCE) for scene in scenes)
+
+
+def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Config) -> dict[str, object]:
+    """What a configuration can say of scenes: the seeds of embedded ones, and no batch larger than they are many."""
+    options: dict[str, object] = {"run.batch_size": min(base.run.batch_size, len(train))}
+    if not (_are_town(train) and _are_town(validation)):
+        return options
+    seeds = [[int(scene.source.removeprefix(TOWN_SOURCE)) for scene in each] for each in (train, validation)]
+    used = {*seeds[0], *seeds[1]}
+    test = [seed for seed in base.scenes.test_seeds if seed not in used] or [max(used) + 1]
+    return {
+        **options,
+        "scenes.source": "town",
+        "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
+        "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
+        "scenes.test_seeds": test,
+    }
+
+
+def _as_seen(scenes: Sequence[Scene], parts: Parts) -> Iterator[Scene]:
+    """Scenes around the vehicle of a placement, with its targets."""
+    ego = parts.ego if parts.ego is not None else own_vehicle(parts.config)
+    for scene in scenes:
+        around = scene if ego is None else scene.around(ego)
+        yield around.targeting(parts.config.scenes.targets)
+
+
+def _packer(train: Sequence[Scene], validation: Sequence[Scene], parts: Parts) -> Callable[[Progress], SceneSet]:
+    """Packs scenes that are there."""
+
+    def pack(progress: Progress) -> SceneSet:
+        scenes = [*train, *validation]
+        steps = progress.steps("scenes", _as_seen(scenes, parts), count=len(scenes))
+        return pack_scenes(steps, (len(train), len(validation)), parts.config, progress)
+
+    return pack
+
+
+def _section(settings: RigConfig | Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a section that are given, as they are written in files."""
+    if isinstance(settings, RigConfig):
+        return settings.model_dump(mode="json", exclude_unset=True)
+    return dict(settings)

@@ -1,0 +1,399 @@
+"""What an optimisation has come to, and how it becomes a run folder."""
+
+from __future__ import annotations
+
+import html
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.devices import device_name
+from warpav.core.errors import ArgumentError
+from warpav.core.executor import in_background
+from warpav.core.progress import Progress
+from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.descent import Descent
+from warpav.optimisation.history import Candidate, IterationRecord
+from warpav.optimisation.rivals import random_search
+from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
+from warpav.rig.rig import Rig
+from warpav.runs.config import Config, changed_config, flow_text
+from warpav.runs.evaluate import evaluate_on
+from warpav.runs.placement import Placement, Stream
+from warpav.runs.progress import shown_progress
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.scene_set import load_scenes
+from warpav.scene.glb import write_scene
+from warpav.scene.scene import Scene
+from warpav.scene.store import scene_path
+from warpav.view import Canvas, drawing_of, plot
+
+if TYPE_CHECKING:
+    from warpav.optimisation.assignment import AssignedScene
+
+OPTIMISED, START = "optimised", "start"
+"""Names of the rigs of a run where it is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What an optimisation has come to.
+
+    Attributes:
+        rig: The rig of the run: the one that was found, or the start where that one is worse.
+        start: The rig that it started from.
+        found: The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse.
+        objective: Of `rig`, on all validation scenes (the training scenes if there are none); less is better.
+        start_objective: Of `start`, likewise.
+        found_objective: Of `found`, likewise.
+        history: Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration; and
+            ``objective`` on all validation scenes whenever it was measured, the last one of `found` with
+            ``optimiser.keep`` last, with ``objective_iteration``, the iterations before which that was.
+        ended: Why it ended early; None where it took all iterations.
+        placement: What it ran on.
+        records: What every iteration did.
+        began_as: See `warpav.runs.placement.Placement.assigned`.
+    """
+
+    rig: Rig
+    start: Rig
+    found: Rig
+    objective: float
+    start_objective: float
+    found_objective: float
+    history: dict[str, list[float]]
+    ended: str | None
+    placement: Placement
+    records: tuple[IterationRecord, ...] = field(repr=False)
+    began_as: Rig | None = field(repr=False)
+    _descent: Descent = field(repr=False)
+    _kept: Candidate = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        placement: Placement,
+        descent: Descent,
+        kept: Candidate,
+        records: Sequence[IterationRecord],
+        began_as: Rig | None,
+    ) -> Result:
+        """The result of a descent that has finished with a candidate."""
+        rig = placement.mount.rig
+        begun, end = descent.candidates[0].training_objective, kept.training_objective
+        is_worse = not end <= begun
+        start, found = rig(descent.start), rig(kept.mount_pose)
+        return cls(
+            rig=start if is_worse else found,
+            start=start,
+            found=found,
+            objective=begun if is_worse else end,
+            start_objective=begun,
+            found_objective=end,
+            history=_history(records, descent.candidates),
+            ended=descent.verdict,
+            placement=placement,
+            records=tuple(records),
+            began_as=began_as,
+            _descent=descent,
+            _kept=kept,
+        )
+
+    @property
+    def is_better_than_start(self) -> bool:
+        """Whether the objective of the rig that was found is lower than that of the start."""
+        return self.found_objective < self.start_objective
+
+    @property
+    def is_worse_than_start(self) -> bool:
+        """Whether it is higher, or no number; then `rig` is the start."""
+        return not self.found_objective <= self.start_objective
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        test: Sequence[Scene] | None = None,
+        progress: bool | Progress | None = None,
+    ) -> Path:
+        """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
+
+        The result is compared with its start, the rig around the highest point and the best of some random rigs.
+        Scenes that are objects are written into the folder; a detector that is an object is not.
+
+        Args:
+            folder: A folder that does not exist yet, or an empty one.
+            test: Scenes to compare on, that no rig was optimised on; None: those of ``scenes.test_seeds``, where the
+                scenes of the placement are embedded or files.
+            progress: As of `warpav.runs.optimise.optimise`.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: It cannot be written, or there are no scenes to compare on.
+        """
+        timer = StageTimer()
+        placement = self.placement
+        if test is None and placement.parts.has_own_scenes:
+            raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
+        path = Path(folder).expanduser()
+        config = changed_config(placement.config, [f"run.out={flow_text(str(path))}"], origin=None)
+        with shown_progress(progress) as shown:
+            written = RunFolder.create(
+                config,
+                name=path.name,
+                device=device_name(config.device),
+                start=placement.start_rig,
+                freeze=placement.parts.freeze,
+            )
+            written.write_rig("initial", self.start)
+            for record in self.records:
+                written.append_event(record)
+            if test is None and placement.test:
+                scenes = placement.test
+                first = placement.shown
+            else:
+                given = list(load_scenes(config, config.scenes.test_seeds)) if test is None else list(test)
+                scenes, first = placement.observed(given, progress=shown), given[0]
+                if test is not None:
+                    written.replace_config(_with_scenes(config, placement, given, written))
+            write_verdict(written, self, scenes, first, timer=timer, progress=shown)
+        return written.path
+
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the result in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
+        return plot(self, out=out, **options)
+
+    def __repr__(self) -> str:
+        return f"Result({self._description()})"
+
+    def _repr_html_(self) -> str:
+        return f"<b>Result</b>: {html.escape(self._description())}"
+
+    def _description(self) -> str:
+        count = len(self.rig.cameras)
+        text = f"{count} cameras, {len(self.records)} iterations, objective {self.start_objective:.4f} -> "
+        text += f"{self.found_objective:.4f}"
+        return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.runs.inspect import DrawnRun, rigs_of_events
+
+    placement, events = result.placement, [asdict(record) for record in result.records]
+    frames = rigs_of_events(events, result.rig, place="result")
+    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
+    return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+
+
+class StageTimer:
+    """Wall time of the stages of a run [s]."""
+
+    def __init__(self) -> None:
+        self._began = self._last = time.perf_counter()
+        self._seconds: dict[str, float] = {}
+
+    def end(self, stage: str) -> None:
+        """The stage that began with the end of the one before ends now."""
+        now = time.perf_counter()
+        self._seconds[stage] = now - self._last
+        self._last = now
+
+    def total_s(self) -> float:
+        """Since the beginning [s]."""
+        return time.perf_counter() - self._began
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Of every stage that has ended, and ``total`` up to there."""
+        return {**self._seconds, "total": self._last - self._began}
+
+
+def write_verdict(
+    folder: RunFolder,
+    result: Result,
+    test: list[AssignedScene],
+    first: Scene,
+    *,
+    timer: StageTimer,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Complete a run folder that has its iterations: rigs, evaluation, figures, report.
+
+    Args:
+        folder: The run folder.
+        result: What goes into it.
+        test: Scenes to compare rigs on.
+        first: The first of them, for figures.
+        timer: Its stages go into the evaluation.
+        progress: Shows what is going on.
+
+    Returns:
+        The content of ``evaluation.json``.
+    """
+    from warpav.evaluation.blind_ground import BlindGround
+    from warpav.runs.report.report import write_report
+    from warpav.runs.run_figures import RigDrawing, draw_rigs, draw_views
+
+    placement, descent = result.placement, result._descent
+    mount = placement.mount
+    folder.write_checkpoint(descent.state())
+    folder.write_rig("best", result.rig)
+    folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+
+    constraints = placement.objective.constraints
+    drawing = RigDrawing(
+        folder.path,
+        result.start,
+        result.found,
+        first,
+        mount.surface,
+        constraints.min_spacing_m,
+        shows_zone=constraints.are_inequalities,
+    )
+    with in_background(draw_rigs, drawing) as drawn:
+        rigs, began_as = _compared(result, progress)
+        compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
+        timer.end("comparison on the test scenes")
+        progress.stage("ground that no camera sees")
+        ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
+        timer.end("ground that no camera sees")
+        evaluation = {
+            **compared.to_json(),
+            "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
+            "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
+            "descent": {
+                "iterations": descent.iteration,
+                "planned": placement.config.run.iterations,
+                "ended": result.ended,
+                "kept": result._kept.iteration,
+            },
+            "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
+            "outcomes": compared.outcomes(),
+            "ground": ground.table(),
+        }
+        folder.write_evaluation({**evaluation, "seconds": timer.seconds})
+        progress.stage("figures and report")
+        folder.write_ground(ground.arrays(placement.ego.bounds_m()))
+        outcomes = [
+            [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
+        ]
+        draw_views(
+            folder,
+            {START: result.start, OPTIMISED: result.found},
+            objective=placement.objective,
+            assigned=_shown_scenes(test, outcomes),
+        )
+    problem = drawn.result()
+    if problem:
+        progress.say(f"no image of the rig: {problem}")
+    timer.end("figures")
+    evaluation = {**evaluation, "seconds": timer.seconds}
+    folder.write_evaluation(evaluation)
+    progress.say(f"report: {write_report(folder)}   took {timer.total_s():.0f} s")
+    return evaluation
+
+
+def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:
+    """The rigs that a result is compared with, itself first, and the rigs that these began as."""
+    placement = result.placement
+    config, mount, constraints = placement.config, placement.mount, placement.objective.constraints
+    highest = mount.rig(mount.within(highest_mount_pose(constraints, config.rig.cameras)))
+    samples, rng = config.baselines.random_samples, placement.random_numbers(Stream.SEARCH)
+    chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
+    progress.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
+    space = SearchSpace.over(
+        mount,
+        config.rig.cameras,
+        constraints=constraints,
+        yaw_rad=placement.yaw_rad,
+        yaw_reach_rad=0.0,
+    )
+    scenes = [placement.train[k] for k in chosen]
+    value = BudgetedValue.of(placement.objective, scenes, space, render_budget=samples * len(scenes))
+    random = mount.rig(run_search(random_search, value, rng).mount_pose)
+    began_as = result.began_as
+    return (
+        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig},
+    )
+
+
+def _shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[ObjectOutcome]]) -> list[AssignedScene]:
+    """The first scene, and of the others that in which a rig leaves most objects undetected, if it leaves any."""
+    undetected = [sum(outcome != ObjectOutcome.DETECTED for outcome in each) for each in outcomes]
+    hardest = max(range(1, len(scenes)), key=undetected.__getitem__, default=0)
+    return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
+
+
+def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], folder: RunFolder) -> Config:
+    """The configuration of a run whose scenes are objects, and are written into its folder."""
+    own = placement.own_scenes
+    scenes = folder.path.absolute() / "scenes"
+    scenes.mkdir()
+    parts = (*(own or ((), ())), test)
+    seeds: list[list[int]] = []
+    count = 0
+    for part in parts:
+        for k, scene in enumerate(placement.as_seen(part)):
+            write_scene(scene, scene_path(scenes, count + k))
+        seeds.append(list(range(count, count + len(part))))
+        count += len(part)
+    options = {
+        "scenes.source": "folder",
+        "scenes.folder": str(scenes),
+        "scenes.ego": None,
+        "scenes.train_seeds": seeds[0],
+        "scenes.validation_seeds": seeds[1] or None,
+        "scenes.test_seeds": seeds[2],
+    }
+    return changed_config(config, [f"{name}={flow_text(value)}" for name, value in options.items()], origin=None)
+
+
+def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]) -> dict[str, list[float]]:
+    names = list(dict.fromkeys(name for record in records for name in record.terms))
+    return {
+        "iteration": [record.iteration for record in records],
+        "loss": [record.loss for record in records],
+        **{name: [record.terms.get(name, math.nan) for record in records] for name in names},
+        "seconds": [record.seconds["total"] for record in records],
+        "objective": [candidate.training_objective for candidate in candidates],
+        "objective_iteration": [candidate.iteration for candidate in candidates],
+    }
+
+
+@drawing_of.register(Result)
+def _drawing(
+    result: Result,
+    canvas: Canvas,
+    *,
+    scene: Scene | None = None,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    scene = result.placement.shown if scene is None else next(result.placement.as_seen([scene]))
+    steps = [record.positions_m for record in result.records if record.descent == result._kept.descent]
+    has_path = len(steps) > 1 and not result.is_worse_than_start
+    return drawing_of(
+        result.rig,
+        canvas,
+        scene=scene,
+        trajectory_m=np.array(steps) if has_path else None,
+        visibility=visibility,
+    )

@@ -1,0 +1,134 @@
+"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.rig.find import HIGHEST, find_rig_file, is_preset
+from warpav.rig.rig import Rig
+from warpav.runs.config import NAMED_STARTS, Config, placed_config
+from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of
+from warpav.runs.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+
+SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
+
+
+def is_run_folder(source: str) -> bool:
+    """Whether the source of a rig means a folder; one with a preset's name counts only if it holds a run."""
+    folder = Path(source)
+    return folder.is_dir() and (not is_preset(source) or (folder / "config.yaml").is_file())
+
+
+def check_rig_source(source: str) -> None:
+    """Refuse early what :func:`find_rig` would refuse after the scenes have been built.
+
+    Raises:
+        InputError: ``source`` means no rig.
+    """
+    if source != HIGHEST:
+        find_file_rig(source)
+
+
+def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
+    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``.
+
+    Args:
+        source: What the user wrote.
+        config: Gives the near plane of all cameras, and everything about the cameras of ``highest``.
+        ego: The vehicle on whose highest point ``highest`` stands.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    if source == HIGHEST:
+        from warpav.optimisation.baselines import highest_mount_pose
+
+        mount = camera_mount(config, ego)
+        return mount.rig(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras))
+    shared = camera_model(config)
+    return Rig.create(
+        [
+            dataclasses.replace(camera, model=_completed(camera.model, shared))
+            for camera in find_file_rig(source).cameras
+        ],
+        name=source,
+    )
+
+
+def config_for(
+    source: str, config: str | None, overrides: Sequence[str], *, default: str
+) -> contextlib.AbstractContextManager[Config]:
+    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``.
+
+    Returns:
+        What :func:`warpav.runs.config.placed_config` returns.
+    """
+    if config is None and is_run_folder(source):
+        config = str(RunFolder.open(source).path / "config.yaml")
+    return placed_config(config or default, overrides)
+
+
+def arm_name(source: str) -> str:
+    """What the rig of ``source`` is called in results."""
+    return "optimised" if is_run_folder(source) else Path(source).stem
+
+
+def rig_to_export(source: str) -> Rig:
+    """The rig that ``source`` means; ``highest`` stands on the embedded vehicle, with the cameras of ``quick``.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    if source != HIGHEST:
+        return find_file_rig(source)
+    from warpav.scene.town.town import town_scene
+
+    with placed_config("quick", ()) as config:
+        return find_rig(source, config, town_scene(0).ego)
+
+
+def find_file_rig(source: str) -> Rig:
+    """The rig of a rig YAML, a preset or a run folder, as it stands there.
+
+    Raises:
+        InputError: It means none, or the file cannot be used.
+    """
+    return RunFolder.open(source).rig() if is_run_folder(source) else find_rig_file(source)
+
+
+def read_start(config: Config) -> Rig | None:
+    """The rig that ``rig.start`` names; None where it names none.
+
+    Raises:
+        InputError: It cannot be read, has another number of cameras than ``rig.cameras``, or cameras of ``rig.freeze``
+            that cannot be held.
+    """
+    if config.rig.start in NAMED_STARTS:
+        return None
+    rig = find_file_rig(config.rig.start)
+    if len(rig.cameras) != config.rig.cameras:
+        raise InputError(
+            f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
+            f"set rig.cameras={len(rig.cameras)}"
+        )
+    checked_frozen(config, rig, config.rig.freeze)
+    return rig
+
+
+def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
+    """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
+    model = dataclasses.replace(model, near_m=shared.near_m)
+    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared
+    return shared if is_shared else model

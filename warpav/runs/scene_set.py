@@ -1,0 +1,417 @@
+"""The traffic of a run: its scenes, read or made, on the device, and the vehicle that carries the cameras."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import math
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import platformdirs
+
+from warpav.core.devices import checked_device
+from warpav.core.errors import ArgumentError, InputError, OptionError
+from warpav.core.fingerprint import digest
+from warpav.core.progress import Progress
+from warpav.core.warp_setup import compiling
+from warpav.optimisation.segregation import areas_around
+from warpav.raster.mesh import Mesh
+from warpav.runs.config import Config, RigConfig, RunConfig
+from warpav.runs.mounts import camera_mount
+from warpav.scene.cache import town_scenes
+from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.device_scene import DeviceScene
+from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
+from warpav.scene.scene import ROAD_USERS, Scene
+from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
+
+if TYPE_CHECKING:
+    from warpav.optimisation.mount import CameraMount
+
+VEHICLE_RGB = (150, 152, 156)
+"""Colour of a vehicle that comes without one."""
+
+RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.trace", "reconstruction")
+"""Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
+
+EGO_TOLERANCE_M = 0.2
+"""Ego vehicles that were reconstructed from images of different scenes differ by less."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSet:
+    """Scenes on the device, and the vehicle that carries the cameras.
+
+    Attributes:
+        train: Training scenes; with ``scenes.mirror`` their mirror images after them.
+        validation: Scenes on which the rigs of a run are compared; maybe none.
+        test: Test scenes; none where a caller brings its own.
+        mount: Where the cameras may stand, and their model.
+        ego: The vehicle that carries them.
+        shown: The first test scene, else the first of training, for figures.
+    """
+
+    train: list[DeviceScene]
+    validation: list[DeviceScene]
+    test: list[DeviceScene]
+    mount: CameraMount
+    ego: Mesh
+    shown: Scene
+    _areas: dict[int, list[np.ndarray]] = field(default_factory=dict, repr=False)
+
+    @property
+    def scenes(self) -> list[DeviceScene]:
+        """All scenes: those of training, of validation, of the test."""
+        return [*self.train, *self.validation, *self.test]
+
+    def check_vehicle(self, scene: Scene) -> None:
+        """Make sure that a scene is around the same ego vehicle.
+
+        Raises:
+            InputError: It is around another.
+        """
+        if not is_same_vehicle(scene.ego, self.ego):
+            raise InputError(f"{scene.name}: ego: expected the vehicle of the placement, got another")
+
+    def with_cameras(self, config: Config) -> SceneSet:
+        """The same scenes with other cameras, on another mount surface; nothing is loaded."""
+        return replace(self, mount=camera_mount(config, self.ego), _areas={})
+
+    def areas(self, rotation_count: int) -> list[np.ndarray]:
+        """What `areas_of` gives for `scenes`; rendered when first asked for."""
+        if rotation_count not in self._areas:
+            self._areas[rotation_count] = self.areas_of(self.scenes, rotation_count)
+        return self._areas[rotation_count]
+
+    def areas_of(self, scenes: Sequence[DeviceScene], rotation_count: int) -> list[np.ndarray]:
+        """Area of every vehicle alone in directions all round [px^2], seen from the middle of the ego vehicle.
+
+        Args:
+            scenes: Scenes around the same ego vehicle.
+            rotation_count: Number of directions, evenly spread from yaw 0.
+
+        Returns:
+            One [vehicle, rotation] for each scene.
+        """
+        return areas_around(
+            scenes,
+            np.arange(rotation_count) * (2.0 * math.pi / rotation_count),
+            np.append(self.ego.bounds_m()[:, :2].mean(axis=0), 0.0),
+            self.mount.camera,
+            device=self.mount.device,
+        )
+
+
+def scene_part(config: Config) -> Config:
+    """The configuration with nothing but what `load_scene_set` looks at; the scenes of equal parts are the same."""
+    return Config(
+        run=RunConfig(batch_size=1),
+        device=config.device,
+        scenes=config.scenes,
+        capture=config.capture,
+        reconstruction=config.reconstruction,
+        rig=RigConfig(height_offset_m=config.rig.height_offset_m, free=config.rig.free),
+        camera=config.camera,
+        mount=config.mount,
+    )
+
+
+def same_scenes(one: Config, other: Config) -> bool:
+    """Whether two configurations have the same scenes on the same device; cameras and mount surface may differ."""
+    parts = [(each.device, each.scenes, each.capture, each.reconstruction) for each in (one, other)]
+    return parts[0] == parts[1]
+
+
+def load_scene_set(config: Config, progress: Progress) -> SceneSet:
+    """Build or read the scenes of a configuration, and find where cameras may stand.
+
+    Raises:
+        InputError: The device or a scene cannot be used.
+    """
+    config = scene_part(config)
+    parts = (config.scenes.train_seeds, config.scenes.validation_seeds or (), config.scenes.test_seeds)
+    seeds = tuple(seed for part in parts for seed in part)
+    scenes = progress.steps("scenes", load_scenes(config, seeds, say=progress.say), count=len(seeds))
+    return pack_scenes(scenes, (len(parts[0]), len(parts[1])), config, progress)
+
+
+def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config, progress: Progress) -> SceneSet:
+    """Scenes on the device, and where cameras may stand on the vehicle that they share.
+
+    Args:
+        scenes: Those of training, of validation, of the test, one after the other; one is held at a time.
+        counts: How many are for training and for validation.
+        config: Device, targets, mirror images, cameras.
+        progress: Told of targets that no scene holds.
+
+    Raises:
+        InputError: A scene has another ego vehicle than the first, or none holds a target.
+    """
+    device = checked_device(config.device)
+    train_count, test_from = counts[0], sum(counts)
+    packed: list[DeviceScene] = []
+    mirrored: list[DeviceScene] = []
+    ego = shown = None
+    with compiling(device, but=RARE_KERNELS):
+        for k, scene in enumerate(scenes):
+            ego = scene.ego if ego is None else ego
+            if not is_same_vehicle(scene.ego, ego):
+                raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+            shown = scene if k in (0, test_from) else shown
+            packed.append(DeviceScene.pack(scene, device=device))
+            if config.scenes.mirror and k < train_count:
+                mirrored.append(DeviceScene.pack(scene.mirrored(), device=device))
+    assert ego is not None
+    assert shown is not None
+    _check_targets(config.scenes.targets, packed, progress)
+    return SceneSet(
+        packed[:train_count] + mirrored,
+        packed[train_count:test_from],
+        packed[test_from:],
+        camera_mount(config, ego),
+        ego,
+        shown,
+    )
+
+
+def load_scenes(
+    config: Config, seeds: Sequence[int], *, ego: Mesh | None = None, say: Callable[[str], None] | None = None
+) -> Iterator[Scene]:
+    """The scenes of ``seeds``, one after the other: built, captured and reconstructed, or read.
+
+    Their vehicles are the road users that ``scenes.targets`` names. Scenes that went through images hold people and
+    cyclists as part of the environment, so there only vehicles can be targets. With ``scenes.ego`` all are around that
+    vehicle, without the road users at whose places it stands.
+
+    Args:
+        config: Says which scenes.
+        seeds: Their numbers.
+        ego: The vehicle that they are around; None: that of ``scenes.ego``, else each scene's own.
+        say: Told of road users that were left out.
+
+    Raises:
+        InputError: A file is missing or cannot be used.
+    """
+    ego = own_vehicle(config) if ego is None else ego
+    for scene in _scenes_of(config, seeds):
+        around = scene if ego is None else scene.around(ego)
+        left_out = len(scene.road_users) - len(around.road_users)
+        if left_out and say is not None:
+            users = "1 road user" if left_out == 1 else f"{left_out} road users"
+            say(f"{scene.name}: {users} left out, where the vehicle of scenes.ego stands")
+        yield around.targeting(config.scenes.targets)
+
+
+def load_scene(source: str, config: Config | None = None) -> Scene:
+    """The scene that ``source`` means: a GLB file, or the embedded scene of a seed.
+
+    Args:
+        source: What the user wrote.
+        config: Its ``scenes.ego`` takes the place of the scene's own vehicle; None: nothing does.
+
+    Raises:
+        InputError: It is neither.
+    """
+    ego = None if config is None else own_vehicle(config)
+    scene = _scene_of(source)
+    return scene if ego is None else scene.around(ego)
+
+
+def own_vehicle(config: Config) -> Mesh | None:
+    """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own.
+
+    Raises:
+        InputError: It cannot be read, or not be used as it is.
+    """
+    from warpav.scene.own_vehicle import examine, read_vehicle
+
+    path = config.scenes.ego
+    if path is None:
+        return None
+    try:
+        file = read_vehicle(path)
+        found = examine(file, file.usual)
+    except InputError as error:
+        raise OptionError("scenes.ego", str(error)) from None
+    if found.problems:
+        raise OptionError(
+            "scenes.ego",
+            f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to mend it",
+        )
+    return found.mesh
+
+
+def checked_vehicle(ego: object) -> Mesh:
+    """A vehicle that is given as an object, in the ego frame.
+
+    Args:
+        ego: A `Mesh`, anything with ``vertices`` and ``faces`` as trimesh has them, or a pair of these: positions [m],
+            [vertex, 3], and vertex indices, [face, 3].
+
+    Raises:
+        InputError: It is no mesh, or no vehicle in the ego frame: units, axes, ground or origin are off.
+        TypeError: It is something else.
+    """
+    from warpav.scene.own_vehicle import Reading, VehicleFile, examine
+
+    mesh = ego if isinstance(ego, Mesh) else _mesh_of(ego)
+    file = VehicleFile(Path("ego"), mesh.vertex_m, mesh.triangle, mesh.vertex_rgb, Reading("z", "x"), False, "a mesh")
+    problems = examine(file, file.usual).problems
+    if problems:
+        raise ArgumentError("ego", f"{problems[0].text}; move the mesh into the ego frame")
+    return mesh
+
+
+def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
+    pair = ego if isinstance(ego, tuple) and len(ego) == 2 else None
+    if pair is None and hasattr(ego, "vertices") and hasattr(ego, "faces"):
+        pair = ego.vertices, ego.faces
+    if pair is None:
+        raise TypeError(
+            f"ego: expected the path of a mesh file, a Mesh, a trimesh or (vertices, faces), got {type(ego).__name__}"
+        )
+    try:
+        return Mesh.create(*pair, VEHICLE_RGB, name="ego")
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise ArgumentError("ego", f"expected numbers of shape [vertex, 3] and [face, 3], got: {error}") from None
+
+
+def own_vehicle_digest(config: Config) -> str | None:
+    """Hash of the file that ``scenes.ego`` names, so that what was made with another one is made again; None for none.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    path = config.scenes.ego
+    if path is None:
+        return None
+    try:
+        return digest(path.expanduser().read_bytes())
+    except OSError as error:
+        raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None
+
+
+def plan_settings(config: Config) -> PlanSettings:
+    """What is recorded of a situation."""
+    capture = config.capture
+    return PlanSettings(
+        vehicle_count=capture.vehicles,
+        radius_m=capture.radius_m,
+        width_px=capture.width_px,
+        height_px=capture.height_px,
+        scene_heights_m=capture.scene_heights_m,
+        rotation_count=capture.rotations,
+        ego_side_count=capture.ego_sides,
+    )
+
+
+def reconstruction_settings(config: Config) -> ReconstructionSettings:
+    """How a capture becomes a scene.
+
+    Raises:
+        InputError: The surface method is not installed.
+    """
+    how = config.reconstruction
+    missing = [name for name in METHOD_PACKAGES.get(how.method, ()) if importlib.util.find_spec(name) is None]
+    if missing:
+        raise OptionError(
+            "reconstruction.method",
+            f"expected an installed surface method, got {how.method!r} without the package {' and '.join(missing)}; "
+            "install as https://github.com/nv-tlabs/NKSR says, or use poisson",
+        )
+    standard = ReconstructionSettings()
+    vehicle = {"point_count": how.vehicle_points, "cell_m": how.vehicle_cell_m, "reach_m": 2.0 * how.vehicle_cell_m}
+    return ReconstructionSettings(
+        cloud=dataclasses.replace(
+            standard.cloud, far_depth_m=how.far_depth_m, radius_m=how.radius_m, max_height_m=how.max_height_m
+        ),
+        method=how.method,
+        vehicle=dataclasses.replace(standard.vehicle, **vehicle, triangle_count=how.vehicle_triangles),
+        ego=dataclasses.replace(standard.ego, **vehicle),
+        environment=dataclasses.replace(
+            standard.environment,
+            point_count=how.environment_points,
+            cell_m=how.environment_cell_m,
+            reach_m=2.5 * how.environment_cell_m,
+            triangle_count=how.environment_triangles,
+        ),
+    )
+
+
+def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
+    from warpav.scene.glb import read_scene
+
+    if config.scenes.source == "town":
+        yield from town_scenes(seeds)
+        return
+    if config.scenes.source == "captured":
+        yield from map(read_scene, _captured(config, seeds))
+        return
+    assert config.scenes.folder is not None
+    files = [scene_path(config.scenes.folder, seed) for seed in seeds]
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise OptionError(
+            "scenes.folder",
+            f"expected {missing[0].name} in {str(config.scenes.folder)!r}, got no such file "
+            f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds",
+        )
+    yield from map(read_scene, files)
+
+
+def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
+    """Files of scenes that went through images; those that are not there yet are made."""
+    folder = config.scenes.folder or Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "captured"
+    plan, meshes = plan_settings(config), reconstruction_settings(config)
+    for seed in seeds:
+        captured = CaptureTask(seed, capture_path(folder / "captures", seed), plan)
+        scene = SceneTask(seed, scene_path(folder, seed), captured.folder, meshes)
+        for outcome in (*capture_scenes([captured]), *make_scenes([scene])):
+            if outcome.error is not None:
+                raise InputError(outcome.error)
+        yield scene.file
+
+
+def _scene_of(source: str) -> Scene:
+    from warpav.scene.glb import read_scene
+    from warpav.scene.town.town import town_scene
+
+    if source.isdecimal() and not Path(source).exists():
+        return town_scene(int(source))
+    if not Path(source).is_file():
+        raise InputError(f"{source}: scene: expected a GLB file or the seed of an embedded scene, got {source!r}")
+    return read_scene(source)
+
+
+def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:
+    """Say which targets no scene holds.
+
+    Raises:
+        InputError: None of them is in any scene.
+    """
+    there = {ROAD_USERS[kind] for scene in scenes for kind in scene.road_user_index}
+    absent = [target for target in targets if target not in there]
+    if not absent:
+        return
+    text = f"no {' and no '.join(absent)} in any of the {len(scenes)} scenes"
+    hint = "" if "vehicle" in absent else "; scenes made from images hold people as parts of the environment"
+    if not there:
+        raise OptionError("scenes.targets", f"expected road users that the scenes hold, got {text}{hint}")
+    progress.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
+
+
+def is_same_vehicle(one: Mesh, other: Mesh) -> bool:
+    """Whether two meshes may show the same vehicle; how low they reach is left out.
+
+    How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
+    """
+    difference_m = np.abs(one.bounds_m() - other.bounds_m())
+    difference_m[0, 2] = 0.0
+    return bool(difference_m.max() <= EGO_TOLERANCE_M)

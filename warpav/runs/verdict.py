@@ -1,0 +1,154 @@
+"""What a run has shown: its metrics as tables, and whether the rig that it found is worth taking."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+ARM_ROWS = {
+    "map50_average": "AP50, mean of the cameras",
+    "map50_min_camera": "AP50, worst camera",
+    "map50_max_camera": "AP50, best camera",
+    "ap50_pooled": "AP50, all images",
+    "ap50_small": "AP50, up to 32 x 32 px",
+    "ap50_medium": "AP50, to 96 x 96 px",
+    "ap50_large": "AP50, larger",
+    "ap50_95_pooled": "AP50:95, all images",
+    "tp_detection_rate": "recall of the rig",
+    "visible_rate": "visible to the rig",
+    "rig_recall_visible": "recall of the visible",
+    "false_alarms_per_frame": "false alarms a frame",
+    "tp_in_frame_rate": "in frame",
+    "detection_confidence": "confidence",
+    "objective": "objective",
+    "constraint_violation": "violation [m]",
+    "min_camera_distance_m": "closest [m]",
+}
+"""Fields of an arm's metrics and the headings they are shown under."""
+
+
+RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
+"""Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
+
+
+def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
+    """The rig's recall by group as text: for every grouping its rows of group, number of objects, and recall by arm.
+
+    Groups without objects, and road users where there is only one kind of them, are left out.
+
+    Args:
+        arms: Metrics by arm, as in ``evaluation.json``; empty for one that was written before there was ``recall_by``.
+    """
+    tables = [arm["recall_by"] for arm in arms.values() if arm.get("recall_by")]
+    if not tables or len(tables) < len(arms):
+        return []
+    blocks = [
+        [
+            [f"{name}{unit}", str(group["objects"]), *(f"{table[by][name]['recall']:.3f}" for table in tables)]
+            for name, group in tables[0].get(by, {}).items()
+            if group["objects"]
+        ]
+        for by, unit in RECALL_GROUPS.items()
+    ]
+    return [block for by, block in zip(RECALL_GROUPS, blocks, strict=True) if len(block) > (by == "road_user")]
+
+
+def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
+    """A table with one row per metric and one column per arm."""
+    table = Table(title=title or None, title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    for name in arms:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for field, heading in ARM_ROWS.items():
+        table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
+    return table
+
+
+def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
+    """The rig's recall by distance, sector and class, one column per arm; None where the metrics do not hold it."""
+    blocks = recall_rows(arms)
+    if not blocks:
+        return None
+    table = Table(title="recall of the rig", title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    table.add_column("objects", justify="right")
+    for name in arms:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for block in blocks:
+        for row in block:
+            table.add_row(*map(Text, row))
+        table.add_section()
+    return table
+
+
+def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
+    """In what the rig that a run has found is worse than the rig that it started from, a sentence each.
+
+    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or it certainly
+    detects fewer objects of the test scenes: these choose no rig, so it stays the rig of the run.
+
+    Args:
+        evaluation: The content of ``evaluation.json``.
+    """
+    found = []
+    training = evaluation.get("training_objective") or {}
+    start, end = training.get("start"), training.get("optimised")
+    if "optimised" in training and start is not None and (end is None or end > start):
+        found.append(
+            f"WORSE THAN ITS START: the optimised rig has objective {_number(end)}, its start {_number(start)}; the "
+            "rig of the run, rig_best.yaml, is the start"
+        )
+    recall = (evaluation.get("paired", {}).get("start") or {}).get("tp_detection_rate") or {}
+    high, arms = recall.get("high"), evaluation["arms"]
+    if high is not None and high < 0.0 and "start" in arms:
+        first = next(iter(arms))
+        before, after = (arms[name]["tp_detection_rate"] for name in ("start", first))
+        found.append(
+            f"WORSE THAN ITS START: the {first} rig has recall {after:.4f} on the test scenes, its start {before:.4f}"
+        )
+    return found
+
+
+def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
+    """Print the arms' metrics, whether the constraints are met, and what the run has changed.
+
+    Args:
+        console: Where to.
+        evaluation: The content of ``evaluation.json``.
+    """
+    arms = evaluation["arms"]
+    for text in worse_than_start(evaluation):
+        console.print(f"[bold red]{text}[/]")
+    console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
+    recall = recall_table(arms)
+    if recall is not None:
+        console.print(recall)
+    name, metrics = next(iter(arms.items()))
+    violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
+    met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
+    console.print(met if violation == 0.0 else f"[red]constraints broken[/] by {_number(violation)} m")
+    training = evaluation.get("training_objective")
+    if training:
+        start, end = training["start"], training["optimised"]
+        change = f" ({(end - start) / start:+.1%})" if start else ""
+        console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
+    for other, differences in evaluation.get("paired", {}).items():
+        found = differences["tp_detection_rate"]
+        if found["low"] is not None:
+            console.print(
+                f"recall of the rig, {name} - {other}: {found['mean']:+.4f} "
+                f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
+            )
+
+
+def _metric(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{float(value):.4g}"

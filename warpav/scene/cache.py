@@ -1,0 +1,160 @@
+"""Scenes of the embedded town, kept in the user's cache folder: built once, several at a time, then read.
+
+A file is named after what it was made of: the seed, the code that makes scenes, and the versions of NumPy and Embree.
+So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
+`CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import zipfile
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.executor import available_cores, run_tasks
+from warpav.core.fingerprint import fingerprint
+from warpav.raster.mesh import Mesh
+from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.scene.town.town import town_scene
+
+CAPACITY_BYTES = 512 * 2**20
+"""What the cache holds at most: about 300 scenes of 1.8 MB."""
+_PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
+_FORMAT = 1
+
+
+def scene_cache_folder() -> Path:
+    """Where scenes are kept; it may not exist yet."""
+    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "scenes"
+
+
+def town_scenes(
+    seeds: Sequence[int], *, folder: Path | None = None, worker_count: int | None = None
+) -> Iterator[Scene]:
+    """The embedded scenes of ``seeds``, in this order: read where they were built before, built where not.
+
+    Args:
+        seeds: As `warpav.scene.town.town.town_scene` takes them.
+        folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
+        worker_count: Processes that build scenes; None: one for each core.
+
+    Yields:
+        Scenes, array for array and bit for bit those of ``town_scene``.
+
+    Raises:
+        ValueError: A seed is negative.
+    """
+    folder = folder or scene_cache_folder()
+    missing = [seed for seed in dict.fromkeys(seeds) if not scene_file(seed, folder).is_file()]
+    worker_count = min(worker_count or available_cores(), len(missing))
+    built: dict[int, Scene] = {}
+    outcomes = iter(())
+    if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
+        tasks = [(seed, folder) for seed in missing]
+        outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count)
+    else:
+        missing = []
+    for seed in seeds:
+        while seed in missing and seed not in built:
+            outcome = next(outcomes)
+            number, _ = outcome.task
+            # one that failed fails again here, with its own error
+            built[number] = _build(outcome.task) if outcome.result is None else outcome.result
+        yield built[seed] if seed in built else _read_or_build(seed, folder)
+    for _ in outcomes:
+        pass
+    _prune(folder)
+
+
+def scene_file(seed: int, folder: Path) -> Path:
+    """The file that keeps the scene of a seed."""
+    made_of = fingerprint(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
+    return folder / f"town_{seed}_{made_of}.npz"
+
+
+def _read_or_build(seed: int, folder: Path) -> Scene:
+    file = scene_file(seed, folder)
+    try:
+        scene = _read(file)
+        file.touch()
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        scene = _build((seed, folder))
+    return scene
+
+
+def _build(task: tuple[int, Path]) -> Scene:
+    """Build the scene of a seed, and keep it if the folder lets itself be written to."""
+    seed, folder = task
+    scene = town_scene(seed)
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(scene, scene_file(seed, folder))
+    return scene
+
+
+def _write(scene: Scene, file: Path) -> None:
+    """Keep a scene, all meshes end to end and uncompressed: that reads fastest."""
+    meshes = [scene.environment, scene.ego, *(user.mesh for user in (*scene.vehicles, *scene.others))]
+    users = [*scene.vehicles, *scene.others]
+    words = {
+        "name": scene.name,
+        "source": scene.source,
+        "vehicles": len(scene.vehicles),
+        "users": [[user.instance_id, user.category, user.box.yaw_rad] for user in users],
+    }
+    with atomic_write(file) as draft, draft.open("wb") as stream:
+        np.savez(
+            stream,
+            words=np.frombuffer(json.dumps(words).encode(), np.uint8),
+            vertex_m=np.concatenate([mesh.vertex_m for mesh in meshes]),
+            triangle=np.concatenate([mesh.triangle for mesh in meshes]),
+            vertex_rgb=np.concatenate([mesh.vertex_rgb for mesh in meshes]),
+            count=np.array([[len(mesh.vertex_m), len(mesh.triangle)] for mesh in meshes]),
+            box_m=np.array([[user.box.center_m, user.box.size_m] for user in users]).reshape(-1, 2, 3),
+            sky_rgb=np.array([scene.sky.horizon_rgb, scene.sky.zenith_rgb]),
+        )
+
+
+def _read(file: Path) -> Scene:
+    """The scene of a file; zip's checksums tell one that is damaged."""
+    with np.load(file, allow_pickle=False) as kept:
+        arrays = {name: kept[name] for name in kept.files}
+    words = json.loads(arrays["words"].tobytes())
+    vertex_end, triangle_end = np.cumsum(arrays["count"], axis=0)[:-1].T
+    meshes = [
+        Mesh(*parts)
+        for parts in zip(
+            np.split(arrays["vertex_m"], vertex_end),
+            np.split(arrays["triangle"], triangle_end),
+            np.split(arrays["vertex_rgb"], vertex_end),
+            strict=True,
+        )
+    ]
+    users = tuple(
+        Vehicle(instance_id, category, mesh, Box(*box_m, yaw_rad))
+        for (instance_id, category, yaw_rad), mesh, box_m in zip(
+            words["users"], meshes[2:], arrays["box_m"], strict=True
+        )
+    )
+    count = words["vehicles"]
+    sky = Sky(*arrays["sky_rgb"])
+    return Scene(words["name"], meshes[0], meshes[1], users[:count], sky, words["source"], users[count:])
+
+
+def _prune(folder: Path) -> None:
+    """Remove the scenes that were not used for the longest time, until the others fit."""
+    with contextlib.suppress(OSError):  # another process prunes as well
+        found = [(file.stat(), file) for file in folder.glob("town_*.npz")]
+        left = sum(status.st_size for status, _ in found)
+        for status, file in sorted(found, key=lambda each: each[0].st_mtime):
+            if left <= CAPACITY_BYTES:
+                break
+            file.unlink()
+            left -= status.st_size

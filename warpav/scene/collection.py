@@ -1,0 +1,66 @@
+"""Traffic as lists of scenes: the embedded town, and files."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable
+from pathlib import Path
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.scene.scene import Scene
+
+MAX_SEED = 2**31 - 1
+
+
+def town(seeds: Iterable[int]) -> list[Scene]:
+    """Embedded street scenes: a street with houses, parked and moving vehicles, people, around one ego vehicle.
+
+    They are kept in the user's cache folder; those that are not there yet are built in several processes.
+
+    Args:
+        seeds: Their numbers, 0 to 2^31 - 1; the same seed gives the same scene.
+
+    Raises:
+        InputError: There is none, or one is out of range.
+        TypeError: One is no whole number.
+    """
+    from warpav.scene.cache import town_scenes
+
+    numbers = [seeds] if isinstance(seeds, int) else list(seeds)
+    for seed in numbers:
+        if isinstance(seed, bool) or not hasattr(seed, "__index__"):
+            raise TypeError(f"seeds: expected whole numbers such as range(30), got {seed!r}")
+        if not 0 <= int(seed) <= MAX_SEED:
+            raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
+    if not numbers:
+        raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
+    return list(town_scenes([int(seed) for seed in numbers]))
+
+
+def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
+    """Scenes from GLB files, in the order of their names.
+
+    Args:
+        files: A file, a folder, a pattern such as ``"scenes/*.glb"``, or several of these.
+
+    Raises:
+        InputError: There is no such file, or one is no scene.
+    """
+    from warpav.scene.glb import read_scene
+
+    sources = [files] if isinstance(files, (str, Path)) else list(files)
+    found = [file for source in sources for file in _files_of(source)]
+    if not found:
+        raise ArgumentError("files", "expected at least one scene, got none")
+    return [read_scene(file) for file in found]
+
+
+def _files_of(source: str | Path) -> list[Path]:
+    path = Path(source).expanduser()
+    if path.is_file():
+        return [path]
+    pattern = str(path / "*.glb") if path.is_dir() else str(path)
+    matches = sorted(Path(name) for name in glob.glob(pattern))
+    if not matches:
+        raise InputError(f"{source}: scenes: expected GLB files, got none; warpav scenes make writes some")
+    return matches

@@ -1,0 +1,154 @@
+"""Loss, loss terms, multipliers and camera distances over the iterations of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
+
+
+def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_distance_m: float | None = None) -> Path:
+    """Draw loss, loss terms, multipliers and the smallest camera distance over the iterations.
+
+    Of inequalities, whose terms are negative where there is room to spare, those that were broken are drawn, and by how
+    much.
+
+    Args:
+        records: The lines of ``events.jsonl``, in order: ``iteration``, ``loss``, ``terms``, ``multipliers``,
+            ``positions_m``.
+        path: PNG file to write.
+        min_distance_m: The distance that the cameras must keep [m]; drawn as a limit when given.
+
+    Raises:
+        InputError: No records, or one without these keys.
+    """
+    if not records:
+        raise InputError(f"{path}: there is no iteration to draw; run at least one")
+    missing = [key for key in ("iteration", "loss", "terms", "multipliers", "positions_m") if key not in records[0]]
+    if missing:
+        raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.6)
+        axes = figure.subplots(2, 2, sharex=True)
+        for axis, draw in zip(axes.flat, convergence_panels(records, min_distance_m).values(), strict=True):
+            draw(axis)
+        for axis in axes[0]:
+            axis.set_xlabel("")
+        return save_figure(figure, path)
+
+
+def convergence_panels(
+    records: Sequence[Mapping[str, Any]], min_distance_m: float | None = None
+) -> dict[str, Callable[[Any], None]]:
+    """What draws loss, loss terms, multipliers and the smallest camera distance, each into an axis, by its title.
+
+    The arguments are those of `loss_curves`.
+    """
+    iteration = np.array([record["iteration"] for record in records])
+    terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
+    kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
+    terms = {name: term for name, term in terms.items() if name not in kept}
+    multiplier_names = [name for name in records[0]["multipliers"] if name not in kept]
+
+    def begin(axis: Any, title: str) -> None:  # noqa: ANN401 (matplotlib)
+        axis.set_title(title)
+        axis.set_xlabel("iteration")
+        axis.xaxis.get_major_locator().set_params(integer=True)
+
+    def loss(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Loss")
+        value = np.array([record["loss"] for record in records], dtype=np.float64)
+        axis.plot(iteration, value, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2, label="batch")
+        axis.plot(iteration, running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
+        compared = np.array([record.get("training_objective") for record in records], dtype=np.float64)
+        if np.isfinite(compared).any():
+            at = np.isfinite(compared)
+            axis.plot(iteration[at], compared[at], "o", color=hex_colour(camera_rgb(0)), label="all scenes")
+            axis.legend(loc="best")
+
+    def loss_terms(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Loss terms")
+        for index, (name, term) in enumerate(terms.items()):
+            drawn = np.maximum(term, 0.0) if name in multiplier_names else term
+            colour = hex_colour(camera_rgb(index))
+            axis.plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
+            axis.plot(iteration, running_mean(drawn), color=colour, label=name)
+        _name_lines(axis, terms)
+
+    def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Multipliers")
+        for index, name in enumerate(multiplier_names):
+            value = [_highest(record["multipliers"].get(name, 0.0)) for record in records]
+            axis.plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
+        _name_lines(axis, multiplier_names)
+        if not multiplier_names:
+            axis.text(0.5, 0.5, "all 0: no constraint was broken", ha="center", transform=axis.transAxes)
+            axis.set_yticks([])
+
+    def spacing(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        begin(axis, "Smallest distance between cameras [m]")
+        distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
+        axis.plot(iteration, distance_m, color=hex_colour(INK_RGB))
+        largest = np.nanmax([*distance_m, min_distance_m or 0.0, 1e-3])
+        axis.set_ylim(0.0, 1.1 * float(largest))
+        if min_distance_m is None:
+            return
+        axis.axhline(min_distance_m, color=hex_colour(FALSE_POSITIVE_RGB), linestyle=(0, (4, 3)), linewidth=1.3)
+        axis.annotate(
+            f"must keep {min_distance_m:g} m",
+            (1.0, min_distance_m),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="right",
+            color=hex_colour(FALSE_POSITIVE_RGB),
+            fontsize=9,
+        )
+
+    return {"loss": loss, "loss terms": loss_terms, "multipliers": multipliers, "camera distance": spacing}
+
+
+def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (matplotlib)
+    """Name the lines, where there are any."""
+    if names:
+        axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
+
+
+def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
+    """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
+    return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
+
+
+def _highest(multiplier: float | Sequence[float] | None) -> float:
+    """The highest of what may be one multiplier or several; NaN where it was not finite."""
+    return float(np.max(np.array(multiplier, dtype=np.float64), initial=0.0))
+
+
+def _is_always_kept(term: np.ndarray) -> bool:
+    """Whether a constraint is an inequality that no record breaks."""
+    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
+
+
+def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
+    """Mean over the ``window`` entries around each one, fewer at the ends; NaN entries do not count."""
+    value = np.asarray(value, dtype=np.float64)
+    half = window // 2
+    valid = np.isfinite(value)
+    total = np.convolve(np.pad(np.where(valid, value, 0.0), half), np.ones(2 * half + 1), mode="valid")
+    count = np.convolve(np.pad(valid.astype(np.float64), half), np.ones(2 * half + 1), mode="valid")
+    return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
+
+
+def _smallest_distance_m(position_m: object) -> float:
+    position = np.asarray(position_m, dtype=np.float64)
+    first, second = np.triu_indices(len(position), 1)
+    if len(first) == 0:
+        return math.nan
+    return float(np.linalg.norm(position[first] - position[second], axis=1).min())

@@ -1,0 +1,243 @@
+"""The thesis's figures of rigs: without constraints (10), before and after optimisation (11), the highest rig (12)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.rig.rig import Rig
+from warpav.view.figures.detections import DetectionPanel, detection_handles, draw_detections
+from warpav.view.figures.style import WIDTH_INCH, count_text, figure_style, new_figure, save_figure, title
+from warpav.view.figures.top_view import (
+    draw_bounds,
+    draw_cameras,
+    draw_height_map,
+    draw_vehicle,
+    draw_zone_border,
+    pale_map,
+    start_and_end_handles,
+)
+from warpav.view.frustum import bearing_sector_rad, sector_polygon_m
+from warpav.view.palette import MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.optimisation.constraints import Constraints
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
+    from warpav.scene.scene import Scene
+
+_IMAGES_A_ROW = 4
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisedRig:
+    """An optimisation of a rig.
+
+    Attributes:
+        start: The rig at the start.
+        trajectory_m: Its camera positions over the iterations [m], shape [iteration, camera, 3].
+        end: The rig at the end.
+    """
+
+    start: Rig
+    trajectory_m: np.ndarray
+    end: Rig
+
+
+@dataclass(frozen=True, eq=False)
+class SceneViews:
+    """What a rig's cameras and detector make of a scene.
+
+    Attributes:
+        scene: The scene.
+        is_found: Whether some camera detects a road user, bool [vehicle].
+        panels: The image of every camera with its boxes.
+    """
+
+    scene: Scene
+    is_found: np.ndarray
+    panels: Sequence[DetectionPanel]
+
+
+def without_and_with_constraints(
+    free: OptimisedRig,
+    kept: OptimisedRig,
+    path: Path | str,
+    *,
+    ego: Mesh,
+    surface: MountSurface,
+    constraints: Constraints,
+    remark: str,
+) -> Path:
+    """Figure 10: the trajectories of the cameras over the vehicle, without constraints and with them.
+
+    Args:
+        free: An optimisation without constraints.
+        kept: One with them.
+        path: PNG file to write.
+        ego: The vehicle.
+        surface: Its mount surface.
+        constraints: What the cameras have to keep; which gives the cameras that end outside.
+        remark: A line about both optimisations for the caption.
+    """
+    point_m = np.concatenate([ego.bounds_m(), *(run.trajectory_m.reshape(-1, 3) for run in (free, kept))])
+    length_m, width_m = np.ptp(point_m[:, :2], axis=0)
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 1.9 + 2.0 * min(0.8 * WIDTH_INCH * width_m / length_m, 5.0))
+        axes, image = figure.subplots(2, 1, sharex=True, sharey=True), None
+        for axis, heading, run in zip(axes, ("Without constraints", "With constraints"), (free, kept), strict=True):
+            draw_vehicle(axis, ego)
+            image = draw_height_map(axis, surface, colours=pale_map())
+            if constraints.are_inequalities:
+                draw_zone_border(axis, surface)
+            else:
+                draw_bounds(axis, surface.bounds_m)
+            draw_cameras(axis, run.end, rig_initial=run.start, trajectory_m=run.trajectory_m)
+            excess_m = [constraints.violation_m(Rig.create([camera])) for camera in run.end.cameras]
+            outside = int(np.count_nonzero(excess_m))
+            result = f"{outside} of {len(excess_m)} cameras end outside"
+            title(axis, heading, f"{result}, by up to {max(excess_m):.2f} m" if outside else result)
+            axis.set_aspect("equal")
+            axis.set_ylabel("y, left [m]")
+        axes[1].set_xlabel("x, forward [m]")
+        bar = figure.colorbar(image, ax=axes, shrink=0.6, pad=0.02, aspect=28)
+        bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        border = "border of the mountable zone" if constraints.are_inequalities else "bounds of the mount surface"
+        _caption(
+            figure,
+            start_and_end_handles(),
+            f"{remark} Black: {border}. Without: all multipliers stay 0.",
+        )
+        return save_figure(figure, path)
+
+
+def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[SceneViews]]], path: Path | str) -> Path:
+    """Figure 11: what rigs see of scenes: all road users from above, and the fullest scene through every camera.
+
+    Args:
+        rows: A rig and its views of at least one scene by the row's heading; all rigs have as many cameras.
+        path: PNG file to write.
+    """
+    columns = 1 + max(len(rig.cameras) for rig, _ in rows.values())
+    with figure_style():
+        figure = new_figure(2.45 * columns, 9.2)
+        figure.get_layout_engine().set(h_pad=0.08)
+        grid = figure.subplots(len(rows), columns, squeeze=False)
+        for (heading, (rig, views)), axes in zip(rows.items(), grid, strict=True):
+            _draw_plan(axes[0], rig, views)
+            axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
+            _draw_images(axes[1:], _fullest(views))
+        _caption(
+            figure,
+            detection_handles(),
+            "Left: all vehicles of the scenes from above, and the cameras' fields of view. "
+            "Right: the one of these scenes with most vehicles, through every camera.",
+        )
+        return save_figure(figure, path)
+
+
+def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surface: MountSurface) -> Path:
+    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds.
+
+    Args:
+        rig: The cameras.
+        views: What they make of scenes, at least one.
+        path: PNG file to write.
+        surface: The mount surface of the vehicle.
+    """
+    ego = views[0].scene.ego
+    image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.0 + 2.35 * image_rows)
+        upper, lower = figure.subfigures(2, 1, height_ratios=[4.2, 2.35 * image_rows])
+        near, around = upper.subplots(1, 2, width_ratios=[1.15, 1.0])
+        draw_vehicle(near, ego)
+        draw_height_map(near, surface, colours=pale_map())
+        draw_cameras(near, rig, sector_radius_m=1.2, has_names=True)
+        near.set_aspect("equal")
+        near.margins(0.1)
+        near.autoscale_view()
+        near.set_xlabel("x, forward [m]")
+        near.set_ylabel("y, left [m]")
+        title(near, "Cameras around the highest point")
+        _draw_plan(around, rig, views)
+        axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
+        for axis in axes[len(rig.cameras) :]:
+            axis.set_axis_off()
+        _draw_images(axes[: len(rig.cameras)], _fullest(views))
+        covered_deg = math.degrees(covered_rad(rig))
+        _caption(
+            figure,
+            detection_handles(),
+            f"Right: all vehicles of {count_text(len(views), 'test scenes')} from above. The fields of view cover "
+            f"{covered_deg:.0f} of 360 degrees.\nBelow: the one of these scenes with most vehicles.",
+        )
+        return save_figure(figure, path)
+
+
+def covered_rad(rig: Rig) -> float:
+    """Angle of all bearings that lie in some camera's field of view [rad], 0 to 2 pi."""
+    ranges = []
+    for right, left in (bearing_sector_rad(camera) for camera in rig.cameras):
+        first = right % (2.0 * math.pi)
+        end = first + (left - right)
+        ranges += [(first, min(end, 2.0 * math.pi)), (0.0, max(end - 2.0 * math.pi, 0.0))]
+    covered, reached = 0.0, 0.0
+    for first, end in sorted(ranges):
+        covered += max(end - max(first, reached), 0.0)
+        reached = max(reached, end)
+    return covered
+
+
+def _fullest(views: Sequence[SceneViews]) -> SceneViews:
+    return max(views, key=lambda view: len(view.scene.vehicles))
+
+
+def _draw_images(axes: Sequence[Any], view: SceneViews) -> None:
+    for k, (axis, panel) in enumerate(zip(axes, view.panels, strict=True)):
+        draw_detections(axis, panel)
+        axis.set(xticks=[], yticks=[])
+        axis.grid(visible=False)
+        for spine in axis.spines.values():
+            spine.set(visible=True, color=hex_colour(camera_rgb(k)), linewidth=2.0)
+
+
+def _draw_plan(axis: Any, rig: Rig, views: Sequence[SceneViews]) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw from above who is found and who is not in some scenes, x pointing right, and the rig's sectors."""
+    boxes = [vehicle.box for view in views for vehicle in view.scene.vehicles]
+    is_found = np.concatenate([view.is_found for view in views])
+    reach_m = max((np.abs(box.corners_m()[:, :2]).max() for box in boxes), default=20.0)
+    reach_m = 5.0 * math.ceil(reach_m / 5.0)
+    draw_vehicle(axis, views[0].scene.ego)
+    for index, camera in enumerate(rig.cameras):
+        outline = sector_polygon_m(camera, radius_m=1.5 * reach_m)  # to the corners of the panel
+        axis.fill(*outline.T, color=hex_colour(camera_rgb(index)), alpha=0.13, linewidth=0, zorder=0)
+    for box, found in zip(boxes, is_found, strict=True):
+        colour = hex_colour(TRUE_POSITIVE_RGB if found else MISS_RGB)
+        outline = box.corners_m()[[0, 4, 6, 2], :2]
+        axis.fill(*outline.T, facecolor=colour, alpha=0.35, linewidth=0, zorder=3)
+        line = {"linestyle": "-", "zorder": 4} if found else {"linestyle": (0, (3, 2)), "zorder": 5}
+        axis.fill(*outline.T, facecolor="none", edgecolor=colour, linewidth=0.9 if found else 1.3, **line)
+    axis.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal")
+    axis.grid(visible=False)
+    axis.locator_params(nbins=4)
+    axis.tick_params(labelsize=8)
+    axis.set_xlabel("x, forward [m]", fontsize=8)
+    axis.set_title(
+        f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(views), 'scenes')}",
+        fontsize=9.5,
+        fontweight="normal",
+        pad=4,
+    )
+
+
+def _caption(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: ANN401 (matplotlib)
+    """A caption with what the marks mean below all panels."""
+    legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), title=text)
+    legend.get_title().set(fontsize=9, color=hex_colour(MUTED_RGB), multialignment="center")

@@ -1,0 +1,302 @@
+"""Correlations, calibration, differences with their intervals, recall by group."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
+from warpav.view.palette import (
+    BASELINE_RGB,
+    GRID_RGB,
+    INK_RGB,
+    MISS_RGB,
+    MUTED_RGB,
+    TRUE_POSITIVE_RGB,
+    camera_rgb,
+    hex_colour,
+)
+
+if TYPE_CHECKING:
+    from warpav.detection.probability import DetectionProbability
+    from warpav.detection.probability_fit import CalibrationBin
+
+_LEVEL_95 = 1.959964  # standard deviations of a normal number that hold 95 %
+
+
+def objective_scatter(
+    rigs: Sequence[Mapping[str, Any]],
+    spearman: Mapping[str, Mapping[str, Any]],
+    path: Path | str,
+    *,
+    objectives: Sequence[str],
+    metrics: Sequence[str],
+) -> Path:
+    """Draw training objectives against metrics on the test scenes, a dot for every rig, a panel for every pair.
+
+    Args:
+        rigs: Every rig with ``arm``, ``objectives`` by name and the metrics.
+        spearman: By objective and metric: an estimate of their rank correlation; where it is missing none is written.
+        path: PNG file to write.
+        objectives: Names of the objectives, one column each.
+        metrics: Names of the metrics, one row each.
+    """
+    names = {"tp_detection_rate": "recall of the rig", "ap50_pooled": "AP50"}
+    arms = list(dict.fromkeys(rig["arm"] for rig in rigs))
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 3.3 * len(metrics) + 0.4)
+        axes = figure.subplots(len(metrics), len(objectives), squeeze=False, sharey="row", sharex="col")
+        for row, metric in enumerate(metrics):
+            for column, objective in enumerate(objectives):
+                axis = axes[row, column]
+                for index, arm in enumerate(arms):
+                    pairs = [(rig["objectives"].get(objective), rig[metric]) for rig in rigs if rig["arm"] == arm]
+                    pairs = [pair for pair in pairs if None not in pair]
+                    if pairs:
+                        colour = hex_colour(camera_rgb(index))
+                        axis.scatter(
+                            *zip(*pairs, strict=True), s=16.0, color=colour, alpha=0.75, linewidths=0.0, label=arm
+                        )
+                estimate = spearman.get(objective, {}).get(metric)
+                found = "" if estimate is None or estimate.value is None else f": rank correlation {estimate.value:.2f}"
+                axis.set_title(f"{objective}{found}")
+                if row == len(metrics) - 1:
+                    axis.set_xlabel("objective on the validation scenes")
+                if column == 0:
+                    axis.set_ylabel(f"{names.get(metric, metric)}, test scenes")
+        axes[0, 0].legend(loc="best")
+        return save_figure(figure, path)
+
+
+def reliability_diagram(
+    bins: Sequence[CalibrationBin], probability: np.ndarray, is_detected: np.ndarray, path: Path | str, *, title: str
+) -> Path:
+    """Draw what share of objects was detected over the probability that was predicted, and how many there were.
+
+    Args:
+        bins: Objects of about one probability.
+        probability: That was predicted for every object, 0..1, shape [object].
+        is_detected: What came true, bool, shape [object].
+        path: PNG file to write.
+        title: A short line above.
+    """
+    predicted, detected, low, high = np.array(
+        [[each.predicted, each.detected, each.low, each.high] for each in bins]
+    ).T  # fmt: skip
+    with figure_style():
+        figure = new_figure(0.6 * WIDTH_INCH, 0.72 * WIDTH_INCH)
+        axis, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+        axis.plot([0, 1], [0, 1], color=hex_colour(MUTED_RGB), linewidth=1.0, label="as predicted")
+        axis.errorbar(
+            predicted,
+            detected,
+            yerr=np.maximum([detected - low, high - detected], 0.0),  # ends at 0 and 1 are rounded
+            fmt="o",
+            markersize=4.5,
+            linewidth=1.2,
+            color=hex_colour(camera_rgb(0)),
+            clip_on=False,
+            label=f"share detected of {bins[0].count} objects, 95 % interval",
+        )
+        axis.set_ylabel("share detected")
+        axis.set_ylim(-0.02, 1.02)
+        axis.set_title(title)
+        axis.legend(loc="upper left")
+        edges = np.linspace(0.0, 1.0, 21)
+        shown = [probability[is_detected], probability[~is_detected]]
+        colours = [hex_colour(TRUE_POSITIVE_RGB), hex_colour(MISS_RGB)]
+        labels = [f"{len(shown[0])} detected", f"{len(shown[1])} missed"]
+        lower.hist(shown, bins=list(edges), stacked=True, color=colours, label=labels)
+        lower.set_yscale("symlog", linthresh=10)
+        lower.set_ylabel("objects")
+        lower.set_xlabel("predicted probability")
+        lower.set_xlim(-0.02, 1.02)
+        lower.legend(loc="upper center", ncols=2)
+        return save_figure(figure, path)
+
+
+def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Path | str) -> Path:
+    """Draw what every feature adds to the logit of the probability of detection, over where objects have it.
+
+    Args:
+        model: The curves.
+        feature: Features of the objects that they were fitted on, shape [object, feature].
+        path: PNG file to write.
+    """
+    from warpav.detection.probability import FEATURES
+
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 0.62 * WIDTH_INCH)
+        axes = figure.subplots(2, 3, sharey=True)
+        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=True)):
+            low, high = np.quantile(feature[:, f], [0.002, 0.998])
+            value = np.linspace(low, max(high, low + 1e-3), 200)
+            share = axis.twinx()
+            share.hist(feature[:, f], bins=30, range=(value[0], value[-1]), color=hex_colour(GRID_RGB), alpha=0.9)
+            share.set_axis_off()
+            share.set_ylim(0, share.get_ylim()[1] * 2.5)
+            axis.set_zorder(share.get_zorder() + 1)
+            axis.patch.set_visible(False)
+            axis.plot(value, model.curve(f, value), color=hex_colour(camera_rgb(0)))
+            axis.set_title(each.name.replace("_", " "))
+            axis.set_xlabel(each.unit)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("added to the logit")
+        return save_figure(figure, path)
+
+
+@dataclass(frozen=True)
+class MetricDifference:
+    """A difference of two rigs in a metric, the first minus the other.
+
+    Attributes:
+        metric: What the metric is called.
+        other: Name of the other rig.
+        mean: The difference.
+        low: Lower end of its 95 % interval.
+        high: Upper end.
+    """
+
+    metric: str
+    other: str
+    mean: float
+    low: float
+    high: float
+
+
+class ObjectGroup(Protocol):
+    """Objects of about one distance, sector or kind."""
+
+    @property
+    def objects(self) -> int:
+        """How many there are."""
+        ...
+
+    @property
+    def detected(self) -> int:
+        """How many of them were detected."""
+        ...
+
+    @property
+    def recall(self) -> float | None:
+        """The share of them; None where there are none."""
+        ...
+
+
+def differences(rows: Sequence[MetricDifference], first: str) -> str:
+    """Differences of one rig to others with their intervals, as SVG.
+
+    Args:
+        rows: The differences, at least one.
+        first: Name of the rig from which the others are subtracted.
+    """
+
+    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        axis.axvline(0.0, color=hex_colour(INK_RGB), linewidth=1.2)
+        for line, row in enumerate(rows):
+            colour = hex_colour(BASELINE_RGB.get(row.other, INK_RGB))
+            axis.plot([row.low, row.high], [line, line], color=colour, linewidth=2.4)
+            axis.plot(row.mean, line, "o", color=colour, markersize=7)
+        axis.set_yticks(range(len(rows)), [f"{row.metric}\nagainst {row.other}" for row in rows])
+        axis.set_ylim(len(rows) - 0.4, -0.6)
+        axis.set_title("Differences with 95 % intervals")
+        axis.locator_params(axis="x", nbins=5)
+        axis.set_xlabel(f"← worse    {first} minus other    better →")
+        axis.grid(visible=False, axis="y")
+
+    return svg_text(draw, 0.9 + 0.42 * len(rows))
+
+
+def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str, *, unit: str = "") -> str | None:
+    """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects.
+
+    Args:
+        tables: Groups by their names, by rig; at least one rig.
+        title: A short line above.
+        unit: What follows the groups' names, such as `` m``.
+    """
+    groups = _groups(tables)
+    if not groups:
+        return None
+
+    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        handles, names = _draw_recall(axis, tables, title, unit=unit)
+        below = (0.4, -0.55 / (0.3 * len(groups) + 0.6))
+        axis.legend(handles[::-1], names[::-1], loc="upper center", bbox_to_anchor=below, ncols=4)
+
+    return svg_text(draw, 1.45 + 0.3 * len(groups))
+
+
+def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
+    """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``.
+
+    Args:
+        groupings: By the heading of the panel: groups by their names, by rig; at least one rig and one group.
+        title: A line above all panels.
+    """
+    shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
+    lines = max(len(_groups(tables)) for tables in shown.values())
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 1.5 + 0.3 * lines)
+        handles, names = [], []
+        axes = figure.subplots(1, len(shown), squeeze=False)[0]
+        for axis, (heading, tables) in zip(axes, shown.items(), strict=True):
+            handles, names = _draw_recall(axis, tables, heading)
+        figure.suptitle(title, color=hex_colour(MUTED_RGB), fontsize=9.0)
+        figure.legend(handles[::-1], names[::-1], loc="outside lower center", ncols=6)
+    return figure
+
+
+def _groups(tables: Mapping[str, Mapping[str, ObjectGroup]]) -> list[str]:
+    """The names of the groups that hold objects."""
+    return [name for name, group in next(iter(tables.values())).items() if group.objects]
+
+
+def _draw_recall(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    tables: Mapping[str, Mapping[str, ObjectGroup]],
+    title: str,
+    *,
+    unit: str = "",
+) -> tuple[list[Any], list[str]]:
+    """Draw recall by group; returns what a legend needs."""
+    first, *others = tables
+    groups = _groups(tables)
+    colour = hex_colour(camera_rgb(0))
+    low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
+    axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
+    for name in reversed(others):
+        values = [tables[name][group].recall if group in tables[name] else None for group in groups]
+        style: dict[str, Any] = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": ""}
+        axis.plot(
+            np.array(values, np.float64),
+            range(len(groups)),
+            markerfacecolor="none",
+            markeredgecolor=hex_colour(BASELINE_RGB.get(name, INK_RGB)),
+            markeredgewidth=1.6,
+            clip_on=False,
+            label=name,
+            **style,
+        )
+    values = np.array([tables[first][group].recall for group in groups], np.float64)
+    axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
+    handles, names = axis.get_legend_handles_labels()
+    axis.set_yticks(range(len(groups)), [f"{group}{unit}  ({tables[first][group].objects})" for group in groups])
+    axis.set_ylim(len(groups) - 0.4, -0.6)
+    axis.set_xlim(0.0, 1.02)
+    axis.set_title(title)
+    axis.set_xlabel("recall (number of objects)")
+    return handles, names
+
+
+def _wilson_interval(group: ObjectGroup) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
+    n, share, z = group.objects, group.detected / group.objects, _LEVEL_95
+    middle = (share + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return max(middle - half, 0.0), min(middle + half, 1.0)

@@ -1,0 +1,147 @@
+"""Size, fonts and colours of all figures, what their panels share, and how they become files or SVG text."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.errors import ArgumentError, InputError
+from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, hex_colour
+
+WIDTH_INCH = 9.0
+DOTS_PER_INCH = 150
+SVG_WIDTH_INCH = 4.5
+"""Of panels as SVG: a phone shows one below the other, and every letter can be read."""
+
+STYLE: Any = {
+    "font.size": 10.0,
+    "axes.titlesize": 11.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": hex_colour(MUTED_RGB),
+    "axes.labelcolor": hex_colour(INK_RGB),
+    "axes.titlecolor": hex_colour(INK_RGB),
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": hex_colour(GRID_RGB),
+    "grid.linewidth": 0.8,
+    "xtick.color": hex_colour(MUTED_RGB),
+    "ytick.color": hex_colour(MUTED_RGB),
+    "text.color": hex_colour(INK_RGB),
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": hex_colour(PAPER_RGB),
+}
+
+
+def figure_style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
+    """A context in which figures have this module's fonts, lines and colours."""
+    import matplotlib
+
+    return matplotlib.rc_context(STYLE)
+
+
+def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matplotlib)
+    """A figure that belongs to no window, whatever backend the caller's notebook uses."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_inch, height_inch), dpi=DOTS_PER_INCH, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
+    """Write a figure as a PNG file that appears whole or not at all; missing folders are made.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    path = Path(path)
+    encoded = io.BytesIO()
+    figure.savefig(encoded, format="png", metadata={"Software": None})
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as draft:
+            draft.write_bytes(encoded.getvalue())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    return path
+
+
+def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
+    """What a function draws into an axis, as SVG; the same every time."""
+    import matplotlib
+
+    with (
+        figure_style(),
+        matplotlib.rc_context({"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}),
+    ):
+        figure = new_figure(SVG_WIDTH_INCH, height_inch)
+        draw(figure.subplots())
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
+
+
+def checked_png(path: Path | str) -> Path:
+    """The path of a PNG file to write.
+
+    Raises:
+        InputError: It does not end in ``.png``.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
+    return path
+
+
+def show_image(axis: Any, rgb: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
+    """Fill a panel with an image."""
+    axis.imshow(rgb, interpolation="antialiased", aspect="auto")
+    empty_panel(axis)
+
+
+def empty_panel(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+    """A panel without ticks in a thin frame."""
+    axis.grid(visible=False)
+    axis.set(xticks=[], yticks=[])
+    for spine in axis.spines.values():
+        spine.set(visible=True, color=hex_colour(GRID_RGB), linewidth=1.0)
+
+
+def panel_sizes_px(figure: Any, axes: Iterable[Any]) -> list[tuple[int, int]]:  # noqa: ANN401 (matplotlib)
+    """Width and height of panels as the layout leaves them [px]; titles and captions come before."""
+    figure.draw_without_rendering()
+    extents = [axis.get_window_extent() for axis in axes]
+    return [(round(extent.width), round(extent.height)) for extent in extents]
+
+
+def title(axis: Any, text: str, remark: str = "") -> None:  # noqa: ANN401 (matplotlib)
+    """A heading on the left and a remark on the right; no longer together than the panel is wide."""
+    axis.set_title(text)
+    axis.set_title(remark, loc="right", fontweight="normal", fontsize=9)
+
+
+def caption(figure: Any, text: str) -> None:  # noqa: ANN401 (matplotlib)
+    """Lines below all panels, clear of their labels."""
+    figure.get_layout_engine().set(h_pad=0.07)
+    figure.supxlabel(text, fontsize=9, color=hex_colour(MUTED_RGB))
+
+
+def count_text(count: int, what: str = "points") -> str:
+    """A count to three digits, such as 7.37 million points."""
+    number = f"{count / 1e6:.3g} million" if count >= 1_000_000 else f"{count:,}".replace(",", " ")
+    return f"{number} {what.removesuffix('s') if count == 1 else what}"

@@ -1,0 +1,240 @@
+"""Vehicles, mount surfaces, cameras and the ground from above."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
+from warpav.view.frustum import sector_polygon_m
+from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
+    from warpav.rig.rig import Rig
+
+
+def rig_top_view(
+    path: Path | str,
+    *,
+    rig: Rig,
+    ego: Mesh,
+    mount_surface: MountSurface,
+    rig_initial: Rig | None = None,
+    trajectory_m: np.ndarray | None = None,
+    sector_radius_m: float = 1.6,
+    shows_zone: bool = False,
+) -> Path:
+    """Draw the vehicle from above with the cameras, where they started, their paths and their sectors.
+
+    Args:
+        path: PNG file to write.
+        rig: The cameras at the end.
+        ego: The vehicle; its outline is drawn.
+        mount_surface: The height map below the cameras.
+        rig_initial: The cameras at the start, drawn hollow.
+        trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
+        sector_radius_m: How far the sectors are drawn [m].
+        shows_zone: Whether the border of the mountable zone is drawn.
+    """
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 6.0)
+        axis = figure.subplots()
+        draw_vehicle(axis, ego)
+        image = draw_height_map(axis, mount_surface, colours=pale_map())
+        if shows_zone:
+            draw_zone_border(axis, mount_surface)
+        draw_cameras(
+            axis,
+            rig,
+            rig_initial=rig_initial,
+            trajectory_m=trajectory_m,
+            sector_radius_m=sector_radius_m,
+            has_names=True,
+        )
+        if rig_initial is not None:
+            figure.legend(handles=start_and_end_handles(), loc="outside upper left", ncols=2)
+        axis.set_aspect("equal")
+        axis.use_sticky_edges = False
+        axis.margins(0.04)
+        axis.autoscale_view()
+        axis.set_xlabel("x, forward [m]")
+        axis.set_ylabel("y, left [m]")
+        bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
+        bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        return save_figure(figure, path)
+
+
+def draw_cameras(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    rig: Rig,
+    *,
+    rig_initial: Rig | None = None,
+    trajectory_m: np.ndarray | None = None,
+    sector_radius_m: float | None = None,
+    has_names: bool = False,
+) -> None:
+    """Draw cameras from above, x pointing right, each in its colour; arguments as in `rig_top_view`.
+
+    Args:
+        axis: Where to draw.
+        rig: The cameras at the end.
+        rig_initial: The cameras at the start, drawn hollow.
+        trajectory_m: Their paths.
+        sector_radius_m: How far the sectors are drawn [m]; None: not at all.
+        has_names: Whether every sector carries its camera's name.
+    """
+    if trajectory_m is not None:
+        step = np.asarray(trajectory_m, dtype=np.float64)
+        for index in range(step.shape[1]):
+            axis.plot(*step[:, index, :2].T, color="white", linewidth=4.0, zorder=5)
+            axis.plot(*step[:, index, :2].T, color=hex_colour(camera_rgb(index)), linewidth=1.8, zorder=6)
+    for index, camera in enumerate(rig.cameras):
+        colour = hex_colour(camera_rgb(index))
+        if rig_initial is not None and index < len(rig_initial.cameras):
+            start = rig_initial.cameras[index].position_m
+            hollow = {"markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.8}
+            axis.plot(start[0], start[1], "o", markersize=8, zorder=7, **hollow)
+        solid = {"markerfacecolor": colour, "markeredgecolor": "white", "markeredgewidth": 1.5}
+        axis.plot(camera.position_m[0], camera.position_m[1], "o", markersize=10, zorder=8, **solid)
+        if sector_radius_m is None:
+            continue
+        outline = sector_polygon_m(camera, radius_m=sector_radius_m)
+        axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
+        axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
+        if not has_names:
+            continue
+        arc_middle = outline[1:][(len(outline) - 1) // 2]
+        direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
+        label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
+        side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
+        axis.text(*label, camera.name, color=colour, ha=side, va="center", fontweight="bold", zorder=9)
+        axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
+
+
+def start_and_end_handles() -> list[Any]:
+    """Handles of a legend for cameras at the start and at the end."""
+    from matplotlib.lines import Line2D
+
+    grey = hex_colour(MUTED_RGB)
+    return [
+        Line2D([], [], linestyle="", marker="o", markersize=8, color=grey, markerfacecolor="white", label="start"),
+        Line2D([], [], linestyle="", marker="o", markersize=9, color=grey, label="end"),
+    ]
+
+
+def draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw a vehicle from above as a silhouette in one flat colour; x points right."""
+    from matplotlib.collections import PolyCollection
+
+    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, :2]
+    colour = hex_colour(GRID_RGB)
+    axis.add_collection(PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=0.6, zorder=1))
+    axis.autoscale_view()
+
+
+def draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)
+    """Draw a height map from above, x pointing right; cells that are NaN stay empty. Returns matplotlib's image."""
+    low, high = np.asarray(mount_surface.bounds_m, dtype=np.float64)
+    half = mount_surface.cell_m / 2.0
+    return axis.imshow(
+        np.asarray(mount_surface.height_m).T,
+        origin="lower",
+        extent=(low[0] - half, high[0] + half, low[1] - half, high[1] + half),
+        cmap=colours,
+        zorder=2,
+        interpolation="nearest",
+    )
+
+
+def draw_zone_border(axis: Any, mount_surface: MountSurface) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw the border of the mountable zone from above, x pointing right."""
+    rows, columns = mount_surface.height_m.shape
+    x_m, y_m = (
+        start + mount_surface.cell_m * np.arange(-1, n + 1)
+        for start, n in zip(mount_surface.origin_m, (rows, columns), strict=True)
+    )
+    distance_m = mount_surface.zone_distance_m(np.stack(np.meshgrid(x_m, y_m, indexing="xy"), axis=-1))
+    axis.contour(x_m, y_m, distance_m, levels=[0.0], colors=hex_colour(INK_RGB), linewidths=1.0, zorder=3)
+
+
+def draw_bounds(axis: Any, bounds_m: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw the rectangle between two corners [m], shape [2, 2], from above, x pointing right."""
+    from matplotlib.patches import Rectangle
+
+    low, high = bounds_m
+    axis.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=hex_colour(INK_RGB), linewidth=1.0, zorder=3))
+
+
+def pale_map() -> Any:  # noqa: ANN401 (matplotlib)
+    """Greys that leave room for the colours of the cameras: low is light, high is darker."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("pale", ["#f4f6f9", "#a9b5c6"])
+
+
+def blind_ground(
+    blind_share: np.ndarray, title: str, *, cell_m: float, ego_bounds_m: np.ndarray, rig: Rig | None
+) -> str:
+    """Where no camera sees somebody, seen from above with the front up, as SVG.
+
+    Args:
+        blind_share: Share of the scenes in which no camera sees somebody on a cell, 0..1, NaN where nobody can stand;
+            shape [row, column], rows run along x (forward), columns along y (left), around the middle of the vehicle.
+        title: A short line above.
+        cell_m: Edge of a cell [m].
+        ego_bounds_m: Lowest and highest corner of the vehicle [m], shape [2, 3].
+        rig: Its cameras are drawn; None: none are.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import FancyBboxPatch
+
+    colours = LinearSegmentedColormap.from_list(
+        "blind", ["#eaf1f8", *(hex_colour(rgb) for rgb in ((240, 170, 150), COVERAGE_RGB[0], (120, 16, 20)))]
+    )
+    low_m, high_m = ego_bounds_m
+    middle_m = 0.5 * (low_m + high_m)
+    reach_m = 0.5 * cell_m * len(blind_share)
+
+    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        # rows are forward and shall point up, columns are left
+        image = axis.imshow(
+            blind_share[::-1, ::-1],
+            cmap=colours,
+            vmin=0.0,
+            vmax=1.0,
+            extent=(reach_m, -reach_m, -reach_m, reach_m),
+            interpolation="nearest",
+        )
+        length_m, width_m = (high_m - low_m)[:2]
+        body = FancyBboxPatch(
+            (-width_m / 2 + 0.4, -length_m / 2 + 0.4),
+            width_m - 0.8,
+            length_m - 0.8,
+            boxstyle="round,pad=0.4",
+            facecolor="#c9d1db",
+            edgecolor=hex_colour(INK_RGB),
+            linewidth=0.8,
+        )
+        axis.add_patch(body)
+        axis.plot([0.0, 0.0], [0.0, 0.5 * length_m], color=hex_colour(INK_RGB), linewidth=0.8)
+        for index, camera in enumerate(rig.cameras if rig else ()):
+            forward_m, left_m = camera.position_m[:2] - middle_m[:2]
+            axis.plot(left_m, forward_m, "o", color=hex_colour(camera_rgb(index)), markersize=3.0)
+        for radius_m in (5, 10, 15, 20):
+            turn = np.linspace(0.0, 2.0 * math.pi, 181)
+            axis.plot(radius_m * np.cos(turn), radius_m * np.sin(turn), color="#8a94a0", linewidth=0.5, alpha=0.7)
+            axis.text(0.0, -radius_m, f"{radius_m} m", fontsize=6.5, ha="center", va="bottom", color="#4a5360")
+        axis.set(xticks=[], yticks=[], title=title)
+        axis.grid(visible=False)
+        for side in axis.spines.values():
+            side.set_visible(False)
+        bar = axis.figure.colorbar(image, ax=axis, shrink=0.8, pad=0.02, aspect=26, format="{x:.0%}")
+        bar.outline.set_visible(False)
+
+    return svg_text(draw, 3.7)

@@ -1,0 +1,229 @@
+"""Files of images: PNG, an interactive HTML page, or an animation as GIF or MP4."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.errors import InputError
+from warpav.view.opengl import optional_module
+from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from warpav.core.progress import Progress
+
+    Plotter = Any
+
+SUFFIXES = (".png", ".html", ".gif", ".mp4")
+ANIMATION_SUFFIXES = (".gif", ".mp4")
+ANIMATION_PX = (800, 500)
+"""Window of animations, so that a GIF stays below 5 MB."""
+
+ANIMATION_FRAME_S, ANIMATION_LAST_S = 0.12, 2.0
+"""How long an image of a run's animation is shown, and how much longer the last one."""
+
+_ORBIT_FRAMES, _ORBIT_FRAME_S = 40, 0.1
+_INSTALL_ANIMATION = 'pip install "warpav[movie]"'
+_GIF_COLOURS = 255  # and one for what stays as it was
+
+
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """Images of an animation, not yet drawn.
+
+    Attributes:
+        image_rgb: The images, at least one, all of one size, uint8 [row, column, 3]; gone through once.
+        count: Number of images.
+        frame_s: How long each is shown [s].
+        last_s: How much longer the last one is [s].
+    """
+
+    image_rgb: Iterable[np.ndarray]
+    count: int
+    frame_s: float
+    last_s: float = 0.0
+
+
+def save_image(
+    plotter: Plotter,
+    path: Path | str,
+    *,
+    supersampling: int = 2,
+    frame_count: int = _ORBIT_FRAMES,
+    progress: Progress | None = None,
+) -> Path:
+    """Write what an off-screen plotter shows.
+
+    ``.png``; ``.html``, which needs trame; ``.gif``, one turn around the ego; ``.mp4``, likewise, which needs imageio
+    with ffmpeg. The file appears complete or not at all; missing folders are made.
+
+    Args:
+        plotter: What to write, not yet shown.
+        path: File to write; its suffix decides the format.
+        supersampling: Rays per pixel and axis in PNG and animations, 1 to 4.
+        frame_count: Images of an animation, at least 2.
+        progress: Shows how many of them are done.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: Another suffix, a file that cannot be written, or trame or imageio is missing.
+    """
+    path = Path(path)
+    check_suffix(path)
+    if path.suffix.lower() in ANIMATION_SUFFIXES:
+        frame_count = max(2, frame_count)
+        orbit = _orbit(plotter, frame_count=frame_count, supersampling=supersampling)
+        animation = Animation(orbit, frame_count, frame_s=_ORBIT_FRAME_S)
+        return save_animation(animation, path, progress=progress)
+    if path.suffix.lower() == ".png":
+        encoded = io.BytesIO()
+        _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
+        return _write(path, encoded.getvalue())
+    optional_module("trame_pyvista", purpose=f"{path}: an interactive page", install='pip install "pyvista[jupyter]"')
+    with _without_module("trame.widgets.vtklocal"):  # it downloads VTK for browsers, which the page does not use
+        return _write(path, plotter.trame.export_html(None).getvalue().encode())
+
+
+def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
+    """Write an animation as ``.gif`` or ``.mp4``.
+
+    The file appears complete or not at all; missing folders are made.
+
+    Args:
+        animation: The images and their times.
+        path: File to write; its suffix decides the format.
+        progress: Shows how many images are done.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: Another suffix, a file that cannot be written, or imageio with ffmpeg is missing.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in ANIMATION_SUFFIXES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(ANIMATION_SUFFIXES)}, got {path.suffix!r}")
+    images, times = animation.image_rgb, {"frame_s": animation.frame_s, "last_s": animation.last_s}
+    if progress is not None:
+        images = progress.steps("images", images, count=animation.count)
+    if path.suffix.lower() == ".gif":
+        return _write(path, _gif(list(images), **times))
+    for name in ("imageio", "imageio_ffmpeg"):
+        optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
+    return _write(path, _mp4(images, **times))
+
+
+def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
+    """What an off-screen plotter shows: uint8, shape [row, column, 3]."""
+    return np.asarray(_image(plotter, supersampling))
+
+
+def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pillow image)
+    """Draw larger and shrink: unlike multisampling, this also smooths translucent faces."""
+    from PIL import Image
+
+    width, height = plotter.window_size
+    dots_per_inch = plotter.render_window.GetDPI()
+    plotter.window_size = [width * supersampling, height * supersampling]
+    plotter.render_window.SetDPI(dots_per_inch * supersampling)  # text grows with the image
+    try:
+        plotter.render()
+        large = plotter.screenshot(return_img=True)
+    finally:
+        plotter.window_size = [width, height]
+        plotter.render_window.SetDPI(dots_per_inch)
+    return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _orbit(plotter: Plotter, *, frame_count: int, supersampling: int) -> Iterator[np.ndarray]:
+    target = np.asarray(plotter.camera.focal_point)
+    offset = np.asarray(plotter.camera.position) - target
+    for angle in np.linspace(0.0, 2.0 * math.pi, frame_count, endpoint=False):
+        cosine, sine = math.cos(angle), math.sin(angle)
+        turned = np.array([cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1], offset[2]])
+        plotter.camera.position = tuple(target + turned)
+        yield render_rgb(plotter, supersampling=supersampling)
+    plotter.camera.position = tuple(target + offset)
+
+
+def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+    """All images in the colours of a few of them and in those of the cameras.
+
+    With one palette for all, what does not move costs nothing; the cameras' colours would be lost in it, as their lines
+    cover few pixels.
+    """
+    from PIL import Image
+
+    some = image_rgb[:: max(1, len(image_rgb) // 4)]
+    accent = np.outer([1.0, 0.65], [*CAMERA_RGB, DESCENT_RGB]).round().astype(int).ravel().tolist()
+    common = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS - len(accent) // 3, kmeans=2)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(common.getpalette() or []), *accent])
+    frames = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in image_rgb]
+    shown_ms = [round(1000 * frame_s)] * len(frames)
+    shown_ms[-1] += round(1000 * last_s)
+    encoded = io.BytesIO()
+    frames[0].save(
+        encoded, format="GIF", save_all=True, append_images=frames[1:], duration=shown_ms, loop=0, optimize=False
+    )
+    return encoded.getvalue()
+
+
+def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+    import tempfile
+
+    imageio = optional_module("imageio.v2", purpose="an animation as MP4", install=_INSTALL_ANIMATION)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "animation.mp4"
+        with imageio.get_writer(file, format="FFMPEG", fps=1.0 / frame_s, quality=7, macro_block_size=2) as writer:
+            image = None
+            for image in image_rgb:
+                writer.append_data(image)
+            for _ in range(round(last_s / frame_s)):
+                writer.append_data(image)
+        return file.read_bytes()
+
+
+@contextmanager
+def _without_module(name: str) -> Iterator[None]:
+    """Importing the module fails meanwhile, as if it were not installed."""
+    before = sys.modules.get(name)
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[name]
+        if before is not None:
+            sys.modules[name] = before
+
+
+def check_suffix(path: Path) -> None:
+    """Check that an image file has a suffix out of `SUFFIXES`.
+
+    Raises:
+        InputError: It has another one.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
+
+
+def _write(path: Path, content: bytes) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as draft:
+            draft.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
+    return path

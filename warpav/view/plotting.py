@@ -1,0 +1,302 @@
+"""The front door to images: `plot` shows an object of warpav in a window or a notebook, or writes it to a file.
+
+What is drawn of an object is registered by its class at `drawing_of`; rooms above this one register their own classes.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import singledispatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.rig.mount_surface import MountSurface
+from warpav.rig.rig import Rig
+from warpav.scene.scene import Scene
+from warpav.view.opengl import display_text, has_display, load_pyvista
+from warpav.view.output import ANIMATION_PX, ANIMATION_SUFFIXES, Animation, check_suffix, save_animation, save_image
+from warpav.view.rig_view import WINDOW_PX, rig_plotter
+from warpav.view.vehicle_view import VEHICLE_PX, vehicle_plotter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+
+    from warpav.core.progress import Progress
+    from warpav.evaluation.coverage import Coverage
+
+    Drawing = Any
+    Plotter = Any
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What plots of all classes have in common; `plot` says what each means.
+
+    Attributes:
+        out: File that will be written; None: the plot is shown.
+        title: A line in the upper left corner.
+        window_size: Width and height [px]; None: what suits the object and the file.
+        zoom: 1 fills the image with the object; None: what suits the object.
+        off_screen: Whether to draw without a window; None: if there is no display.
+    """
+
+    out: Path | None = None
+    title: str | None = None
+    window_size: tuple[int, int] | None = None
+    zoom: float | None = None
+    off_screen: bool | None = None
+
+    @property
+    def is_animation(self) -> bool:
+        """Whether the file is an animation."""
+        return self.out is not None and self.out.suffix.lower() in ANIMATION_SUFFIXES
+
+    def size_px(self, usual: tuple[int, int]) -> tuple[int, int]:
+        """Width and height [px], where images have the usual size unless another one was asked for."""
+        return self.window_size or (ANIMATION_PX if self.is_animation else usual)
+
+
+@singledispatch
+def drawing_of(obj: object, canvas: Canvas) -> Drawing:
+    """What `plot` shows or saves of an object, to be added to or saved in other ways.
+
+    The function of a class is registered with ``@drawing_of.register(Class)``. Its keyword-only arguments are the
+    options of `plot` for objects of the class.
+
+    Args:
+        obj: Object of a class with a registered function.
+        canvas: Size, title and file.
+
+    Returns:
+        A ``pyvista.Plotter`` that is not yet shown and that the caller closes, an `Animation` where the canvas asks for
+        one, or a ``matplotlib.figure.Figure``.
+
+    Raises:
+        TypeError: Nothing is registered for the class.
+    """
+    known = sorted(cls.__name__ for cls in drawing_of.registry if cls is not object)
+    raise TypeError(f"plot: expected one of {', '.join(known)}, got {type(obj).__name__}")
+
+
+def plot(
+    obj: object,
+    *,
+    out: str | Path | None = None,
+    title: str | None = None,
+    window_size: tuple[int, int] | None = None,
+    zoom: float | None = None,
+    off_screen: bool | None = None,
+    progress: Progress | None = None,
+    **options: Any,  # noqa: ANN401 (by class, see below)
+) -> Any:  # noqa: ANN401
+    """Show an object in a window or a notebook, or write its image to a file.
+
+    Options of a rig:
+
+    - ``ego``: the `Mesh` that carries the cameras; by default that of the scene, else the axes of the ego frame.
+    - ``scene``: the `Scene` around it; by default an empty ground.
+    - ``mount_surface``: a `MountSurface`, drawn on the vehicle in colours of height.
+    - ``trajectory_m``: camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
+    - ``outcomes``: for every vehicle of the scene an `ObjectOutcome`, which gives its colour.
+    - ``coverage``: a `Coverage`, which paints the ground by how many cameras see somebody there.
+    - ``visibility``: True paints what every camera sees of the scene, and the sides of its view.
+
+    Of a scene: ``rig``, ``outcomes``, ``coverage``, ``visibility``. Of a mesh, which is a vehicle in the ego frame:
+    ``mount_surface`` (where it can carry cameras), ``axle_m`` (x of its axles [m]). Of a mount surface: ``vehicle``
+    (the mesh below it). Of a run folder or the result of an optimisation:
+
+    - ``iteration``: instead of the result, the rig before the step of this one; negative ones count from the end.
+    - ``scene``: traffic and street; by default the first test scene.
+    - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
+    - ``visibility``: as of a rig; not in animations.
+
+    An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options.
+
+    Args:
+        obj: What to show.
+        out: ``.png``; ``.html``, an interactive page; ``.gif`` or ``.mp4``, a turn around the vehicle or, of a run, its
+            iterations. None: a widget in a notebook, else a window.
+        title: A line in the upper left corner.
+        window_size: Width and height [px]; by default 1280 x 800, of a vehicle 1280 x 720, of an animation 800 x 500.
+        zoom: 1 fills the image with the vehicle, less shows more around it; by default 1, and 0.62 where outcomes,
+            coverage or visibility are painted.
+        off_screen: Whether to draw without a window; by default if there is no display.
+        progress: Shows how many images of an animation are done.
+        **options: Those of the object's class, and those of ``pyvista.Plotter.show``, such as ``jupyter_backend``; with
+            ``out`` only ``cpos`` of them.
+
+    Returns:
+        The file that was written, else what ``pyvista.Plotter.show`` returns.
+
+    Raises:
+        InputError: The file cannot be written, or nothing can be drawn or shown on this machine.
+        TypeError: Objects of this class cannot be plotted, or have no such option.
+    """
+    draw = drawing_of.dispatch(type(obj))
+    canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
+    if canvas.out is not None:
+        check_suffix(canvas.out)
+        canvas = replace(canvas, off_screen=True)
+    own, of_show = _split(options, draw, obj, is_file=out is not None)
+    drawing = draw(obj, canvas, **own)
+    if isinstance(drawing, Animation):
+        assert canvas.out is not None, "animations are drawn where the canvas asks for one"
+        return save_animation(drawing, canvas.out, progress=progress)
+    if not isinstance(drawing, load_pyvista().BasePlotter):
+        return _deliver_figure(drawing, canvas)
+    if canvas.out is None:
+        return _show(drawing, of_show, off_screen=off_screen)
+    try:
+        if "cpos" in of_show:
+            drawing.camera_position = of_show["cpos"]
+        return save_image(drawing, canvas.out, progress=progress)
+    finally:
+        drawing.close()
+
+
+def _split(
+    options: Mapping[str, Any],
+    draw: Any,  # noqa: ANN401 (a function)
+    obj: object,
+    *,
+    is_file: bool,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options of an object's class and those of ``pyvista.Plotter.show``."""
+    takes = [
+        name for name, one in inspect.signature(draw).parameters.items() if one.kind is inspect.Parameter.KEYWORD_ONLY
+    ]
+    own = {name: value for name, value in options.items() if name in takes}
+    of_show = {name: value for name, value in options.items() if name not in takes}
+    known = (
+        {"cpos"}
+        if is_file or not of_show
+        else {*inspect.signature(load_pyvista().Plotter.show).parameters, "jupyter_kwargs"}
+    )
+    unknown = sorted(set(of_show) - known)
+    if unknown and draw is not drawing_of.dispatch(object):
+        raise TypeError(
+            f"plot: {unknown[0]}: expected an option of a {type(obj).__name__} ({', '.join(takes)}) or of "
+            f"{'an image file (cpos)' if is_file else 'pyvista.Plotter.show'}"
+        )
+    return own, of_show
+
+
+def _show(plotter: Plotter, options: Mapping[str, Any], *, off_screen: bool | None) -> Any:  # noqa: ANN401
+    is_asked = off_screen or any(options.get(name) for name in ("screenshot", "return_img"))
+    if not (is_asked or plotter.notebook or has_display() or load_pyvista().OFF_SCREEN):
+        plotter.close()
+        raise _no_display()
+    return plotter.show(**options)
+
+
+def _deliver_figure(figure: Any, canvas: Canvas) -> Any:  # noqa: ANN401 (matplotlib)
+    """Write a figure of matplotlib, or show it: as an image in a notebook, else in the system's viewer of images."""
+    from PIL import Image
+
+    from warpav.view.figures.style import checked_png, save_figure
+
+    if canvas.out is not None:
+        return save_figure(figure, checked_png(canvas.out))
+    encoded = io.BytesIO()
+    figure.savefig(encoded, format="png")
+    image = Image.open(encoded)
+    if canvas.off_screen or "ipykernel" in sys.modules:
+        return image
+    if not has_display():
+        raise _no_display()
+    image.show()
+    return None
+
+
+def _no_display() -> InputError:
+    return InputError(
+        f"plot: expected a display to show it on, got none ({display_text()}); "
+        'write a file instead, such as plot(..., out="image.png")'
+    )
+
+
+# ------------------------------------------------------------------------------------------- classes of lower rooms
+
+
+@drawing_of.register(Rig)
+def _draw_rig(
+    rig: Rig,
+    canvas: Canvas,
+    *,
+    ego: Mesh | None = None,
+    scene: Scene | None = None,
+    mount_surface: MountSurface | None = None,
+    trajectory_m: np.ndarray | None = None,
+    outcomes: Sequence[str] | None = None,
+    coverage: Coverage | None = None,
+    visibility: bool = False,
+) -> Plotter:
+    return rig_plotter(
+        rig,
+        ego=ego,
+        scene=scene,
+        mount_surface=mount_surface,
+        trajectory_m=trajectory_m,
+        outcomes=outcomes,
+        coverage=coverage,
+        visibility=visibility,
+        title=canvas.title,
+        window_size=canvas.size_px(WINDOW_PX),
+        zoom=canvas.zoom,
+        off_screen=canvas.off_screen,
+    )
+
+
+@drawing_of.register(Scene)
+def _draw_scene(
+    scene: Scene,
+    canvas: Canvas,
+    *,
+    rig: Rig | None = None,
+    outcomes: Sequence[str] | None = None,
+    coverage: Coverage | None = None,
+    visibility: bool = False,
+) -> Plotter:
+    return _draw_rig(
+        Rig(()) if rig is None else rig,
+        canvas,
+        scene=scene,
+        outcomes=outcomes,
+        coverage=coverage,
+        visibility=visibility,
+    )
+
+
+@drawing_of.register(Mesh)
+def _draw_vehicle(
+    vehicle: Mesh, canvas: Canvas, *, mount_surface: MountSurface | None = None, axle_m: Sequence[float] = ()
+) -> Plotter:
+    return vehicle_plotter(
+        vehicle,
+        surface=mount_surface,
+        axle_m=axle_m,
+        title=canvas.title,
+        window_size=canvas.size_px(VEHICLE_PX),
+        zoom=1.0 if canvas.zoom is None else canvas.zoom,
+        off_screen=canvas.off_screen,
+    )
+
+
+@drawing_of.register(MountSurface)
+def _draw_mount_surface(surface: MountSurface, canvas: Canvas, *, vehicle: Mesh | None = None) -> Plotter:
+    return vehicle_plotter(
+        vehicle,
+        surface=surface,
+        title=canvas.title,
+        window_size=canvas.size_px(VEHICLE_PX),
+        zoom=1.0 if canvas.zoom is None else canvas.zoom,
+        off_screen=canvas.off_screen,
+    )
