@@ -20,7 +20,7 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["import
 [LAYERS] = [each for each in CONTRACTS if each["type"] == "layers"]
 FLOOR = {f"warpav.{name.strip()}": k for k, layer in enumerate(LAYERS["layers"]) for name in layer.split("|")}
 EXEMPT = {tuple(line.split(" -> ")) for line in LAYERS["ignore_imports"]}
-DEVICE_SCENE = "warpav.raster.device_scene -> warpav.scene.scene"
+DEVICE_SCENE = "warpav.scene.device_scene -> warpav.scene.scene"
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,8 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav_kernels.placement import mount_pose
 
 

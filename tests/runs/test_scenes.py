@@ -262,7 +262,7 @@ def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
     assert [one.scene.name for one in plain.train] == ["town_0003"]
     assert [one.scene.name for one in both.train] == ["town_0003", "town_0003_mirrored"]
     assert [one.scene.name for one in both.test] == [one.scene.name for one in plain.test] == ["town_0004"]
-    original, mirrored = (one.scene.layer_bounds_ego_m.numpy() for one in both.train)
+    original, mirrored = (one.scene.raster.layer_bounds_world_m.numpy() for one in both.train)
     expected = (original * [1.0, -1.0, 1.0])[:, ::-1]
     np.testing.assert_allclose(mirrored[0, :, [0, 2]], original[0, :, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(mirrored[0, :, 1], expected[0, :, 1], atol=1e-5)

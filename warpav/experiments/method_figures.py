@@ -17,8 +17,7 @@ from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config
@@ -30,6 +29,7 @@ from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene_set, load_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
 from warpav.view.figures.detections import DetectionPanel

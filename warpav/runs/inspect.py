@@ -125,7 +125,7 @@ def inspector(
 def _coverage(rig: Rig, scene: Scene, config: Config) -> Coverage:
     """Which cameras see whom where."""
     from warpav.evaluation.coverage import Ground
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
 
     packed = DeviceScene.pack(scene, device=checked_device(config.device))
     return Ground.around(packed).coverage(rig.cameras)
@@ -133,7 +133,7 @@ def _coverage(rig: Rig, scene: Scene, config: Config) -> Coverage:
 
 def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
     """What the configuration's detector makes of every vehicle."""
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
 
     device = checked_device(config.device)
     observer = _observer(rig, load_detector(config), config, device)
@@ -142,7 +142,7 @@ def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
 
 def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:
     from warpav.evaluation.metrics import RigObserver
-    from warpav.raster.renderer import Occlusion
+    from warpav.raster.decide import Occlusion
 
     return RigObserver(
         rig,

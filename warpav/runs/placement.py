@@ -28,9 +28,8 @@ from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import Segregation, choose_orientations
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
@@ -38,6 +37,7 @@ from warpav.runs.mounts import checked_frozen, constraints_of
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -120,7 +120,7 @@ def rig_plotter(
         add_mount_surface(plotter, mount_surface)
     add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
     if visibility and scene is not None:
-        from warpav.raster.device_scene import DeviceScene
+        from warpav.scene.device_scene import DeviceScene
         from warpav.view.visibility_view import add_visibility
 
         add_visibility(plotter, rig, DeviceScene.pack(scene))

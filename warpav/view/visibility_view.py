@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpav.evaluation.coverage import Coverage
-    from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.device_scene import DeviceScene
     from warpav.scene.scene import Scene
 
     Plotter = Any
