@@ -12,8 +12,8 @@ from tests.scene.test_store import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.runs.build import build
 from warpav.runs.config import load_config
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
@@ -253,7 +253,7 @@ def problem(folder, *overrides):
     cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:
-        return build(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
+        return Placement.from_config(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
 
 
 def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
