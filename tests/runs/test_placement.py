@@ -5,8 +5,8 @@ import pytest
 
 import warpav as wa
 from warpav.detection.detector import Detections
-from warpav.runs.build import build
 from warpav.runs.optimise import Optimisation
+from warpav.runs.placement import Placement
 from warpav.scene.town.town import ego_vehicle
 
 SMALL = [
@@ -223,7 +223,7 @@ def test_a_run_of_own_scenes_is_saved_with_them(config, train, test_scenes, tmp_
     assert len(list((folder / "scenes").glob("scene_*.glb"))) == 4
     saved = wa.read_run(folder).config()
     assert (saved.scenes.source, saved.scenes.train_seeds, saved.scenes.test_seeds) == ("folder", (0, 1), (2, 3))
-    again = build(saved).prepare()
+    again = Placement.from_config(saved).prepare()
     assert len(again.test) == 2
 
 

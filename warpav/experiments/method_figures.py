@@ -20,7 +20,6 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.raster.decide import Occlusion
 from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
-from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
@@ -175,7 +174,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         InputError: Something in the input is wrong.
     """
     if run is None:
-        placement = build(config).prepare(progress)
+        placement = Placement.from_config(config).prepare(progress)
         descent, count = Optimisation.begin(placement).descent, config.run.iterations
         for _ in progress.steps("optimising", range(count), count=count):
             if descent.verdict is None:

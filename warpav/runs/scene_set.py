@@ -268,9 +268,11 @@ def checked_vehicle(ego: object) -> Mesh:
 
 
 def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
-    pair = ego if isinstance(ego, tuple) and len(ego) == 2 else None
-    if pair is None and hasattr(ego, "vertices") and hasattr(ego, "faces"):
+    pair: tuple[Any, Any] | None = None
+    if not isinstance(ego, tuple) and hasattr(ego, "vertices") and hasattr(ego, "faces"):
         pair = ego.vertices, ego.faces
+    elif isinstance(ego, tuple) and len(ego) == 2:
+        pair = ego
     if pair is None:
         raise TypeError(
             f"ego: expected the path of a mesh file, a Mesh, a trimesh or (vertices, faces), got {type(ego).__name__}"
