@@ -11,7 +11,7 @@ from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rivals import gradient_renders
-from warpav.runs.build import build
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
@@ -21,7 +21,7 @@ BUDGET = 60
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
     with RunDisplay() as display:
-        return build(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
+        return Placement.from_config(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from tests.scene.test_store import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.runs.build import build
 from warpav.runs.config import load_config
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
@@ -253,7 +253,7 @@ def problem(folder, *overrides):
     cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:
-        return build(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
+        return Placement.from_config(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
 
 
 def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
@@ -262,7 +262,7 @@ def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
     assert [one.scene.name for one in plain.train] == ["town_0003"]
     assert [one.scene.name for one in both.train] == ["town_0003", "town_0003_mirrored"]
     assert [one.scene.name for one in both.test] == [one.scene.name for one in plain.test] == ["town_0004"]
-    original, mirrored = (one.scene.layer_bounds_ego_m.numpy() for one in both.train)
+    original, mirrored = (one.scene.raster.layer_bounds_world_m.numpy() for one in both.train)
     expected = (original * [1.0, -1.0, 1.0])[:, ::-1]
     np.testing.assert_allclose(mirrored[0, :, [0, 2]], original[0, :, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(mirrored[0, :, 1], expected[0, :, 1], atol=1e-5)

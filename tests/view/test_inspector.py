@@ -11,7 +11,7 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.evaluation.coverage import Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Steepest
 from warpav.view.inspected import InspectedRig

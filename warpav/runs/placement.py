@@ -1,7 +1,7 @@
 """The task of placing cameras: scenes, a vehicle, cameras, a detector and an objective, joined.
 
 `Placement` is what `warpav.optimise` and `warpav.evaluate` take. It can be made of objects, or of a configuration
-(`warpav.runs.build.build`); both ways lead to the same objects.
+(`Placement.from_config`); both ways lead to the same objects.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import Segregation, choose_orientations
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.mounts import checked_frozen, constraints_of
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
-from warpav.runs.scene_set import SceneSet, checked_vehicle, own_vehicle, pack_scenes
+from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -217,6 +217,22 @@ class Placement:
         self._own: tuple[list[Scene], list[Scene]] | None = (train, validation)
         self._load = _packer(train, validation, self._parts)
         self._prepared: _Prepared | None = None
+
+    @classmethod
+    def from_config(cls, config: Config, *, start: Rig | None = None) -> Placement:
+        """The placement that a configuration describes; nothing is written.
+
+        The rig of ``rig.start`` is read now, scenes and detector when they are first needed.
+
+        Args:
+            config: The configuration.
+            start: The rig that ``rig.start`` means, where it has been read already.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)
+        return cls.of(parts, lambda progress: load_scene_set(config, progress))
 
     @classmethod
     def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:

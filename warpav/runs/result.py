@@ -192,11 +192,11 @@ def _drawing(
     arrows: bool = True,
     visibility: bool = False,
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    from warpav.runs.inspect import DrawnRun, rigs_of_events
+    from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
     placement, events = result.placement, [asdict(record) for record in result.records]
     frames = rigs_of_events(events, result.rig, place="result")
-    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    scene = placement.shown if scene is None else next(placement.as_seen([scene]))
     run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
     return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 

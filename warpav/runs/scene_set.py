@@ -20,12 +20,12 @@ from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import compiling
 from warpav.optimisation.segregation import areas_around
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount
 from warpav.scene.cache import town_scenes
 from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path

@@ -52,7 +52,7 @@ class DetectedArea(AssignedVehicleLoss):
                 self.epsilon,
             ],
             outputs=[vehicle_loss],
-            device=scene.renderer.device,
+            device=scene.frame.device,
         )
 
 
@@ -92,5 +92,5 @@ class ObjectVisibility(AssignedVehicleLoss):
                 self.min_visible_area,
             ],
             outputs=[vehicle_loss],
-            device=scene.renderer.device,
+            device=scene.frame.device,
         )

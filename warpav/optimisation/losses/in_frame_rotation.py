@@ -36,7 +36,7 @@ class InFrameRotation(AssignedVehicleLoss):
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
         """As in `AssignedVehicleLoss`."""
-        mount, views, device = scene.mount, scene.views, scene.renderer.device
+        mount, views, device = scene.mount, scene.views, scene.frame.device
         vehicle_count = scene.scene.vehicle_count
         bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
         sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)

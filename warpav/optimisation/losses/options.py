@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.settings import LossSettings
-from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 
 
 class Reference(Enum):

@@ -36,7 +36,7 @@ class SurfaceBlockage(AssignedVehicleLoss):
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
         """As in `AssignedVehicleLoss`."""
-        device, vehicle_count = scene.renderer.device, scene.scene.vehicle_count
+        device, vehicle_count = scene.frame.device, scene.scene.vehicle_count
         clearest_camera = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
         wp.launch(
             placement_losses.find_clearest_cameras_kernel,
