@@ -11,18 +11,18 @@
 # %% [markdown]
 # # How the gradient works
 #
-# A camera moves a little; how many pixels of a car does it gain or lose? To move cameras by gradient descent, warpav
-# has to answer that exactly, for every vehicle in every view. A render answers for each sample only *yes* or *no*:
-# this is the car, or it is not. Yes and no have no derivative. This notebook shows where the derivative is instead,
-# computes it in a few lines of NumPy, compares the renderer's with central differences over many poses, and follows
-# it down to a camera on the roof.
+# **A camera moves a little: how many pixels of a car does it gain or lose?** To move cameras by gradient descent,
+# warpav has to answer this exactly, for every vehicle in every view. But each sample of a render only says *yes* or
+# *no*: this is the car, or it is not. Yes and no have no derivative. This notebook shows where the derivative is
+# instead, computes it in a few lines of NumPy, compares the renderer's with central differences over many poses, and
+# follows it up to the objective of a rig.
 
 # %% tags=["parameters"]
 scene_seed = 3
-pose_count = 50
-truth_supersampling = 4
+pose_count, truth_samples, step_count = 50, 4, 25
 
 # %%
+import dataclasses
 import math
 
 import contourpy
@@ -30,76 +30,69 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from warpav.core.warp_setup import load_warp
-from warpav.detection.images import render_images
-from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import VISIBLE_AREA, Renderer
-from warpav.rig.rig import RigCamera
-from warpav.runs.config import load_config
-from warpav.scene.town.town import town_scene
+import warpav as wa
+from warpav import raster
 
-wp = load_warp()
-scene = town_scene(scene_seed)
-packed = DeviceScene.pack(scene)  # the triangles, sorted and ready for the renderer
-
-# %% [markdown]
-# ## A camera and a silhouette
-#
-# A street with a camera on the roof of our car, turned 45 degrees to the left. We follow the lorry, which stands
-# behind a parked car. Its *silhouette* is the set of pixels in which the lorry is nearest to the camera. Frames: x
-# points forward, y left, z up, in metres; columns and rows of the image are counted in pixels.
-
-# %%
-lens = CameraModel(width_px=512, height_px=512, fov_rad=math.radians(40))
-camera = RigCamera("left", [0.6, 0.2, 1.8], yaw_rad=math.radians(45), pitch_rad=0.05, roll_rad=0.0, model=lens)
-
-image = render_images(scene, [camera])[0]
-lorry = next(k for k, each in enumerate(scene.vehicles) if each.category == "lorry")
-silhouette = image.object_index == 2 + lorry  # 0 is the street, 1 our own car, then the vehicles
-
-print(
-    f"the lorry shows {image.visible_area_px[lorry]:.0f} px², alone it would show {image.amodal_area_px[lorry]:.0f} px²"
+street = wa.town([scene_seed])[0]
+names = [f"{vehicle.category} {vehicle.instance_id}" for vehicle in street.vehicles]
+scene = raster.Scene(
+    dict(zip(names, [vehicle.mesh for vehicle in street.vehicles], strict=True)),
+    occluders=[street.environment, street.ego, *(other.mesh for other in street.others)],
+    background_rgb=(200, 215, 230),
 )
 
 # %% [markdown]
 # ## What moves is the outline
 #
-# When the camera moves, pixels inside the silhouette stay inside. The area changes only along the outline, and by as
-# much as the outline sweeps over. So we need, at every point of the outline, its motion in the image. Whose motion?
-# That of the surface *in front*: where the lorry ends against the sky, the lorry's own edge moves; where the parked
-# car covers the lorry, the outline is the car's edge and moves with the nearer car, much faster.
+# A camera on the roof of our car, turned 45 degrees to the left. We follow the lorry, which stands behind a parked
+# car. Its *silhouette* is the set of pixels in which the lorry is nearest to the camera.
 #
-# A point $q$ of the world, in the camera's axes, moves by $-R\,s$ when the camera shifts by $s$. Its pixel $u = f q_x
-# / q_z + c$ moves accordingly:
+# When the camera moves, pixels inside the silhouette stay inside. The area changes only along the outline, and by as
+# much as the outline sweeps over. So we need the motion of the outline at each of its points. Whose motion? That of
+# the surface *in front*: where the lorry ends against the sky, the edge of the lorry moves; where the parked car covers
+# the lorry, the edge of the car moves, and it moves faster, because it is nearer.
+#
+# A point $q$ in the axes of the camera moves by $-R\,s$ when the camera shifts by $s$. Its pixel $u = f q_x / q_z + c$
+# moves accordingly:
 
 # %%
-camera_from_ego = camera.ego_from_camera[:3, :3].T
+lens = wa.CameraModel(width_px=512, height_px=512, fov_rad=math.radians(40))
+camera = wa.Camera("left", np.array([0.6, 0.2, 1.8]), math.radians(45), pitch_rad=0.05, roll_rad=0.0, model=lens)
 focal_px = lens.intrinsics[0, 0]
 
 
-def outline():
-    """Ends of the outline's segments [px], silhouette on their right, and depth of what is in front there [m]."""
+def render(lens, ego_from_camera, samples=1):
+    """A frame of one view for each pose [view, 4, 4]."""
+    cameras = raster.Cameras([lens.intrinsics] * len(ego_from_camera), width_px=lens.width_px, height_px=lens.height_px)
+    return raster.render(scene, cameras, np.linalg.inv(ego_from_camera), samples)
+
+
+def outline(silhouette, depth_m):
+    """Ends of the segments of the outline [px], silhouette on their right, and depth of what is in front there [m]."""
     lines = contourpy.contour_generator(z=silhouette.astype(float)).lines(0.5)
     start, end = (np.concatenate([line[which] for line in lines]) for which in (slice(-1), slice(1, None)))
     column, row = np.rint((start + end) / 2).astype(int).T
-    nearest_m = minimum_filter(image.depth_m, size=3)  # of the surfaces that meet there
+    nearest_m = minimum_filter(depth_m, size=3)  # of the surfaces that meet there
     return start + 0.5, end + 0.5, nearest_m[row, column]  # pixel centres lie at +0.5
 
 
 def motion(point_px, depth_m, shift_m):
     """How points of the image move [px] when the camera shifts by ``shift_m`` in the ego frame."""
     across = (point_px - lens.intrinsics[:2, 2]) / focal_px
-    away = -camera_from_ego @ shift_m
+    away = -camera.ego_from_camera[:3, :3].T @ shift_m
     return focal_px * (away[:2] - across * away[2]) / depth_m[:, None]
 
 
-start, end, depth_m = outline()
+here = camera.ego_from_camera[None]
+frame = render(lens, here)
+lorry = next(k for k, name in enumerate(names) if name.startswith("lorry"))
+silhouette = frame.object_id.numpy()[0] == lorry
+start, end, depth_m = outline(silhouette, frame.depth_m.numpy()[0])
 middle = (start + end) / 2
 to_the_left = motion(middle, depth_m, np.array([0.0, 0.3, 0.0]))
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
-axes[0].imshow(image.rgb)
+axes[0].imshow(frame.rgb.numpy()[0])
 axes[0].set_title("what the camera sees")
 axes[1].imshow(np.where(silhouette, 0.82, 1.0), cmap="gray", vmin=0, vmax=1)
 arrow = slice(None, None, 7)  # not all of them
@@ -113,15 +106,19 @@ for axis in axes:
     axis.axis("off")
 plt.show()
 
+areas = frame.areas()
+visible_px, alone_px = areas.visible.numpy()[0, lorry], areas.amodal.numpy()[0, lorry]
+print(f"the lorry shows {visible_px:.0f} px², alone it would show {alone_px:.0f} px²")
+
 # %% [markdown]
-# The dark arrows belong to the parked car, which is nearer: its edge moves farther over the image.
+# The dark arrows belong to the parked car: it is nearer, so its edge moves farther across the image.
 #
 # A segment from $A$ to $B$ that moves by $(\mathrm{d}u, \mathrm{d}v)$ sweeps the area $(B-A)_v\,\mathrm{d}u -
-# (B-A)_u\,\mathrm{d}v$ (the silhouette on its right). Summed over the outline this is the derivative of the visible
-# area (Reynolds' transport theorem). In NumPy it is one line; the renderer does the same on every outline of every
-# vehicle in every view at once, with the outline solved between the samples instead of drawn along pixels ([the
-# gradient on one page](../kernels/design.md#the-gradient-on-one-page)). Third, for comparison, the plainest answer:
-# move the camera by 2 cm to either side, render 16 samples a pixel, and count.
+# (B-A)_u\,\mathrm{d}v$ (silhouette on its right). Summed over the outline, this is the derivative of the visible area
+# (Reynolds' transport theorem). In NumPy it is one line. The renderer does the same on every outline of every vehicle
+# in every view at once, and locates the outline between the samples instead of along pixels ([the gradient on one
+# page](../kernels/design.md#the-gradient-on-one-page)). Third, for comparison, the plainest answer: move the camera by
+# 2 cm to either side, render 16 samples a pixel, and count.
 
 
 # %%
@@ -130,34 +127,19 @@ def swept_area(moved):
     return (along[:, 1] * moved[:, 0] - along[:, 0] * moved[:, 1]).sum()
 
 
-def on_device(ego_from_camera):
-    """Poses [view, 4, 4] as the renderer takes them."""
-    ego_from_camera = np.asarray(ego_from_camera, np.float32)
-    rotation = np.ascontiguousarray(ego_from_camera[:, :3, :3].transpose(0, 2, 1))
-    return wp.array(ego_from_camera[:, :3, 3], dtype=wp.vec3), wp.array(rotation, dtype=wp.mat33)
-
-
-def measure(lens, ego_from_camera, supersampling=1):
-    """Areas and their Jacobians of every vehicle in every view."""
-    renderer = Renderer([lens] * len(ego_from_camera), supersampling=supersampling)
-    renderer.render(packed, *on_device(ego_from_camera))
-    return renderer.measure(packed)
-
-
 def shifted(ego_from_camera, axis, step_m):
     moved = np.array(ego_from_camera)
     moved[..., axis, 3] += step_m
     return moved
 
 
-here = camera.ego_from_camera[None]
-exact = measure(lens, here).per_shift.numpy()[0, lorry, VISIBLE_AREA]
+exact = areas.jacobian.numpy()[0, lorry]  # to the position (3), to a rotation (3), to the logarithm of the focal length
 print("derivative of the lorry's visible area [px²/m]")
 print("             NumPy outline   warpav   differences")
 for axis, name in enumerate(["x forward", "y left", "z up"]):
     by_hand = swept_area(motion(middle, depth_m, np.eye(3)[axis]))
     high, low = (
-        measure(lens, shifted(here, axis, step_m), 4).value.numpy()[0, lorry, VISIBLE_AREA] for step_m in (0.02, -0.02)
+        render(lens, shifted(here, axis, step_m), 4).areas().visible.numpy()[0, lorry] for step_m in (0.02, -0.02)
     )
     print(f"{name:12} {by_hand:13.0f} {exact[axis]:8.0f} {(high - low) / 0.04:13.0f}")
 
@@ -167,26 +149,26 @@ for axis, name in enumerate(["x forward", "y left", "z up"]):
 #
 # ## Is it right everywhere?
 #
-# One pose proves little. So: cameras all over the roof in all directions, every vehicle that any of them sees, and
-# the derivative to x, y and yaw, which are the numbers that warpav optimises first. The truth is again central
-# differences of supersampled renders. Nothing in them knows about outlines, and nothing in the derivative knows about
-# supersampling.
+# One pose proves little. So: cameras all over the roof in all directions, every vehicle that any of them sees, and the
+# derivative to x, y and yaw, which warpav optimises first. The truth is again central differences of supersampled
+# renders. They know nothing about outlines, and the derivative knows nothing about supersampling.
 
 # %%
 rng = np.random.default_rng(0)
-small_lens = CameraModel(width_px=256, height_px=256, fov_rad=math.radians(80))
-cameras = [
-    RigCamera(
-        f"camera_{k}",
-        [rng.uniform(-0.2, 1.2), rng.uniform(-0.4, 0.4), rng.uniform(1.7, 2.0)],
-        yaw_rad=rng.uniform(-math.pi, math.pi),
-        pitch_rad=rng.uniform(-0.05, 0.15),
-        roll_rad=0.0,
-        model=small_lens,
-    )
-    for k in range(pose_count)
-]
-poses = np.stack([camera.ego_from_camera for camera in cameras])
+small_lens = wa.CameraModel(width_px=256, height_px=256, fov_rad=math.radians(80))
+poses = np.stack(
+    [
+        wa.Camera(
+            f"camera_{k}",
+            np.array([rng.uniform(-0.2, 1.2), rng.uniform(-0.4, 0.4), rng.uniform(1.7, 2.0)]),
+            yaw_rad=rng.uniform(-math.pi, math.pi),
+            pitch_rad=rng.uniform(-0.05, 0.15),
+            roll_rad=0.0,
+            model=small_lens,
+        ).ego_from_camera
+        for k in range(pose_count)
+    ]
+)
 
 
 def turned(ego_from_camera, step_rad):
@@ -197,32 +179,30 @@ def turned(ego_from_camera, step_rad):
     return moved
 
 
-def areas(ego_from_camera):
+def true_areas(ego_from_camera):
     """Visible areas [px²] at many samples a pixel, ten views at a time, [view, vehicle]."""
     parts = np.array_split(ego_from_camera, math.ceil(len(ego_from_camera) / 10))
-    found = [measure(small_lens, part, truth_supersampling).value.numpy()[..., VISIBLE_AREA] for part in parts]
-    return np.concatenate(found)
+    return np.concatenate([render(small_lens, part, truth_samples).areas().visible.numpy() for part in parts])
 
 
-measures = measure(small_lens, poses)
-per_shift, per_spin = (array.numpy()[:, :, VISIBLE_AREA] for array in (measures.per_shift, measures.per_spin))
-per_yaw = -np.einsum("vki,vi->vk", per_spin, poses[:, 2, :3])  # turning the camera left turns the world right
-derivative = np.stack([per_shift[..., 0], per_shift[..., 1], per_yaw], axis=-1)
+areas = render(small_lens, poses).areas()
+jacobian = areas.jacobian.numpy()
+per_yaw = -np.einsum("vki,vi->vk", jacobian[..., 3:6], poses[:, 2, :3])  # a camera turned left turns the world right
+derivative = np.stack([jacobian[..., 0], jacobian[..., 1], per_yaw], axis=-1)
 
 step_m, step_rad = 0.06, 0.006
 difference = np.stack(
     [
-        (areas(shifted(poses, 0, step_m)) - areas(shifted(poses, 0, -step_m))) / (2 * step_m),
-        (areas(shifted(poses, 1, step_m)) - areas(shifted(poses, 1, -step_m))) / (2 * step_m),
-        (areas(turned(poses, step_rad)) - areas(turned(poses, -step_rad))) / (2 * step_rad),
+        (true_areas(shifted(poses, 0, step_m)) - true_areas(shifted(poses, 0, -step_m))) / (2 * step_m),
+        (true_areas(shifted(poses, 1, step_m)) - true_areas(shifted(poses, 1, -step_m))) / (2 * step_m),
+        (true_areas(turned(poses, step_rad)) - true_areas(turned(poses, -step_rad))) / (2 * step_rad),
     ],
     axis=-1,
 )
 
 # %%
-area_px = measures.value.numpy()[:, :, VISIBLE_AREA]
 length = np.linalg.norm(difference, axis=-1)
-counted = (area_px > 100) & (length > 20)  # what is smaller drowns in the grain of the truth's own samples
+counted = (areas.visible.numpy() > 100) & (length > 20)  # what is smaller drowns in the noise of the truth's samples
 cosine = (derivative * difference).sum(axis=-1)[counted] / (length * np.linalg.norm(derivative, axis=-1))[counted]
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
@@ -241,81 +221,81 @@ print(f"{counted.sum()} silhouettes in {pose_count} views: median cosine {np.med
 print(f"one in ten below {np.quantile(cosine, 0.1):.4f}")
 
 # %% [markdown]
-# A few points lie off the line, and it is worth asking who is wrong there. Take the one with the largest error to x,
-# and walk along x in steps of 5 mm: areas of supersampled renders on the way, and the derivative of a plain render at
-# each place.
+# A few points lie off the line. Which of the two is wrong there? Take the point with the largest error to x, and move
+# along x in small steps: differences of neighbouring areas, supersampled, and the derivative of a plain render at each
+# position.
 
 # %%
 error = np.where(counted, np.abs(derivative - difference)[..., 0], 0.0)
 view, vehicle = np.unravel_index(np.argmax(error), error.shape)
-there = poses[view : view + 1]
-way_m = np.linspace(-step_m, step_m, 25)
+along_m = np.linspace(-step_m, step_m, step_count)
+moved = np.concatenate([shifted(poses[view : view + 1], 0, x) for x in along_m])
+true_px = np.array([render(small_lens, pose[None], 8).areas().visible.numpy()[0, vehicle] for pose in moved])
+derivatives = render(small_lens, moved).areas().jacobian.numpy()[:, vehicle, 0]
 
-
-def on_the_way(samples):
-    measures = [measure(small_lens, shifted(there, 0, x), samples) for x in way_m]
-    values = [(each.value.numpy()[0, vehicle], each.per_shift.numpy()[0, vehicle]) for each in measures]
-    return np.array([(value[VISIBLE_AREA], per_shift[VISIBLE_AREA][0]) for value, per_shift in values]).T
-
-
-walked_px, _ = on_the_way(2 * truth_supersampling)
-_, walked_derivative = on_the_way(1)
 figure, axis = plt.subplots(figsize=(7, 3.4), layout="constrained")
-axis.plot(1e3 * way_m, np.gradient(walked_px, way_m), ".-", label="differences of neighbouring areas")
-axis.plot(1e3 * way_m, walked_derivative, ".-", label="derivative from one hard render")
-axis.axhline(difference[view, vehicle, 0], color="gray", linestyle="--", label="difference over the whole way")
+axis.plot(1e3 * along_m, np.gradient(true_px, along_m), ".-", label="differences of neighbouring areas")
+axis.plot(1e3 * along_m, derivatives, ".-", label="derivative from one hard render")
+axis.axhline(difference[view, vehicle, 0], color="gray", linestyle="--", label="difference over the whole distance")
 axis.set(xlabel="moved along x [mm]", ylabel="derivative [px²/m]")
 axis.legend()
 plt.show()
 
 # %% [markdown]
-# The derivative itself changes along the way, for the vehicle is partly hidden there. The difference over the whole
-# way is its mean, and the derivative belongs to the middle: both are right, and answer different questions. The steps
+# The derivative itself changes on the way, because the vehicle is partly hidden there. The difference over the whole
+# distance is its mean; the derivative belongs to the middle. Both are right, and answer different questions. The steps
 # of the orange line are those of one sample a pixel; `camera.supersampling` takes more.
 #
-# ## From the area to the roof
+# ## From the area to the objective of a rig
 #
-# A camera cannot stand anywhere: its height follows from the roof below it. So what is optimised are x, y and yaw on
-# the roof, and everything from there to the measured area has to be differentiated. The renderer hands
-# [`wp.Tape`](https://nvidia.github.io/warp/) a function whose value is the rendered area and whose derivative is the
-# Jacobian from above; the tape does the rest, through the rotation and the height map. Here the quantity at its end
-# is the area of our lorry, as seen by a camera that stands on the roof and looks almost straight ahead, so that the
-# image's left border cuts through the lorry:
+# What is optimised is not an area but the *objective*: the expected share of road users that no camera detects ([its
+# definition](../docs/method.md#the-default-method)). `wp.Tape` of NVIDIA Warp joins the Jacobians from above with the
+# probability of detection on the one side, and with the rotation of the camera and the height map of the roof on the
+# other. `value_and_grad` gives both ends. Here one camera of a rig turns; the gradient should be the slope of the
+# objective at every angle:
 
 # %%
-from warpav.runs.mounts import camera_mount
+placement = wa.Placement(wa.town(range(3)), cameras=4)
+around = [
+    wa.Camera(name, np.array([x, y, 1.8]), math.radians(yaw), pitch_rad=0.0, roll_rad=0.0, model=wa.CameraModel())
+    for name, x, y, yaw in [
+        ("front", 0.9, 0, 0),
+        ("left", 0.6, 0.4, 90),
+        ("rear", 0.1, 0, 180),
+        ("right", 0.6, -0.4, -90),
+    ]
+]
+angles_deg = np.linspace(26, 46, 3 * step_count)
+values, slopes = [], []
+for angle_deg in angles_deg:
+    front = dataclasses.replace(around[0], yaw_rad=math.radians(angle_deg))
+    value, gradient = placement.value_and_grad(wa.Rig.create([front, *around[1:]]))
+    values.append(value)
+    slopes.append(gradient["front"]["yaw_rad"] * math.pi / 180)
 
-config = load_config("quick", ["camera.fov_deg=80"])
-mount = camera_mount(config, scene.ego)  # the height map of roof and bonnet, and how high above it cameras stand
-mount_pose = np.array([[0.6, 0.2, math.radians(5), 0.0, 0.0, 0.0, 0.0]], np.float32)  # x, y, yaw, pitch, roll, ...
-
-
-def lorry_area(mount_pose, supersampling):
-    """Visible area of the lorry from the roof [px²]; what is recorded on the active tape is exact to first order."""
-    views = mount.place(mount_pose, rotation_count=1)
-    renderer = Renderer([mount.camera], supersampling=supersampling)
-    renderer.render(packed, views.position_ego_m, views.camera_from_ego)
-    return renderer.measure(packed).on_tape(views.position_ego_m, views.camera_from_ego)
-
-
-pose = wp.array(mount_pose, dtype=float, requires_grad=True)
-with wp.Tape() as tape:
-    area = lorry_area(pose, supersampling=1)
-seed = np.zeros(area.shape, np.float32)
-seed[0, lorry, VISIBLE_AREA] = 1.0
-tape.backward(grads={area: wp.array(seed, dtype=float)})
-
-print("             wp.Tape   differences")
-for axis, (name, step) in enumerate({"x [px²/m]": step_m, "y [px²/m]": step_m, "yaw [px²/rad]": step_rad}.items()):
-    there = [mount_pose + sign * step * np.eye(7, dtype=np.float32)[axis] for sign in (1, -1)]
-    high, low = (
-        lorry_area(wp.array(p, dtype=float), truth_supersampling).numpy()[0, lorry, VISIBLE_AREA] for p in there
+figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
+axis.plot(angles_deg, values, ".-", color="tab:blue", label="objective")
+for k, (angle_deg, value, slope) in enumerate(zip(angles_deg, values, slopes, strict=True)):
+    reach_deg = np.array([-1.0, 1.0]) * min(0.5, 0.012 / max(abs(slope), 1e-6))  # of the same length on the page
+    label = None if k else "slope from the gradient"
+    axis.plot(
+        angle_deg + reach_deg, value + slope * reach_deg, color="tab:orange", linewidth=1.5, label=label, zorder=3
     )
-    print(f"{name:13} {pose.grad.numpy()[0, axis]:6.0f} {(high - low) / (2 * step):13.0f}")
+axis.set(xlabel="yaw of the front camera [deg]", ylabel="expected share not detected")
+axis.legend()
+plt.show()
 
 # %% [markdown]
-# That is the whole of it: one hard render, an outline whose motion is known, and plain automatic differentiation of
-# what follows. What follows in a run is a loss instead of an area: the share of road users that no camera is expected
-# to find ([how it is made](../docs/method.md#the-default-method)), summed over all vehicles in all views of all
-# scenes of a batch, and an optimiser that takes steps. `warpav doctor` repeats a check like this one on every device
-# of your machine.
+# The steps are vehicles that leave the image. While the border of the image cuts a vehicle, there is a slope, and the
+# gradient has it. On the plateaus between, nothing pulls: this is why an optimisation starts from the best of 16 rigs
+# and sees many scenes, whose steps lie at other angles.
+#
+# That is all of it: one hard render, an outline whose motion is known, and plain automatic differentiation of what
+# follows. An optimiser that takes steps does the rest. `warpav doctor` repeats a check like this one on every device of
+# your machine.
+#
+# ## What to do next
+#
+# - Use [the rasteriser on its own](07_rasteriser.ipynb), with Warp or PyTorch.
+# - See the gradient at work: [a first run](01_first_run.ipynb).
+# - `placement.detection_probabilities(rig)` gives the matrix [camera, object] below the objective.

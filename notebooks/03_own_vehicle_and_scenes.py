@@ -11,135 +11,153 @@
 # %% [markdown]
 # # Bring your own vehicle and scenes
 #
-# The embedded town has an estate car and streets of its own. You have another vehicle, as a mesh out of some CAD or
-# game program, and perhaps scenes. This notebook takes a delivery van whose file is wrong in the usual ways, finds
-# out what is wrong, mends it, puts it into a folder of scenes, and optimises four cameras on its roof and bonnet.
+# **My vehicle is a van, my scenes are files. Where can cameras go on its roof, and where should they?** The embedded
+# town has a car and streets of its own. This notebook takes a delivery van whose mesh has the usual mistakes, puts it
+# into a folder of scenes, and optimises four cameras on it.
 
 # %% tags=["parameters"]
-import os
-
-os.environ.update(
-    SCENES="0..23",  # seeds of the folder's scenes
-    TRAIN="0..17",
-    TEST="18..23",
-    FIT="500000..500019",  # scenes on which to learn what the detector sees from the van
-    HELD_OUT="500050..500057",
-    ITERATIONS="60",
-)
+train_seeds, test_seeds, iterations = range(18), range(18, 24), 60
+fit_seeds, held_out_seeds = range(500000, 500020), range(500050, 500058)  # scenes that show what the detector finds
 
 # %%
+import os
 import tempfile
 
 import numpy as np
 import trimesh
-from IPython.display import Image
 
-from warpav.runs.progress import RunDisplay
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.verdict import arm_table
-from warpav.scene.glb import read_scene
-from warpav.scene.town.vehicle_shapes import vehicle_mesh
+import warpav as wa
+from warpav.rig.mount_surface import mount_surface_from_mesh
+from warpav.scene.own_vehicle import Reading, examine, read_vehicle
 
-folder = tempfile.TemporaryDirectory()  # what is written below goes here
+folder = tempfile.TemporaryDirectory()  # for the files of this notebook
 os.chdir(folder.name)
 
 # %% [markdown]
-# ## A vehicle as it comes
-#
-# You have a file already. Ours has to be made: a van in **centimetres**, with **z up** and **y forward**, as many CAD
-# programs write it, although a GLB is supposed to be in metres with y up.
+# You have a mesh already. Ours has to be made: in **centimetres**, with **z up** and **y forward**, as many CAD
+# programs export it, although a GLB file should be in metres with y up.
 
 # %%
-van = vehicle_mesh("van", paint=np.array([0.05, 0.25, 0.35]))  # metres, x forward, y left, z up
-x, y, z = van.vertex_m.T
+from warpav.scene.town.vehicle_shapes import vehicle_mesh
+
+made = vehicle_mesh("van", paint=np.array([0.05, 0.25, 0.35]))  # metres, x forward, y left, z up
+x, y, z = made.vertex_m.T
 in_the_file = 100.0 * np.stack([-y, x, z], axis=1)
-_ = trimesh.Trimesh(in_the_file, van.triangle, vertex_colors=van.vertex_rgb, process=False).export("van.glb")
+_ = trimesh.Trimesh(in_the_file, made.triangle, vertex_colors=made.vertex_rgb, process=False).export("van.glb")
 
 # %% [markdown]
-# ## What is wrong with it
+# ## Into the frame of the vehicle
 #
-# `warpav vehicle check` reads GLB, glTF, OBJ, PLY and STL. It looks at the shape: vehicles are two to twenty metres
-# long, left and right are alike, wheels are below. What it cannot use it names on the last lines, together with the
-# command that mends it, and ends with status 2, so that a script stops.
-
-# %% magic_args="--no-raise-error" language="bash"
-# warpav vehicle check van.glb
-
-# %% [markdown]
-# The command that it proposes writes the vehicle in warpav's own frame: metres, x forward, y left, z up, with the
-# origin on the ground below the middle of the rear axle, which it finds by the wheels. `--picture` draws what was
-# understood. Look at it: a car that drives backwards is also left and right alike.
-
-# %% language="bash"
-# warpav vehicle check van.glb --scale 0.01 --up z --forward y --out van_ego.glb --picture van.png
+# warpav wants metres, x forward, y left, z up, and the origin on the ground below the middle of the rear axle.
+# `Reading` says what the axes and the unit of the file mean; `examine` finds the ground and the wheels, and moves the
+# mesh to where it belongs. Coloured areas can carry a camera: they are part of the surface and face upwards. The
+# windscreen and the rounded edges cannot.
 
 # %%
-Image("van.png", width=800)
+found = examine(read_vehicle("van.glb"), Reading(up="z", forward="y", scale=0.01))
+van = found.corrected
+wa.plot(
+    van, mount_surface=mount_surface_from_mesh(van), axle_m=[axle + found.shift_m[0] for axle in found.wheels.axle_m]
+)
 
 # %% [markdown]
-# Coloured are the places that can carry a camera: measured, and facing upwards enough (`mount.min_zone_normal`).
-# Windscreen and rounded edges cannot. If your roof has rails or a hatch, cut them out of the mesh or raise
-# `mount.margin_m`.
+# Look at the image: a van that drives backwards is also the same on its left and right. If your roof has rails or a
+# hatch, cut them out of the mesh.
 #
+# How do you know what is wrong with a file? The shape says it: vehicles are two to twenty metres long, their sides are
+# alike, and wheels are below. Read in the usual way of its format, this file has a problem, and the problem has a
+# remedy:
+
+# %%
+file = read_vehicle("van.glb")
+for problem in examine(file, file.usual).problems:
+    print(problem.text, problem.remedy, sep="\n  ")
+
+# %% [markdown]
+# A mesh that is wrong does not get into an optimisation either:
+
+# %%
+try:
+    wa.Placement(wa.town([0]), ego=(in_the_file, made.triangle))
+except wa.InputError as error:
+    print(error)
+
+# %% [markdown]
 # ## A folder of scenes
 #
-# A scene is one GLB file, `scene_<seed>.glb`, that Blender opens: nodes `environment`, `ego` and `vehicle_<id>`, each
-# vehicle with its class and its 3D box as extras ([all of it](../warpav/scene/glb.py)). Yours may come from a
-# simulator, from a reconstruction (`warpav scenes reconstruct`) or from a modelling program. Ours are made by the
-# command that builds the embedded town:
+# A scene is one GLB file with the nodes `environment`, `ego` and `vehicle_<id>`. Each vehicle has its class and its
+# 3D box as extras ([the format](../warpav/scene/glb.py)). Yours may come from a simulator, from a reconstruction
+# (`warpav scenes reconstruct`) or from Blender. Ours are streets of the embedded town, written as files:
 
-# %% language="bash"
-# warpav scenes make --seeds $SCENES --out scenes | tail -n 2
+# %%
+from warpav.scene.glb import write_scene
+
+os.mkdir("scenes")
+for seed, scene in zip([*train_seeds, *test_seeds], wa.town([*train_seeds, *test_seeds]), strict=True):
+    write_scene(scene, f"scenes/scene_{seed:02d}.glb")
 
 # %% [markdown]
 # What such a file holds, read with nothing of warpav:
 
 # %%
-scene = trimesh.load_scene("scenes/scene_0.glb")
-for _, node, edge in sorted(scene.graph.to_edgelist(), key=lambda edge: edge[1]):
+content = trimesh.load_scene("scenes/scene_00.glb")
+for _, node, edge in sorted(content.graph.to_edgelist(), key=lambda edge: edge[1]):
     extras = edge.get("metadata", {})
     if extras.get("role") in ("environment", "ego"):
-        print(f"{node:12} {len(scene.geometry[edge['geometry']].faces):6} triangles")
+        print(f"{node:12} {len(content.geometry[edge['geometry']].faces):6} triangles")
     elif extras.get("role") == "vehicle":
         box = ", ".join(f"{value:.1f}" for value in [*extras["box_center_m"], *extras["box_size_m"]])
         print(f"{node:12} {extras['class']:10} box centre and size [m]: {box}")
 
+# %% [markdown]
+# `wa.read_scenes` reads a file, a folder or a pattern. Here the first scenes are for the optimiser, and the others
+# for the evaluation:
+
 # %%
-Image(read_scene("scenes/scene_0.glb").plot("scene.png", zoom=0.7), width=800)
+scenes = wa.read_scenes("scenes")
+train, test = scenes[: len(train_seeds)], scenes[len(train_seeds) :]
+wa.plot(test[0], zoom=0.7)
 
 # %% [markdown]
-# ## The van in these scenes
+# ## What the detector finds from a van
 #
-# `scenes.ego` puts your vehicle into the place of every scene's own, in all commands. `scenes.source=folder` reads a
-# folder, and the seeds say which of its files are trained on, and on which the result is judged.
-#
-# One thing has to be learnt first. What a run lowers is the expected share of road users that no camera finds, and
-# how probably the detector finds something depends on what it looks at, and from where: a van's roof is higher than a
-# car's. This probability is fitted once for every detector, camera and vehicle, and kept; on embedded scenes if you
-# have fewer than twenty of your own. A run does so by itself, on 80 scenes; here a few have to do:
-
-# %% language="bash"
-# warpav detector fit scenes.ego=van_ego.glb --scenes $FIT --held-out $HELD_OUT
-
-# %% language="bash"
-# warpav optimise scenes.source=folder scenes.folder=scenes scenes.ego=van_ego.glb \
-#     scenes.train_seeds=$TRAIN scenes.test_seeds=$TEST run.iterations=$ITERATIONS run.batch_size=3 \
-#     run.out=van > progress.txt
-# tail -n 5 progress.txt
+# The optimiser lowers the expected share of road users that no camera detects. How probable a detection is depends on
+# what a camera sees, and from where: the roof of a van is higher than that of a car. This model is fitted once for each
+# detector, camera and vehicle. An optimisation does it by itself, on 80 embedded scenes. Here fewer have to do:
 
 # %%
-run = RunFolder.open("van")
-Image(run.plot("run.png"), width=800)
+from warpav.core.progress import NullProgress
+from warpav.runs.detector_fit import FitSeeds, fit
 
-# %%
-RunDisplay().show(arm_table(run.evaluation()["arms"]))
+seeds = FitSeeds(tuple(fit_seeds), tuple(held_out_seeds))
+fitted = fit(wa.Config(), seeds, ego=van, progress=NullProgress())
+print(
+    f"area under the curve, on {len(seeds.held_out)} other scenes: {fitted.scores.auc:.3f} (1 is perfect, 0.5 chance)"
+)
 
 # %% [markdown]
-# *Objective* is what was lowered, the share of vehicles expected to be missed; `start` is the best of 16 rigs that
-# were looked at before the first step. Six test scenes prove nothing about the arms' order; they show that van,
-# folder and detector work together. With your own scenes, use as many as you have: those that are trained on decide
-# how well the result carries over to others.
+# ## Four cameras on the van
 #
-# Everything else takes the same two options: `warpav inspect van`, `warpav evaluate nuscenes scenes.ego=van_ego.glb
-# ...`, or a configuration file of your own, from `warpav config copy quick mine.yaml`. Next: [your own
-# detector](04_own_detector.ipynb).
+# `ego` puts your vehicle into the place of the scenes' own:
+
+# %%
+placement = wa.Placement(train, cameras=4, ego=van, probability=fitted.model)
+result = wa.optimise(placement, iterations=iterations)
+wa.plot(result, scene=test[0])
+
+# %%
+evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
+evaluation.table()
+
+# %% [markdown]
+# *Objective* is what was lowered. Six test scenes do not prove which rig is better; they show that van, scenes and
+# detector work together. Use as many of your own scenes as you have: those that the optimiser sees decide how well its
+# result carries over to others.
+#
+# ## What to do next
+#
+# - `result.save("runs/van", test=test)` keeps the run with a report that opens in a browser.
+# - On the command line: `warpav vehicle check van.glb --scale 0.01 --up z --forward y --out van_ego.glb`, and then
+#   `warpav optimise scenes.source=folder scenes.folder=scenes scenes.ego=van_ego.glb`.
+# - Use [your own detector](04_own_detector.ipynb).
+# - [Look at the blind spots of the rig, and export it](06_inspect_and_export.ipynb).

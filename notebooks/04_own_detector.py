@@ -11,55 +11,68 @@
 # %% [markdown]
 # # Bring your own detector
 #
-# Cameras are placed for a detector, so it should be yours. warpav takes an ONNX file as it left its exporter: YOLOv8
-# to YOLO26 and RT-DETR of ultralytics, YOLOX, torchvision, RT-DETR, D-FINE. This notebook takes one through
-# everything that warpav does with it: how the file is read, what it finds, how its chances depend on what a camera
-# sees, and how a rig is judged by it.
+# **What does your detector find, how do its chances depend on what a camera sees, and which rig suits it?** Cameras
+# are placed for a detector, so it should be yours. warpav takes an ONNX file as its exporter left it (YOLOv8 to YOLO26
+# and RT-DETR of ultralytics, YOLOX, torchvision, RT-DETR, D-FINE), or any Python object that finds boxes in images.
 #
-# So that nothing has to be downloaded, *your* detector is a copy of the shipped one under another name. Put the path
-# of your own file in its place, such as `yolo11n.onnx` from `yolo export model=yolo11n.pt format=onnx`; everything
-# below stays the same.
+# So that nothing has to be downloaded, *your* detector is a copy of the shipped one under another name. Put the path of
+# your own file in its place, such as `yolo11n.onnx` from `yolo export model=yolo11n.pt format=onnx`.
 
 # %% tags=["parameters"]
-import os
-
-os.environ.update(
-    FIT="500000..500015",  # scenes on which to fit
-    HELD_OUT="500050..500057",  # others, to judge the fit
-    TEST="1000..1005",
-)
+fit_seeds, held_out_seeds = range(500000, 500016), range(500050, 500058)
+train_seeds, test_seeds, iterations = range(12), range(1000, 1006), 30
 
 # %%
+import math
+import os
 import shutil
 import tempfile
-from pathlib import Path
 
-from IPython.display import Image
+import matplotlib.pyplot as plt
+import numpy as np
 
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+import warpav as wa
+from warpav.detection.images import render_images
+from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
-folder = tempfile.TemporaryDirectory()  # what is written below goes here
+folder = tempfile.TemporaryDirectory()
 shutil.copy(BUILTIN_MODEL_PATH, f"{folder.name}/mine.onnx")  # your own goes here
 os.chdir(folder.name)
 
 # %% [markdown]
-# ## How is the file read?
+# ## What does it find?
 #
-# ONNX says how tensors are called, not what they mean: whether pixels are 0..1 or 0..255, RGB or BGR, stretched or
-# padded, whether boxes are corners or centres, which number is which class. `warpav detector check` tells what it
-# took them for and why, which labels count as which kind of road user, and what an image costs. A picture shows
-# whether that is right; here it is one of a street, rendered through a camera on the roof.
-
-# %% language="bash"
-# warpav render 11 --rig highest --out views camera.width_px=640 camera.height_px=640 > views.txt
-# warpav detector check mine.onnx --image views/camera_3_rgb.png --out boxes.png
+# A street, seen by a camera on the roof, and the boxes of the detector:
 
 # %%
-Image("boxes.png", width=520)
+detector = OnnxDetector("mine.onnx")
+lens = wa.CameraModel(width_px=640, height_px=480, fov_rad=math.radians(70))
+camera = wa.Camera("front", np.array([1.0, 0.0, 1.75]), yaw_rad=0.0, pitch_rad=0.05, roll_rad=0.0, model=lens)
+image_rgb = render_images(wa.town([5])[0], [camera])[0].rgb
+(found,) = detector.detect(image_rgb[None])
+
+
+figure, axis = plt.subplots(figsize=(8, 6), layout="constrained")
+axis.imshow(image_rgb)
+axis.axis("off")
+for (x0, y0, x1, y1), confidence, label in zip(found.box_px, found.confidence, found.label, strict=True):
+    if confidence >= 0.25:
+        axis.add_patch(plt.Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="yellow", linewidth=1.5))
+        axis.text(x0, y0 - 5, f"{label} {confidence:.2f}", fontsize=9, color="yellow", weight="bold")
+plt.show()
 
 # %% [markdown]
-# Boxes that sit on the cars, with names that are right: then colours, sizes and labels were read as they should be.
-# When they are not:
+# Boxes that sit on the cars, with the right names: then colours, sizes and labels were read as they should be. ONNX
+# says how tensors are called, not what they mean: whether pixels are 0..1 or 0..255, RGB or BGR, whether boxes are
+# corners or centres, which number is which class. This is what warpav took them for:
+
+# %%
+from warpav.runs.detector_check import check_detector
+
+print(*check_detector("mine.onnx", wa.Config()), sep="\n")  # times are those of this machine, now
+
+# %% [markdown]
+# When the image is not right:
 #
 # | what you see | what helps |
 # |---|---|
@@ -68,50 +81,112 @@ Image("boxes.png", width=520)
 # | a class is not counted | `detector.classes.vehicle=[car, tram]` says which labels are vehicles |
 # | small cars are not found | `detector.input_px`, `camera.width_px` and `camera.height_px` |
 #
-# `warpav config show` prints these options with their defaults; all commands take them, as in `warpav optimise
-# detector.model=mine.onnx detector.labels=coco`.
+# In Python these options go into `wa.Config.load("quick", "detector.model=mine.onnx", "detector.labels=coco")`, and all
+# commands take them.
 #
 # ## What are its chances?
 #
-# A rig is optimised through a smooth question: how probably does the detector find an object of which a view shows so
-# and so much? The answer is fitted to what *your* detector finds in scenes rendered for the purpose, once, and kept
-# beside the file. A run does that by itself with 80 scenes; here fewer have to do:
-
-# %% language="bash"
-# warpav detector fit detector.model=mine.onnx --scenes $FIT --held-out $HELD_OUT
-
-# %% [markdown]
-# The area under the curve (AUC) says how well the probabilities order what is found before what is not, on scenes
-# that the fit has not seen; 1 is perfect, .5 is chance. The calibration error says how far they are from the
-# frequencies that they claim. Each curve below is one feature's share of the logit: what raises and what lowers your
-# detector's chances.
+# The optimiser needs a smooth answer to a simple question: how probably does the detector find an object of which a
+# view shows so and so much? The answer is fitted to what *your* detector finds in rendered scenes. An optimisation does
+# this once by itself, on 80 scenes. Here fewer have to do:
 
 # %%
-Image(next(Path().glob("mine_p_detected_*_curves.png")), width=900)
+from warpav.core.progress import NullProgress
+from warpav.runs.detector_fit import FitSeeds, fit
+
+config = wa.Config.load("quick", "detector.model=mine.onnx")
+fitted = fit(config, FitSeeds(tuple(fit_seeds), tuple(held_out_seeds)), progress=NullProgress())
 
 # %%
-Image(next(Path().glob("mine_p_detected_*_reliability.png")), width=520)
+from warpav.detection.probability import FEATURES
+
+predicted, detected, low, high = np.array(
+    [[each.predicted, each.detected, each.low, each.high] for each in fitted.scores.bins]
+).T
+figure, axes = plt.subplots(1, 4, figsize=(12, 3.2), layout="constrained")
+for axis, index, label in zip(
+    axes, range(3), ["visible area [px²]", "visible share", "share in the frame"], strict=False
+):
+    feature = fitted.known.feature[:, index]
+    value = np.linspace(*np.quantile(feature, [0.002, 0.998]), 100)
+    shown = np.exp(value) - 1 if FEATURES[index].name == "visible_size" else value
+    axis.plot(shown, fitted.model.curve(index, value))
+    axis.set(xlabel=label, ylabel="" if index else "added to the logit")
+    axis.grid(alpha=0.3)
+    axis.sharey(axes[0])
+axes[0].set_xscale("log")
+axes[3].plot([0, 1], [0, 1], color="gray", linewidth=0.8)
+axes[3].errorbar(predicted, detected, np.maximum([detected - low, high - detected], 0.0), fmt="o", markersize=4)
+axes[3].set(xlabel="predicted probability", ylabel="share detected, 95 % interval", title="on other scenes")
+plt.show()
+print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.scores.calibration_error:.3f}")
 
 # %% [markdown]
-# The more pixels and the larger the visible share, the better: these are the directions in which a descent moves
-# cameras. If your curves rise only at hundreds of pixels, the images are too small for your detector, and no place on
-# the roof mends that.
+# The three curves on the left show what raises the chances and by how much: here the visible area first, then the
+# visible share. These are the directions in which an optimisation moves cameras. If your curve rises only at
+# thousands of pixels, the images are too small for your detector, and no place on the roof helps. (There are three more
+# features: aspect, distance from the border and contrast.)
 #
-# ## A rig, judged by it
+# On the right the check on scenes that the fit has not seen. The area under the curve says how well the probabilities
+# put what is found before what is not: 1 is perfect, 0.5 is chance. The calibration error is their mean distance from
+# the diagonal.
 #
-# All other commands take the detector the same way. The thesis's simplest rig, four cameras around the highest point
-# of the roof, by your detector on scenes that it has not seen:
+# ## Which rig suits it?
 
-# %% language="bash"
-# warpav evaluate highest detector.model=mine.onnx scenes.train_seeds=0 run.batch_size=1 scenes.test_seeds=$TEST \
-#     --json highest.json
+# %%
+train, test = wa.town(train_seeds), wa.town(test_seeds)
+placement = wa.Placement(train, detector="mine.onnx", probability=fitted.model)
+result = wa.optimise(placement, iterations=iterations)
+evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
+wa.plot(evaluation)
+
+# %%
+evaluation.table()
 
 # %% [markdown]
-# `recall of the rig` counts every vehicle once, whoever finds it. The table tells the detector's limits from the
-# rig's: what is *visible to the rig* and not *recalled* is the detector's miss; what is not visible no detector can
-# find.
+# The *recall of the rig* counts every vehicle once, whichever camera detects it. The table separates the limits of the
+# detector from those of the rig: a vehicle that is *visible to the rig* and not detected is a miss of the detector;
+# one that is not visible no detector can find.
 #
-# From here on: `warpav optimise detector.model=mine.onnx` places the cameras for it, and `warpav detector evaluate
-# detector.model=mine.onnx --out figures` measures it alone on 144 held-out streets, direct and reconstructed
-# (rendering them takes much longer than this notebook). The shipped detector's figures are in its [model
-# card](../warpav/detection/models/MODEL_CARD.md).
+# ## A detector that is no ONNX file
+#
+# Any object will do that has `names`, its labels, and `detect`, which takes images and gives `wa.Detections` for each.
+# Here it is a wrapper that drops every box of fewer than 20 pixels in height, as a detector for large objects would:
+
+
+# %%
+class LargeObjects:
+    def __init__(self, detector, least_px=20.0):
+        self.detector, self.least_px = detector, least_px
+        self.names = detector.names
+
+    def detect(self, images_rgb):
+        return [self.large(found) for found in self.detector.detect(images_rgb)]
+
+    def large(self, found):
+        kept = found.box_px[:, 3] - found.box_px[:, 1] >= self.least_px
+        return wa.Detections(
+            found.box_px[kept],
+            found.confidence[kept],
+            found.class_index[kept],
+            found.names,
+            found.road_user_index[kept],
+        )
+
+
+other = wa.Placement(train, detector=LargeObjects(detector), probability=fitted.model)
+for name, one in (("all objects", placement), ("large objects", other)):
+    recall = wa.evaluate(result.rig, test, one).recall["rig"]
+    print(f"{name:14} recall of the same rig {recall:.3f}")
+
+# %% [markdown]
+# The probability is borrowed from the whole detector here. That is right for a comparison of one rig, where only real
+# detections count; for an optimisation leave `probability` out, and it is fitted for your object.
+#
+# ## What to do next
+#
+# - `warpav optimise detector.model=mine.onnx` is the same on the command line, and `warpav detector evaluate
+#   detector.model=mine.onnx --out figures` measures the detector alone on 144 streets that no detector of ours has
+#   seen. The shipped detector's figures are in its [model card](../warpav/detection/models/MODEL_CARD.md).
+# - Use [your own vehicle and scenes](03_own_vehicle_and_scenes.ipynb).
+# - [Look at the blind spots of a rig, and export it](06_inspect_and_export.ipynb).

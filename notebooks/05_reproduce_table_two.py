@@ -11,19 +11,14 @@
 # %% [markdown]
 # # Reproduce table II
 #
-# The master thesis that warpav implements compares three ways to find a rig of four cameras: gradient descent on its
-# losses (SGD), the best of 100 random rigs, and cameras around the highest point of the vehicle. Its table II has the
-# result. `warpav experiment table2` runs the same comparison in the embedded town. This notebook runs a small version
-# of it, and sets it beside the full one and beside the thesis.
+# **Does gradient descent find better rigs than the plainest rules, as the thesis behind warpav measured it?** Table II
+# of the thesis compares three ways to find a rig of four cameras: gradient descent on its losses (SGD), the best of 100
+# random rigs, and cameras around the highest point of the vehicle. This notebook sets the published runs of warpav
+# beside the thesis, and then does a small version of them.
 
 # %% tags=["parameters"]
-import os
-
-os.environ.update(
-    ARMS="sgd_ifr_doa,sgd_ifr_10doa,random_ifr_doa,highest_ifr_doa",
-    RUNS="2",
-    OPTIONS="scenes.train_seeds=0..19 scenes.test_seeds=1000..1009 run.iterations=25",
-)
+arms, runs = "sgd_ifr_doa,sgd_ifr_10doa,random_ifr_doa,highest_ifr_doa", 2
+train_seeds, test_seeds, iterations = "0..19", "1000..1009", 25
 
 # %%
 import json
@@ -34,49 +29,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Markdown
 
+import warpav as wa
+from warpav.core.progress import NullProgress
+from warpav.experiments.experiment import arms_of
+from warpav.experiments.thesis_experiments import EXPERIMENTS, run_table
 from warpav.experiments.thesis_tables import thesis_table
 
 published = json.loads(Path("../docs/results/table2.json").read_text())
-folder = tempfile.TemporaryDirectory()  # what is written below goes here
-os.chdir(folder.name)
 
 # %% [markdown]
-# ## A small version
+# ## Ours beside the thesis
 #
-# An *arm* is a way to find a rig: a method with its losses. IFR is the thesis's loss that keeps vehicles in frame,
-# DOA the one that enlarges their detected area. Every arm runs several times from other random numbers; all are
-# judged on the same scenes, which none has seen. An experiment that was interrupted goes on where it stopped when the
-# same command comes again.
-
-# %% language="bash"
-# warpav experiment table2 $OPTIONS --quick --arms $ARMS --runs $RUNS --out table2 > progress.txt
-# grep recall progress.txt
-
-# %%
-Markdown(Path("table2/table2.md").read_text())
-
-# %% [markdown]
-# Rows *ours* come from the runs above, rows *thesis* are printed in the thesis. Other scenes, another vehicle,
-# another detector: the sizes of numbers cannot agree, and need not. What can be compared is how the arms stand to
-# each other.
-#
-# ## The full version
-#
-# It takes more than half an hour on two cores, so its results are part of the repository
-# ([tables](../docs/results.md), [every run](../docs/results/table2.json)). What it was, in its own words:
-
-# %%
-options = published["options"]
-print("command     ", published["command"])
-print("scenes      ", options["scenes.train_seeds"], "to train on,", options["scenes.test_seeds"], "to test on")
-print("iterations  ", options["run.iterations"])
-print("runs        ", len(published["runs"]))
-
-# %% [markdown]
-# ## Side by side
-#
-# The share of vehicles that at least one camera detects, which the thesis calls TP detection rate. A dot is a run;
-# bars of the thesis are its mean and standard deviation.
+# An *arm* is a way to find a rig: a method with its losses. IFR is the loss of the thesis that keeps vehicles in the
+# frame, DOA the one that enlarges their detected area. The number is the share of vehicles that at least one camera
+# detects, the *TP detection rate* of the thesis. A dot is a run; squares are mean and standard deviation in the thesis.
 
 # %%
 labels = {
@@ -86,34 +52,87 @@ labels = {
     "highest_ifr_doa": ("Highest", "IFR+DOA*"),
 }
 thesis = {(row["method"], row["loss"]): row["tp_detection_rate"] for row in thesis_table("II")["rows"]}
-small = json.loads(Path("table2/summary.json").read_text())  # of the same form as the published file
 
 
 def rates(experiment, arm):
     return [run["tp_detection_rate"] for run in experiment["runs"] if run["arm"] == arm]
 
 
-figure, axis = plt.subplots(figsize=(8, 3.6), layout="constrained")
-for k, (arm, label) in enumerate(labels.items()):
-    few, many, printed = rates(small, arm), rates(published, arm), thesis[label]
-    first = k == 0
-    axis.plot([k - 0.2] * len(few), few, "o", color="tab:orange", label="small version, above" if first else None)
-    axis.plot([k] * len(many), many, "o", color="tab:blue", label="full version, published" if first else None)
-    axis.errorbar(k + 0.2, printed["mean"], printed["std"], fmt="s", color="gray", capsize=4, label="thesis" * first)
-    print(f"{' '.join(label):20} full version: {np.mean(many):.3f}    thesis: {printed['mean']:.3f}")
-axis.set(xticks=range(len(labels)), xticklabels=[" ".join(label) for label in labels.values()], ylim=(0.4, 1.0))
-axis.set(ylabel="vehicles detected by some camera")
-axis.legend(loc="lower right")
-axis.grid(axis="y", alpha=0.3)
-plt.show()
+def draw(*experiments):
+    _, axis = plt.subplots(figsize=(8, 3.6), layout="constrained")
+    shifts = np.linspace(-0.2, 0.2, len(experiments) + 1)
+    for k, (arm, label) in enumerate(labels.items()):
+        for shift, (name, colour, experiment) in zip(shifts, experiments, strict=False):
+            found = rates(experiment, arm)
+            axis.plot([k + shift] * len(found), found, "o", color=colour, alpha=0.7, label=None if k else name)
+        mean, std = thesis[label]["mean"], thesis[label]["std"]
+        axis.errorbar(k + 0.2, mean, std, fmt="s", color="gray", capsize=4, label=None if k else "thesis")
+    axis.set(xticks=range(len(labels)), xticklabels=[" ".join(label) for label in labels.values()])
+    axis.set(ylabel="vehicles that some camera detects", ylim=(0.4, 1.0))
+    axis.legend(loc="lower right")
+    axis.grid(axis="y", alpha=0.3)
+    plt.show()
+
+
+draw(("warpav, published", "tab:blue", published))
+for arm, label in labels.items():
+    print(f"{' '.join(label):20} warpav {np.mean(rates(published, arm)):.3f}   thesis {thesis[label]['mean']:.3f}")
 
 # %% [markdown]
-# What to read from it: in the thesis and in the full version the highest point detects more than both descents, and the
-# descents of the full version differ a lot from run to run. Random search does better here than in the thesis. The
-# small version takes 25 steps instead of 100 on fewer scenes, twice: too little for a descent to get far from its
-# random start, and too little to order the arms.
+# Other scenes, another vehicle, another detector: the numbers cannot agree, and need not. What can be compared is the
+# order of the arms. In the thesis and here, cameras around the highest point detect more than both descents, and the
+# descents differ a lot from run to run. Random search does better here than in the thesis.
 #
-# So `method: thesis` is there to be compared with, and `method: default`, which every other notebook uses, starts
-# from the best of many rigs and lowers another objective ([the two methods side by
-# side](../docs/method.md#side-by-side)). Tables I, III, IV and V have commands of the same form, `warpav experiment
-# table1` and so on.
+# The published runs take more than half an hour on two cores, so they are part of the repository
+# ([tables](../docs/results.md), [every run](../docs/results/table2.json)):
+
+# %%
+options = published["options"]
+print("command     ", published["command"])
+print("scenes      ", options["scenes.train_seeds"], "to train on,", options["scenes.test_seeds"], "to test on")
+print("iterations  ", options["run.iterations"])
+print("runs        ", len(published["runs"]))
+
+# %% [markdown]
+# ## A small version
+#
+# The same comparison with fewer scenes, steps and runs. The configuration `thesis` has the numbers that the thesis
+# prints. An experiment that was interrupted goes on where it stopped, when it is called again with the same folder.
+
+# %%
+config = wa.Config.load(
+    "thesis",
+    f"scenes.train_seeds={train_seeds}",
+    f"scenes.test_seeds={test_seeds}",
+    f"run.iterations={iterations}",
+)
+folder = tempfile.TemporaryDirectory()
+done = run_table(
+    "table2",
+    config,
+    arms=arms_of(EXPERIMENTS["table2"], arms),
+    runs=runs,
+    out=Path(folder.name) / "table2",
+    quick=True,
+    progress=NullProgress(),
+)
+Markdown((done.folder / "table2.md").read_text())
+
+# %% [markdown]
+# Rows *ours* come from the runs above, rows *thesis* are printed in the thesis. Both versions and the thesis in one
+# figure:
+
+# %%
+small = json.loads((done.folder / "summary.json").read_text())  # of the same form as the published file
+draw(("warpav, small version", "tab:orange", small), ("warpav, published", "tab:blue", published))
+
+# %% [markdown]
+# The small version takes 25 steps instead of 100, on fewer scenes, twice. That is too little for a descent to get far
+# from its random start, and too little to order the arms.
+#
+# ## What to do next
+#
+# - `method: thesis` is there to be compared with. `method: default`, which every other notebook uses, starts from the
+#   best of many rigs and lowers another objective: [the two side by side](../docs/method.md#side-by-side).
+# - The other tables have commands of the same form: `warpav experiment table1` to `table5`.
+# - `warpav experiment open` compares all search methods at one budget of renders ([results](../docs/results.md)).

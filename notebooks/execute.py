@@ -29,15 +29,17 @@ PICTURE_MAX_PX = 1000
 
 SMALL = {
     "01_first_run": "os.environ['OPTIONS'] = 'run.iterations=2 run.batch_size=2 scenes.train_seeds=0..1 "
-    "scenes.test_seeds=[1000] optimiser.starts=6 baselines.random_samples=2'",
-    "02_how_the_gradient_works": "pose_count, truth_supersampling = 10, 2",
-    "03_own_vehicle_and_scenes": "os.environ.update(SCENES='0..3', TRAIN='0..2', TEST='[3]', FIT='500000..500003', "
-    "HELD_OUT='500050..500051', ITERATIONS='2')",
-    "04_own_detector": "os.environ.update(FIT='500000..500003', HELD_OUT='500050..500051', TEST='[1000]')",
-    "05_reproduce_table_two": "os.environ.update(ARMS='random_ifr_doa,highest_ifr_doa', RUNS='1', "
-    "OPTIONS='scenes.train_seeds=0..3 scenes.test_seeds=[1000] run.iterations=2')",
-    "06_inspect_and_export": "import tempfile; kept = tempfile.TemporaryDirectory(); exported = Path(kept.name)\n"
-    "os.environ.update(TRAIN='0..3', ITERATIONS='2', STARTS='6')",
+    "scenes.test_seeds=[1000] optimiser.starts=6 baselines.random_samples=2'\n"
+    "train_seeds, test_seeds, iterations = range(2), range(1000, 1002), 2",
+    "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
+    "03_own_vehicle_and_scenes": "train_seeds, test_seeds, iterations = range(3), range(18, 19), 2\n"
+    "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
+    "04_own_detector": "train_seeds, test_seeds, iterations = range(3), range(1000, 1001), 2\n"
+    "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
+    "05_reproduce_table_two": "arms, runs = 'random_ifr_doa,highest_ifr_doa', 1\n"
+    "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
+    "06_inspect_and_export": "train_seeds, test_seeds, iterations = range(3), range(1000, 1002), 2",
+    "07_rasteriser": "step_count = 5",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 
@@ -97,6 +99,7 @@ def _environment(temporary: str) -> dict[str, str]:
         "TMPDIR": temporary,
         "XDG_CACHE_HOME": f"{temporary}/.cache",
         "WARP_CACHE_PATH": load_warp().config.kernel_cache_dir,
+        "PYVISTA_JUPYTER_BACKEND": "static",  # images instead of widgets, which no page can show
     }
 
 

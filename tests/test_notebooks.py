@@ -1,5 +1,6 @@
 """The notebooks run with small settings, and what is committed of them is what ``notebooks/execute.py`` makes."""
 
+import ast
 import base64
 import itertools
 import json
@@ -40,8 +41,8 @@ def outputs_of(notebook):
     return [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
 
 
-def test_there_are_six_notebooks_each_with_a_source():
-    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06"]
+def test_there_are_seven_notebooks_each_with_a_source():
+    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06", "07"]
     stems = {source.stem for source in SOURCES}
     assert {file.stem for file in SOURCES[0].parent.glob("*.ipynb")} == stems == set(SMALL)
 
@@ -107,12 +108,42 @@ def test_reads_as_a_page(source):
 
 
 @each_notebook
+def test_opens_with_its_question_and_ends_with_what_to_do_next(source):
+    words = [cell.source for cell in read_source(source).cells if cell.cell_type == "markdown"]
+    assert re.match(r"# .+\n\n\*\*[^*]+\?\*\*", words[0])
+    assert "\n## What to do next\n" in words[-1]
+    assert read_source(source).cells[-1].cell_type == "markdown"
+
+
+def shell_cells(source):
+    """Cells and lines that hand something to a shell or another program."""
+    cells = [cell for cell in read_source(source).cells if cell.cell_type == "code"]
+    handed_over = r"^\s*(?:%%|%|!)|\b(?:subprocess|os\.system|popen|get_ipython)\b|= *!"
+    return [cell.source for cell in cells if re.search(handed_over, cell.source, re.MULTILINE)]
+
+
+@each_notebook
+def test_only_the_first_command_of_the_first_notebook_is_a_shell_cell(source):
+    found = shell_cells(source)
+    if source.stem.startswith("01"):
+        (command,) = found
+        assert command.startswith("%%bash\nwarpav optimise ")
+    else:
+        assert not found
+
+
+def assigned_names(code):
+    """Variables, and keys such as ``os.environ['KEY']``, that statements set."""
+    targets = [target for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Assign) for target in node.targets]
+    parts = [part for target in targets for part in (target.elts if isinstance(target, ast.Tuple) else [target])]
+    return {ast.unparse(part) for part in parts}
+
+
+@each_notebook
 def test_small_settings_are_settings_of_the_notebook(source):
     (cell,) = [c.source for c in read_source(source).cells if "parameters" in c.metadata.get("tags", [])]
-    names = re.findall(r"(?:\(|, )([A-Z_]+)=|\['([A-Z_]+)'\]|^([a-z_]+), ([a-z_]+) =", SMALL[source.stem])
-    names = [name for found in names for name in found if name]
-    assert names
-    assert all(re.search(rf"\b{name} ?=", cell) for name in names)
+    assert assigned_names(SMALL[source.stem])
+    assert assigned_names(SMALL[source.stem]) <= assigned_names(cell)
 
 
 @pytest.mark.slow

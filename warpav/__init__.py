@@ -8,35 +8,13 @@ point downwards.
 
 import importlib
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 # onnxruntime opens connections to its maker's telemetry as soon as it is imported, and reads this only then. Here it is
 # set before any import through warpav; processes that warpav starts inherit it.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 __version__ = "0.1.0"
-
-if TYPE_CHECKING:
-    from warpav.core.errors import InputError
-    from warpav.core.progress import Progress
-    from warpav.detection.detector import Detections, Detector
-    from warpav.evaluation.rig_evaluation import RigEvaluation
-    from warpav.optimisation import losses
-    from warpav.raster.camera import CameraModel
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.formats.convert import export_rig, import_rig
-    from warpav.rig.presets import preset_rig as preset
-    from warpav.rig.rig import Rig, read_rig, write_rig
-    from warpav.rig.rig import RigCamera as Camera
-    from warpav.runs.config import Config
-    from warpav.runs.evaluate import evaluate
-    from warpav.runs.optimise import optimise
-    from warpav.runs.placement import Placement
-    from warpav.runs.result import Result
-    from warpav.runs.run_folder import RunFolder, read_run
-    from warpav.scene.collection import read_scenes, town
-    from warpav.scene.scene import Scene
-    from warpav.view import plot
 
 _PLACES = {
     "Camera": ("warpav.rig.rig", "RigCamera"),

@@ -11,16 +11,16 @@ ROOT = Path(__file__).parents[2]
 
 
 WARP = ("wp.launch", "wp.launch_tiled")
-UNTAPED = "self._launch"  # the renderer's, which hands ``record_tape=False`` on
+UNTAPED = ("buffers.launch", "self.launch")  # `Buffers.launch`, which hands ``record_tape=False`` on
 
 
 def launches():
     """Kernel name, where it is launched, and the call."""
     for path in sorted((ROOT / "warpav").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in (*WARP, UNTAPED):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in (*WARP, *UNTAPED):
                 keywords = {keyword.arg: keyword.value for keyword in node.keywords}
-                if ast.unparse(node.func) == UNTAPED:
+                if ast.unparse(node.func) in UNTAPED:
                     keywords["record_tape"] = ast.Constant(False)
                 kernel = node.args[0] if node.args else keywords["kernel"]
                 if ast.unparse(kernel) == "kernel":

@@ -13,7 +13,8 @@ import warp as wp
 
 from warpav.experiments.bench.items import place_cameras
 from warpav.experiments.bench.workload import embedded_workload, pack_workload
-from warpav.raster.renderer import Content, Renderer
+from warpav.raster.buffers import Content
+from warpav.raster.renderer import Renderer
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def workload():
     return embedded_workload()
 
 
-class Frame:
+class Work:
     """The workload's views on a device."""
 
     def __init__(self, workload, device):
@@ -38,15 +39,13 @@ class Frame:
         return Renderer(self.models, supersampling=supersampling, device=self.device)
 
     def rendered(self, supersampling=1, *, content=Content.ALL):
-        renderer = self.renderer(supersampling)
-        renderer.render(self.scene, *self.views, content=content)
-        return renderer
+        return self.renderer(supersampling).render(self.scene, *self.views, content=content)
 
 
 @pytest.fixture
-def frame(workload, device):
-    """The workload's frame on every device."""
-    return Frame(workload, device)
+def work(workload, device):
+    """The workload on every device."""
+    return Work(workload, device)
 
 
 @contextlib.contextmanager
@@ -97,55 +96,55 @@ def measure(benchmark, monkeypatch, device, call):
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 @pytest.mark.parametrize("content", list(Content), ids=lambda content: content.value)
-def test_render(benchmark, monkeypatch, frame, supersampling, content):
-    renderer = frame.renderer(supersampling)
+def test_render(benchmark, monkeypatch, work, supersampling, content):
+    renderer = work.renderer(supersampling)
     measure(
         benchmark,
         monkeypatch,
-        frame.device,
-        lambda: renderer.render(frame.scene, *frame.views, content=content),
+        work.device,
+        lambda: renderer.render(work.scene, *work.views, content=content),
     )
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 @pytest.mark.parametrize("visible", [False, True], ids=["alone", "visible"])
-def test_weighted_area(benchmark, monkeypatch, frame, supersampling, visible):
-    renderer = frame.rendered(supersampling, content=Content.ALL if visible else Content.VEHICLES)
-    first = renderer.weighted_area(frame.scene, frame.weight, visible=visible)
+def test_weighted_area(benchmark, monkeypatch, work, supersampling, visible):
+    frame = work.rendered(supersampling, content=Content.ALL if visible else Content.OBJECTS)
+    first = frame.weighted_area(work.weight, visible=visible)
     measure(
         benchmark,
         monkeypatch,
-        frame.device,
-        lambda: renderer.weighted_area(frame.scene, frame.weight, visible=visible, into=first),
+        work.device,
+        lambda: frame.weighted_area(work.weight, visible=visible, into=first),
     )
 
 
 @pytest.mark.parametrize("supersampling", [1, 2])
-def test_measure(benchmark, monkeypatch, frame, supersampling):
-    renderer = frame.rendered(supersampling)
-    first = renderer.measure(frame.scene)
-    measure(benchmark, monkeypatch, frame.device, lambda: renderer.measure(frame.scene, into=first))
+def test_measure(benchmark, monkeypatch, work, supersampling):
+    frame = work.rendered(supersampling)
+    first = frame.measure()
+    measure(benchmark, monkeypatch, work.device, lambda: frame.measure(into=first))
 
 
-def test_rgb(benchmark, monkeypatch, frame):
-    renderer = frame.rendered()
-    measure(benchmark, monkeypatch, frame.device, lambda: renderer.rgb(frame.scene))
+def test_rgb(benchmark, monkeypatch, work):
+    frame = work.rendered()
+    measure(benchmark, monkeypatch, work.device, lambda: frame.colours())
 
 
-def test_depth_and_object(benchmark, monkeypatch, frame):
-    renderer = frame.rendered()
-    measure(benchmark, monkeypatch, frame.device, lambda: renderer.depth_and_object(frame.scene))
+def test_depth_and_object(benchmark, monkeypatch, work):
+    frame = work.rendered()
+    measure(benchmark, monkeypatch, work.device, lambda: frame.depths_and_ids())
 
 
-def test_taped_part(benchmark, monkeypatch, frame):
-    measures = frame.rendered(content=Content.VEHICLES).weighted_area(frame.scene, frame.weight, visible=False)
-    ones = wp.full(measures.value.shape, 1.0, dtype=float, device=frame.device)
+def test_taped_part(benchmark, monkeypatch, work):
+    measures = work.rendered(content=Content.OBJECTS).weighted_area(work.weight, visible=False)
+    ones = wp.full(measures.value.shape, 1.0, dtype=float, device=work.device)
 
     def call():
-        frame.pose.grad.zero_()
+        work.pose.grad.zero_()
         tape = wp.Tape()
         with tape:
-            area = measures.on_tape(*place_cameras(frame.pose, frame.height_m))
+            area = measures.on_tape(*place_cameras(work.pose, work.height_m))
         tape.backward(grads={area: ones})
 
-    measure(benchmark, monkeypatch, frame.device, call)
+    measure(benchmark, monkeypatch, work.device, call)

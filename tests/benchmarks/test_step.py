@@ -12,8 +12,10 @@ from warpav.experiments.bench.workload import embedded_workload, pack_workload
 from warpav.optimisation.adamw import AdamW
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import CameraMount
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
+from warpav.scene.device_scene import DeviceScene
 
 SCENES, ITERATIONS = 4, 100
 
@@ -31,8 +33,11 @@ class Steps:
         self.start[:, :3] = workload.pose[:, [1, 0, 2]]  # the workload's z is the ego frame's x
         self.device = device
         self.renderer = Renderer([model] * (cameras * mount.rotation_count), occlusion=occlusion, device=device)
-        scene = pack_workload(workload, device=device)
-        vehicles = scene.vehicle_count
+        packed = pack_workload(workload, device=device)
+        vehicles = packed.object_count
+        scene = DeviceScene(
+            workload.name, packed, ("vehicle",) * vehicles, np.zeros(vehicles, np.int32), np.zeros((vehicles, 2))
+        )
         self.scenes = [
             OneScene(
                 mount,

@@ -417,6 +417,28 @@ def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
     assert found["objective"] == pytest.approx(arms["optimised"]["objective"], abs=1e-3)
 
 
+def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsys):
+    # steps of 2 m, and the last iterate counts
+    steps = ["optimiser.learning_rate_position_m=2", "optimiser.keep=last", "optimiser.starts=1", "rig.start=highest"]
+    assert main(["optimise", *SMALL, *steps, "run.iterations=4", "run.out=worse"]) == 0
+    captured = capsys.readouterr()
+    folder = RunFolder.open("worse")
+    evaluation = folder.evaluation()
+    training = evaluation["training_objective"]
+    assert training["optimised"] > training["start"]
+    assert evaluation["rig_of_run"] == "start"
+    assert "WORSE THAN ITS START" in captured.out
+    assert captured.err.startswith("warning: WORSE THAN ITS START: the optimised rig has objective")
+    best, start, last = ((folder.path / f"rig_{role}.yaml").read_bytes() for role in ("best", "initial", "final"))
+    assert best == start != last
+    assert "Worse than its start, so the rig of this run is the start." in (folder.path / "report.html").read_text()
+    assert main(["rig", "export", "worse", "--format", "opencv", "--out", "from_run"]) == 0
+    assert main(["rig", "export", "worse/rig_initial.yaml", "--format", "opencv", "--out", "from_start"]) == 0
+    exported = [sorted(file for file in Path(name).rglob("*") if file.is_file()) for name in ("from_run", "from_start")]
+    assert exported[0]
+    assert [file.read_bytes() for file in exported[0]] == [file.read_bytes() for file in exported[1]]
+
+
 # ------------------------------------------------------------------------------------------------ scenes and images
 
 

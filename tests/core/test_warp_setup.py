@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 PACK = """
-from warpav.raster.device_scene import DeviceScene
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.town import town_scene
 DeviceScene.pack(town_scene(3))
 """

@@ -23,8 +23,9 @@ from warpav.optimisation.losses.detector_gradient import DetectorGradient
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.town import town_scene
 
 SIZE_PX = 256
@@ -135,11 +136,11 @@ def camera_poses(seed):
     )
 
 
-def visible_boxes(renderer, scene):
+def visible_boxes(frame):
     """Boxes of what is seen of every vehicle, [view, vehicle, 4]; NaN where too little is."""
-    samples = renderer.supersampling
-    box_px = np.full((renderer.view_count, scene.vehicle_count, 4), np.nan)
-    for camera, masks in enumerate(renderer.visible_masks(scene, range(renderer.view_count))):
+    samples = frame.supersampling
+    box_px = np.full((frame.view_count, frame.scene.object_count, 4), np.nan)
+    for camera, masks in enumerate(frame.visible_masks(range(frame.view_count))):
         for vehicle, (left, top, mask) in enumerate(masks):
             if mask.any():
                 box = largest_component_box(mask, min_area_px=16 * samples * samples)
@@ -162,8 +163,8 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
     scene, poses = DeviceScene.pack(host), camera_poses(seed)[list(cameras)]
     renderer = Renderer([MODEL] * len(poses), supersampling=supersampling)
     position, rotation = on_device(poses, "cpu")
-    renderer.render(scene, position, rotation)
-    truth_px, measures = visible_boxes(renderer, scene), renderer.measure(scene)
+    frame = renderer.render(scene.raster, position, rotation)
+    truth_px, measures = visible_boxes(frame), frame.measure()
     alone_px = measures.value.numpy()[..., 3:7][..., [0, 2, 1, 3]]
     exact_px = exact_boxes(host, poses)
     ours, truth = [], []
@@ -179,7 +180,7 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
         with tape:
             on_tape = SceneOnTape(
                 None,
-                renderer,
+                frame,
                 scene,
                 PlacedViews(position, position, rotation, wp.zeros(len(poses), dtype=float)),
                 measures,
@@ -202,8 +203,8 @@ def gradients_at(seed, detector, supersampling, cameras=range(CAMERAS)):
         looks = []
         for sign in (1.0, -1.0):
             at = moved(poses, direction, sign * step)
-            fine.render(scene, *on_device(at, "cpu"))
-            looks.append((fine.rgb(scene), exact_boxes(host, at)))
+            colours = fine.render(scene.raster, *on_device(at, "cpu")).colours()
+            looks.append((colours, exact_boxes(host, at)))
         for row, camera in enumerate(looking):
             values = []
             vehicles = np.nonzero(np.isfinite(truth_px[camera, :, 0]))[0]

@@ -10,7 +10,8 @@ from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed
 from tests.oracle.ray_cast import cast_scene
 from warpav.detection.observe import observe
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 
 MODEL = CameraModel(160, 120, math.pi / 2)
 POSES = [camera_pose([1.2, 0.1, 1.8], 0.05), camera_pose([0.8, -0.2, 1.8], 3.1), camera_pose([1.0, 0.5, 1.8], 1.5)]
@@ -18,9 +19,9 @@ POSES = [camera_pose([1.2, 0.1, 1.8], 0.05), camera_pose([0.8, -0.2, 1.8], 3.1),
 
 def observed(detector, device, *, supersampling=1, forward_view=(0, 1, 2), **limits):
     renderer = Renderer([MODEL] * 3, supersampling=supersampling, occlusion=Occlusion.EXACT, device=device)
-    renderer.render(packed_street(device), *on_device(POSES, device))
+    frame = renderer.render(packed_street(device).raster, *on_device(POSES, device))
     limits = {"confidence_min": 0.1, "iou_min": 0.5, **limits}
-    return observe(renderer, packed_street(device), detector, forward_view=list(forward_view), **limits)
+    return observe(frame, packed_street(device), detector, forward_view=list(forward_view), **limits)
 
 
 def true_boxes(object_index, samples, min_area_px=16):

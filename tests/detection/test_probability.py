@@ -25,9 +25,10 @@ from warpav.detection.probability import (
     stored_file,
     whole_solid_angle,
 )
+from warpav.raster.areas import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import FIRST_VEHICLE, UprightBoxes
-from warpav.raster.renderer import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA, Renderer
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import UprightBoxes
 
 KNOTS = 7
 MODEL = CameraModel(256, 256, math.radians(80.0))
@@ -169,17 +170,17 @@ def poses():
 def test_contrast_is_the_distance_of_mean_colours(device):
     scene = packed_street(device)
     renderer = Renderer([MODEL] * 12, device=device)
-    renderer.render(scene, *on_device(poses(), device))
-    appearance = Appearance.of(renderer, scene)
+    frame = renderer.render(scene.raster, *on_device(poses(), device))
+    appearance = Appearance.of(frame, scene)
     value = appearance.measures.value.numpy()
-    image, index = renderer.rgb(scene).numpy(), renderer.depth_and_object(scene)[1].numpy()
+    image, index = frame.colours().numpy(), frame.depths_and_ids()[1].numpy()
     found, expected = [], []
     for v, k in np.argwhere(value[:, :, VISIBLE_AREA] > 300):
         left, right, top, bottom = value[v, k, [LEFT, RIGHT, TOP, BOTTOM]]
         wide, high = 0.25 * (right - left) + 2, 0.25 * (bottom - top) + 2
         rows = slice(int(max(top - high, 0)), int(min(bottom + high, 256)))
         columns = slice(int(max(left - wide, 0)), int(min(right + wide, 256)))
-        own = index[v, rows, columns] == FIRST_VEHICLE + k
+        own = index[v, rows, columns] == k
         colours = image[v, rows, columns]
         expected.append(np.linalg.norm(colours[own].mean(axis=0) - colours[~own].mean(axis=0)))
         found.append(appearance.contrast.numpy()[v, k])
@@ -208,8 +209,8 @@ def test_gradients_to_poses_match_differences_of_renders(device):
     def seen_from(renderer, at, tape=None):
         position, rotation = on_device(at, device)
         position.requires_grad = rotation.requires_grad = True
-        renderer.render(scene, position, rotation)
-        appearance = Appearance.of(renderer, scene)
+        frame = renderer.render(scene.raster, position, rotation)
+        appearance = Appearance.of(frame, scene)
         appearance.contrast.fill_(0.2)  # held fixed by definition
         with tape or wp.Tape():
             probability = model.on_tape(appearance, position, rotation).probability

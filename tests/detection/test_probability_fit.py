@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import binomtest
 
-from tests.driving_scene import ALL_CARS, ConstantDetector, packed_street, roof
+from tests.driving_scene import ALL_CARS, ConstantDetector, on_device, packed_street, roof
 from warpav.detection.observe import observe
 from warpav.detection.probability import CONTRAST, FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
 from warpav.detection.probability_fit import DetectionSamples, fit_probability, random_cameras, sample_detections, score
@@ -120,7 +120,9 @@ def test_what_is_seen_and_found_is_counted(device, rng):
     assert ((blind.feature[:, VISIBLE_SHARE] > 0.0) & (blind.feature[:, VISIBLE_SHARE] <= 1.0 + 1e-6)).all()
     assert ((blind.feature[:, IN_FRAME_SHARE] > 0.0) & (blind.feature[:, IN_FRAME_SHARE] < 1.02)).all()
     # a detector that finds exactly the second camera's objects
-    truth = observe(renderer, scene, ConstantDetector.silent(6), forward_view=range(6), confidence_min=0.1, iou_min=0.5)
+    views = on_device([camera.ego_from_camera for camera in cameras], device)
+    frame = renderer.render(scene.raster, *views)
+    truth = observe(frame, scene, ConstantDetector.silent(6), forward_view=range(6), confidence_min=0.1, iou_min=0.5)
     boxes = truth.truth_box_px[1][np.isfinite(truth.truth_box_px[1, :, 0])]
     answer = [[], boxes, [], [], [], []]
     keen = ConstantDetector(answer, [np.full(len(box), 0.9) for box in answer])

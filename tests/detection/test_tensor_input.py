@@ -22,8 +22,8 @@ def pictures(device, size_px=256):
     scene = packed_street(device)
     poses = np.stack([camera_pose([1.0, 0.2, 1.8], yaw, 0.05) for yaw in (0.0, 0.4, 2.9)])
     renderer = Renderer([CameraModel(size_px, size_px)] * 3, device=device)
-    renderer.render(scene, *on_device(poses, device))
-    return renderer.rgb(scene)
+    frame = renderer.render(scene.raster, *on_device(poses, device))
+    return frame.colours()
 
 
 def same(one, other):

@@ -9,10 +9,10 @@ import trimesh
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
 from warpav.evaluation.coverage import Ground, free_shares
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 WIDE = CameraModel(360, 180, 2.0 * math.pi, lens=Lens.PANORAMA)

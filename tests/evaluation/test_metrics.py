@@ -16,9 +16,10 @@ from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_came
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 96, math.pi / 2)
@@ -57,8 +58,8 @@ def truth_boxes(rig, scene):
     for camera in rig.cameras:
         renderer = Renderer([camera.model], occlusion=Occlusion.EXACT)
         views = views_of_rig(Rig.create([camera]), rotation_count=1, rotation_step_rad=0.0)
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-        seen = observe(renderer, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
+        frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
+        seen = observe(frame, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
         boxes.append(seen.truth_box_px[0])
     return np.array(boxes)
 

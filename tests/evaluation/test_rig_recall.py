@@ -14,9 +14,10 @@ from warpav.evaluation.metrics import DISTANCE_EDGES_M, SECTORS, GroupRecall, ev
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import views_of_rig
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
 AHEAD, ASIDE, TINY = (9.0, 0.0, 0.4), (0.0, 9.0, 0.4), (45.0, -6.0, 0.0)
@@ -171,8 +172,8 @@ def too_small_box(rig, scene):
     camera = Rig.create(rig.cameras[:1])
     renderer = Renderer([MODEL], occlusion=Occlusion.EXACT)
     views = views_of_rig(camera, rotation_count=1, rotation_step_rad=0.0)
-    renderer.render(scene, views.position_ego_m, views.camera_from_ego)
-    seen = observe(renderer, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
+    frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
+    seen = observe(frame, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
     assert np.isnan(seen.truth_box_px).all()
     return seen.too_small_box_px[0, 0]
 

@@ -6,12 +6,12 @@ import math
 import pytest
 
 from tests.experiments.small_experiment import config
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rivals import gradient_renders
-from warpav.runs.build import build
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
@@ -21,7 +21,7 @@ BUDGET = 60
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
     with RunDisplay() as display:
-        return build(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
+        return Placement.from_config(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
         InputError, match=r"arms: expected names out of sgd_ifr, .*got 'sgd_irf'; did you mean sgd_ifr\?"
     ):
         find_arm("sgd_irf", own)
-    with pytest.raises(OptionError, match=r"got 'nuscene'; did you mean nuscenes\?"):
+    with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
     assert set(METHODS) < set(common_arms())
 

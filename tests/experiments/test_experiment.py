@@ -13,8 +13,8 @@ from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import arms_of, run_experiment
 from warpav.rig.rig import read_rig
-from warpav.runs.build import build
 from warpav.runs.optimise import Optimisation
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 
@@ -70,7 +70,7 @@ def test_every_task_leaves_its_result(finished, scenes):
 
 def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     with RunDisplay() as display:
-        problem = build(ARMS[0].evaluation_config(config(scenes, "run.seed=1"))).prepare(display)
+        problem = Placement.from_config(ARMS[0].evaluation_config(config(scenes, "run.seed=1"))).prepare(display)
     descent = Optimisation.begin(problem).descent
     losses = [descent.step().loss for _ in range(2)]
     found = descent.finish()

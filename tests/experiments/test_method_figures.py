@@ -16,7 +16,7 @@ from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments import method_figures
 from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
-from warpav.runs.build import build
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
@@ -140,7 +140,7 @@ def test_a_run_of_one_step_shows_no_way(run, tmp_path):
 def found_of(config, rig_shown, scenes):
     """How many road users the evaluation says that a rig finds."""
     with RunDisplay() as display:
-        problem = build(config).prepare(display)
+        problem = Placement.from_config(config).prepare(display)
     chosen = problem.train if scenes == "train" else problem.test
     metrics = evaluate_rig(rig_shown, chosen, problem.objective)
     return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"

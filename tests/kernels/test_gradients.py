@@ -46,6 +46,12 @@ def linearise_measures(new):
     return VIEWS, [*inputs, new(size=shape)], [new(np.zeros(shape))]
 
 
+def split_pose(new):
+    matrix = new(size=(VIEWS, 4, 4), dtype=wp.mat44)
+    outputs = [new(np.zeros((VIEWS, 3)), dtype=wp.vec3), new(np.zeros((VIEWS, 3, 3)), dtype=wp.mat33)]
+    return VIEWS, [matrix], outputs
+
+
 def linearise_window(new):
     windows = [new(size=(VIEWS, 4), dtype=wp.vec4) for _ in range(2)]
     inputs = [*windows, new(size=(VIEWS, VEHICLES, 1)), new(size=(VIEWS, VEHICLES, 4), dtype=wp.vec4)]
@@ -215,6 +221,7 @@ def missed(new):
 
 
 CASES = {
+    linearise.split_pose_kernel: split_pose,
     linearise.linearise_measures_kernel: linearise_measures,
     linearise.linearise_window_kernel: linearise_window,
     mount_pose.place_on_surface_kernel: place_on_surface,

@@ -24,15 +24,15 @@ from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.options import Reference
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.search import BudgetedValue, SearchSpace
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh, merge
-from warpav.raster.renderer import Occlusion
 from warpav.rig.mount_surface import MountSurface
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
 
 PAINT = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8)

@@ -7,9 +7,9 @@ import numpy as np
 from warpav.detection.detector import Detector
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.exchange import Exchange
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.registry import LossOptions, losses_of
+from warpav.optimisation.losses.options import LossOptions, Reference
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.objective import RigObjective

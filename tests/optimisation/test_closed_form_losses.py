@@ -17,9 +17,11 @@ from tests.raster.bodies import FAR_AWAY, ball, cuboid, edges_of, scene_of
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.settings import LossSettings
+from warpav.raster.areas import AMODAL_AREA, MEASURE_COUNT
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import AMODAL_AREA, MEASURE_COUNT, Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 SURFACE = flat_surface([-1.0, -1.0], [1.0, 1.0], height_m=1.5)
@@ -36,7 +38,7 @@ def losses_in(scene, assigned, pose, device, name, *, box_px=None, supersampling
         supersampling=supersampling,
         occlusion=Occlusion.PAIRWISE,
         device=device,
-        ego_blockage=True,
+        foreground_layer=True,
     )
     scene = AssignedScene(DeviceScene.pack(scene, device=device), np.array(assigned, np.int32))
     one = OneScene(mount, renderer, scene, len(pose), LossSettings(**{name: 1.0}).model_copy(update=options))
@@ -335,10 +337,10 @@ def test_constraints_are_scaled_like_the_largest_objective():
 def test_the_unblocked_areas_have_to_be_there(device):
     scene = DeviceScene.pack(scene_of([CAR], ego=FAR_AWAY), device=device)
     renderer = Renderer([MODEL], device=device)
-    renderer.render(
-        scene,
+    frame = renderer.render(
+        scene.raster,
         wp.zeros(1, dtype=wp.vec3, device=device),
         wp.array(np.eye(3, dtype=np.float32)[None], dtype=wp.mat33, device=device),
     )
-    with pytest.raises(ValueError, match="ego_blockage=True"):
-        renderer.unblocked_area(scene)
+    with pytest.raises(ValueError, match="foreground_layer=True"):
+        frame.unblocked_area()

@@ -20,10 +20,10 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, Camer
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 OFFSET_M = 0.25

@@ -13,13 +13,13 @@ from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.lagrangian import Lagrangian
-from warpav.optimisation.losses.registry import LossOptions, losses_of
+from warpav.optimisation.losses.options import LossOptions, Reference
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount
+from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 
 WIDTH, HEIGHT = 32, 8
 THESIS_LOSSES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")
@@ -124,8 +124,8 @@ def placement_losses(
     device,
     *,
     model=MODEL,
-    per_shift=None,
-    per_spin=None,
+    jac_translation=None,
+    jac_rotation=None,
     unblocked=None,
     weight=(1.0, 0.0),
     reference=Reference.NON_OCCLUDED,
@@ -142,25 +142,27 @@ def placement_losses(
     with tape:
         views = mount.place(array)
 
-    def measured(value, per_shift, per_spin):
+    def measured(value, jac_translation, jac_rotation):
         zero = np.zeros((*value.shape, 3))
         return Measures(
             wp.array(value.astype(np.float32), dtype=float, device=device),
-            wp.array((zero if per_shift is None else per_shift).astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array((zero if per_spin is None else per_spin).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(
+                (zero if jac_translation is None else jac_translation).astype(np.float32), dtype=wp.vec3, device=device
+            ),
+            wp.array((zero if jac_rotation is None else jac_rotation).astype(np.float32), dtype=wp.vec3, device=device),
             wp.zeros(value.shape, dtype=float, device=device),
             wp.clone(views.position_ego_m, requires_grad=False),
             wp.clone(views.camera_from_ego, requires_grad=False),
             wp.clone(views.log_zoom, requires_grad=False),
         )
 
-    measures = measured(value, per_shift, per_spin)
-    renderer = SimpleNamespace(device=measures.value.device, view_count=len(value))
+    measures = measured(value, jac_translation, jac_rotation)
+    frame = SimpleNamespace(device=measures.value.device, view_count=len(value))
     scene = SimpleNamespace(vehicle_count=len(assigned))
     on_device = wp.array(assigned, dtype=wp.int32, device=device)
     nothing = wp.zeros((len(array), len(assigned)), dtype=float, device=device)
     on_tape = SceneOnTape(
-        mount, renderer, scene, views, measures, assigned, on_device, nothing, nothing, nothing, [], nothing
+        mount, frame, scene, views, measures, assigned, on_device, nothing, nothing, nothing, [], nothing
     )
     if unblocked is not None:
         on_tape.__dict__["unblocked"] = measured(*(numbers[:, :, None] for numbers in unblocked))
@@ -371,8 +373,8 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
     _, _, value = random_sight(rng, 2, 6)
     value[..., VISIBLE_AREA] += 20.0  # nothing on the edge of never seen
     value[..., AMODAL_AREA] += rng.uniform(25.0, 40.0, value.shape[:2])
-    per_shift = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
-    per_spin = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
+    jac_translation = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
+    jac_rotation = rng.normal(0.0, 30.0, (*value.shape, 3)).astype(np.float32)
     assigned = np.array([0, 1, -1, 1, 0, 0])
     pose = np.c_[
         rng.uniform(-0.9, 0.9, (2, 2)), rng.uniform(-3, 3, 2), rng.uniform(-0.4, 0.4, (2, 2)), np.zeros((2, 2))
@@ -383,8 +385,8 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
         assigned,
         pose,
         device,
-        per_shift=per_shift,
-        per_spin=per_spin,
+        jac_translation=jac_translation,
+        jac_rotation=jac_rotation,
         weight=(0.0, 1.0),
         min_detected_area=0.9,
         epsilon=1e-2,
@@ -398,8 +400,8 @@ def test_detected_area_gradient_matches_differences_through_the_measures(device,
         spin = 0.5 * np.stack(
             [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
         )
-        now = value + np.einsum("vkmi,vi->vkm", per_shift, centre - centre_0)
-        now = now + np.einsum("vkmi,vi->vkm", per_spin, spin)
+        now = value + np.einsum("vkmi,vi->vkm", jac_translation, centre - centre_0)
+        now = now + np.einsum("vkmi,vi->vkm", jac_rotation, spin)
         terms = []
         for k, camera in enumerate(assigned):
             if camera >= 0:
@@ -425,8 +427,8 @@ def test_a_vehicle_never_seen_gives_no_gradient(device, rng):
         [0],
         np.zeros((1, 7)),
         device,
-        per_shift=jacobian,
-        per_spin=jacobian,
+        jac_translation=jacobian,
+        jac_rotation=jacobian,
         unblocked=[np.zeros((4, 1)), *rng.normal(size=(2, 4, 1, 3))],
         weight=(1.0,) * 4,
         surface_blockage=1.0,

@@ -20,7 +20,8 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 
 END, PANORAMA = LossSchedule(), LossSchedule(1.0)
 MODEL = CameraModel(128, 128)
@@ -72,8 +73,8 @@ def probabilities(objective, pose, scene, model):
     poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
     renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
     position, rotation = on_device(poses, objective.device)
-    renderer.render(scene, position, rotation)
-    return model.on_tape(Appearance.of(renderer, scene), position, rotation).probability.numpy().astype(float)
+    frame = renderer.render(scene.raster, position, rotation)
+    return model.on_tape(Appearance.of(frame, scene), position, rotation).probability.numpy().astype(float)
 
 
 def test_value_is_the_mean_of_products_over_all_objects_of_all_scenes(device, rng):
@@ -113,8 +114,8 @@ def features(objective, pose, scene, model):
     poses = np.array([camera.ego_from_camera for camera in objective.mount.rig(pose).cameras])
     renderer = Renderer([MODEL] * len(pose), occlusion=Occlusion.EXACT, device=objective.device)
     position, rotation = on_device(poses, objective.device)
-    renderer.render(scene, position, rotation)
-    return model.on_tape(Appearance.of(renderer, scene), position, rotation).feature.numpy().astype(float)
+    frame = renderer.render(scene.raster, position, rotation)
+    return model.on_tape(Appearance.of(frame, scene), position, rotation).feature.numpy().astype(float)
 
 
 def test_the_surest_camera_alone_may_count(device, rng):
@@ -279,7 +280,7 @@ def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
         ]
 
     launched = results()
-    monkeypatch.setattr("warpav.raster.renderer.available_cores", lambda: 1)  # one thread records
+    monkeypatch.setattr("warpav.raster.buffers.available_cores", lambda: 1)  # one thread records
     for one, other in zip(launched, results(), strict=True):
         assert one.terms == other.terms
         np.testing.assert_array_equal(one.gradient, other.gradient)

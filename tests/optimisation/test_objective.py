@@ -14,8 +14,9 @@ from warpav.core.errors import InputError
 from warpav.detection.observe import Observation
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
+from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA, Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig
 
 MODEL = CameraModel(256, 256, math.pi / 2)

@@ -13,7 +13,8 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.buffers import Buffers
 from warpav_kernels.placement import mount_pose
 
 
@@ -90,8 +91,8 @@ def test_one_copy_to_the_device_and_one_back(monkeypatch, settings, schedule):
     monkeypatch.setattr(wp.array, "numpy", counting("back", wp.array.numpy))
     monkeypatch.setattr(wp.array, "assign", counting("there", wp.array.assign, is_copy=is_of_numbers))
     # launches that are not recorded ask after every render, which recorded ones need not
-    counted_grew = counting("", Renderer.grew, is_copy=lambda *_: False)
-    monkeypatch.setattr(Renderer, "grew", counted_grew)
+    counted_grew = counting("", Buffers.grew, is_copy=lambda *_: False)
+    monkeypatch.setattr(Buffers, "grew", counted_grew)
     result = evaluate(POSE + np.float32(0.01))
     monkeypatch.undo()
     assert copies == ["there", "back"]

@@ -7,10 +7,11 @@ import warp as wp
 from tests.driving_scene import packed_street, roof
 from tests.optimisation.objectives import OneScene, thesis_losses
 from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.options import Reference
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 
 MODEL = CameraModel(128, 128)
 POSE = np.array([[1.61, 0.31, 0.15, 0.0, 0.0, 0.0, 0.0], [0.43, -0.27, 3.35, 0.0, 0.0, 0.0, 0.0]], np.float32)
@@ -26,7 +27,7 @@ class Steps:
             occlusion=occlusion,
             device=device,
             thread_count=1,
-            ego_blockage=True,
+            foreground_layer=True,
         )
         scene = packed_street(device, car_count, 1)
         self.one = OneScene(

@@ -12,7 +12,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 
 MODEL = CameraModel(128, 128)
 

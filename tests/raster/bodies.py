@@ -7,9 +7,9 @@ import trimesh
 import warp as wp
 
 from tests.driving_scene import camera_pose, on_device
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene, object_index_of
 from warpav.scene.scene import Box, Scene, Vehicle
 
 FAR_AWAY = Mesh.create([[0, 0, -500], [1, 0, -500], [0, 1, -500]], [[0, 1, 2]], [0, 0, 0])
@@ -48,33 +48,39 @@ def scene_of(vehicles, environment=FAR_AWAY, ego=FAR_AWAY):
 
 
 def rendered(scene, poses, models, device, *, supersampling=1, **settings):
-    """The packed scene and a renderer that holds it from every pose; one model for all, or one per pose."""
+    """The packed scene and its frame from every pose; one model for all, or one per pose."""
     models = models if isinstance(models, list) else [models] * len(poses)
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     renderer = Renderer(models, supersampling=supersampling, device=device, **settings)
-    renderer.render(packed, *on_device(poses, device))
-    return packed, renderer
+    return packed, renderer.render(packed, *on_device(poses, device))
+
+
+def depth_and_index(frame):
+    """Depths, and ids as the indices of a traffic scene, on the host."""
+    return frame.depth_m.numpy(), object_index_of(frame.object_id.numpy())
 
 
 def jacobian(measures):
     """Derivatives to ego x, y, z, spins, log focal length: [view, vehicle, measure, 7]."""
-    per_zoom = measures.per_zoom.numpy()[..., None]
-    return np.concatenate([measures.per_shift.numpy(), measures.per_spin.numpy(), per_zoom], axis=-1).astype(float)
+    jac_log_focal = measures.jac_log_focal.numpy()[..., None]
+    return np.concatenate(
+        [measures.jac_translation.numpy(), measures.jac_rotation.numpy(), jac_log_focal], axis=-1
+    ).astype(float)
 
 
 def measured(scene, poses, models, device, *, box_px=None, **settings):
     """All measures, [view, vehicle, measure], and their Jacobians."""
-    packed, renderer = rendered(scene, poses, models, device, **settings)
+    _, frame = rendered(scene, poses, models, device, **settings)
     box = None if box_px is None else wp.array(np.asarray(box_px, np.float32), dtype=wp.vec4, device=device)
-    measures = renderer.measure(packed, box)
+    measures = frame.measure(box)
     return measures.value.numpy(), jacobian(measures)
 
 
 def weighed(scene, poses, models, device, weight_image, *, visible, **settings):
     """Weighted areas, [view, vehicle], and their Jacobians."""
-    packed, renderer = rendered(scene, poses, models, device, **settings)
+    _, frame = rendered(scene, poses, models, device, **settings)
     weight = wp.array(np.asarray(weight_image, np.float32), dtype=float, device=device)
-    measures = renderer.weighted_area(packed, weight, visible=visible)
+    measures = frame.weighted_area(weight, visible=visible)
     return measures.value.numpy()[..., 0], jacobian(measures)[..., 0, :]
 
 

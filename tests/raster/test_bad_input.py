@@ -7,12 +7,15 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import camera_pose, on_device, packed_street, street
+from warpav.core.errors import InputError
+from warpav.raster import buffers as buffers_module
 from warpav.raster import mesh as mesh_module
-from warpav.raster import renderer as renderer_module
+from warpav.raster.areas import AMODAL_AREA
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import AMODAL_AREA, Content, Renderer
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(64, 48)
 POSES = np.array([camera_pose([0.0, 0.0, 1.8], yaw) for yaw in (0.0, 1.0, 2.0)])
@@ -55,7 +58,7 @@ def test_more_triangles_than_keys_tell_apart_are_not_packed(monkeypatch, device)
     scene = street(3)
     count = sum(len(m.triangle) for m in (scene.environment, scene.ego, *(v.mesh for v in scene.vehicles)))
     monkeypatch.setattr(mesh_module, "MAX_COUNT", count)
-    assert DeviceScene.pack(scene, device=device).triangle_count == count
+    assert DeviceScene.pack(scene, device=device).raster.triangle_count == count
     monkeypatch.setattr(mesh_module, "MAX_COUNT", count - 1)
     with pytest.raises(ValueError, match=f"5 meshes have {count} triangles together, more than {count - 1}"):
         DeviceScene.pack(scene, device=device)
@@ -80,83 +83,89 @@ def test_images_without_pixels_or_with_too_many_are_refused(size, supersampling,
 
 def test_every_array_of_a_view_fits_strides_of_32_bits():
     # keys have 8 bytes, colours 12, reaches 8 for each of four directions in rows of their own
-    assert 12 * renderer_module.MAX_VIEW_SAMPLES < 2**31
-    assert 8 * renderer_module.MAX_ATLAS_SAMPLES < 2**31
+    assert 12 * buffers_module.MAX_VIEW_SAMPLES < 2**31
+    assert 8 * buffers_module.MAX_ATLAS_SAMPLES < 2**31
     # 4K images with four samples along each axis fit
-    assert renderer_module.MAX_VIEW_SAMPLES > (4 * 3840 + 2) * (4 * 2160 + 2)
+    assert buffers_module.MAX_VIEW_SAMPLES > (4 * 3840 + 2) * (4 * 2160 + 2)
 
 
 def test_silhouettes_that_do_not_fit_are_refused(device, monkeypatch):
-    monkeypatch.setattr(renderer_module, "MAX_ATLAS_SAMPLES", 1000)
+    monkeypatch.setattr(buffers_module, "MAX_ATLAS_SAMPLES", 1000)
     with pytest.raises(ValueError, match=r"3 views of 66 x 50 samples need \d+ samples, more than 800; render fewer"):
-        Renderer([MODEL] * 3, device=device).render(packed_street(device), *on_device(POSES, device))
+        Renderer([MODEL] * 3, device=device).render(packed_street(device).raster, *on_device(POSES, device))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_another_number_of_poses_is_refused(device, count):
     renderer, poses = Renderer([MODEL] * 3, device=device), np.tile(POSES, (2, 1, 1))
     right, wrong = on_device(POSES, device), on_device(poses[:count], device)
-    for k, name in enumerate(("position_ego_m", "camera_from_ego")):
+    for k, name in enumerate(("position_world_m", "camera_from_world")):
         given = [*right[:k], wrong[k], *right[k + 1 :]]
         with pytest.raises(ValueError, match=rf"{name} must be one for each of 3 views, got \({count},\)"):
-            renderer.render(packed_street(device), *given)
+            renderer.render(packed_street(device).raster, *given)
 
 
 def test_what_was_not_rendered_is_not_measured(device):
-    scene, other = packed_street(device), packed_street(device, 3)
+    scene, other = packed_street(device).raster, packed_street(device, 3).raster
     renderer = Renderer([MODEL] * 3, device=device)
     weight = wp.ones((48, 64), dtype=float, device=device)
     calls = (
-        lambda it: renderer.measure(it),
-        lambda it: renderer.weighted_area(it, weight, visible=False),
-        lambda it: renderer.rgb(it),
-        lambda it: renderer.depth_and_object(it),
-        lambda it: renderer.visible_masks(it, [0]),
+        lambda it: it.measure(),
+        lambda it: it.areas(),
+        lambda it: it.extents(),
+        lambda it: it.weighted_area(weight, visible=False),
+        lambda it: it.window_area(visible=False),
+        lambda it: it.colours(),
+        lambda it: it.depths_and_ids(),
+        lambda it: it.depths(background_m=100.0),
+        lambda it: it.silhouettes(),
+        lambda it: it.visible_masks([0]),
+        lambda it: it.depth_m,
+        lambda it: it.rgb,
     )
+    frame = renderer.render(scene, *on_device(POSES, device))
+    for call in calls[:-2]:
+        call(frame)
+    renderer.render(other, *on_device(POSES, device))
     for call in calls:
-        with pytest.raises(ValueError, match="the last render holds nothing only"):
-            call(scene)
-    renderer.render(scene, *on_device(POSES, device))
-    for call in calls:
-        call(scene)
-        with pytest.raises(ValueError, match="the last render shows another scene, street_0; render street_0 first"):
-            call(other)
-    renderer.render(scene, *on_device(POSES, device), content=Content.IMAGES)
-    with pytest.raises(ValueError, match="holds images only"):
-        renderer.measure(scene)
+        with pytest.raises(InputError, match="frame: expected the last render of its renderer, got a stale one"):
+            call(frame)
+    images = renderer.render(scene, *on_device(POSES, device), content=Content.IMAGES)
+    with pytest.raises(InputError, match="with content objects, got one that holds images only"):
+        images.measure()
 
 
 def test_arrays_of_another_shape_are_refused(device):
-    scene = packed_street(device, 3)
+    scene = packed_street(device, 3).raster
     renderer = Renderer([MODEL] * 3, device=device)
-    renderer.render(scene, *on_device(POSES, device))
+    frame = renderer.render(scene, *on_device(POSES, device))
     for shape in ((3, 2), (2, 3), (0, 0)):
         with pytest.raises(ValueError, match=r"box_px must be \(3, 3\), got"):
-            renderer.measure(scene, wp.zeros(shape, dtype=wp.vec4, device=device))
+            frame.measure(wp.zeros(shape, dtype=wp.vec4, device=device))
     for shape in ((64, 48), (2, 48, 64)):
-        with pytest.raises(ValueError, match=r"weight_image must be \(48, 64\) or \(3, 48, 64\), got"):
-            renderer.weighted_area(scene, wp.ones(shape, dtype=float, device=device), visible=True)
+        with pytest.raises(ValueError, match=r"must be \(48, 64\), \(3, 48, 64\) or \(3, 3, 48, 64\), got"):
+            frame.weighted_area(wp.ones(shape, dtype=float, device=device), visible=True)
     with pytest.raises(ValueError, match="weight_image must hold float32, got float64"):
-        renderer.weighted_area(scene, wp.ones((48, 64), dtype=wp.float64, device=device), visible=True)
-    measures = renderer.measure(scene)
+        frame.weighted_area(wp.ones((48, 64), dtype=wp.float64, device=device), visible=True)
+    measures = frame.measure()
     with pytest.raises(ValueError, match=r"must be \(3, 3, 1\), got \(3, 3, 7\)"):
-        renderer.weighted_area(scene, wp.ones((48, 64), dtype=float, device=device), visible=True, into=measures)
+        frame.weighted_area(wp.ones((48, 64), dtype=float, device=device), visible=True, into=measures)
     for shown in ([3], [-1], [0, 7]):
         with pytest.raises(ValueError, match=r"views must be 0\.\.2, got"):
-            renderer.rgb(scene, shown)
+            frame.colours(views=shown)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, -1e30])
 @pytest.mark.parametrize("part", [np.s_[1, :3, 3], np.s_[1, :3, :3], np.s_[1, 2, 3]], ids=["place", "turn", "height"])
 def test_a_pose_without_meaning_sees_nothing_and_harms_no_other(device, value, part):
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     renderer = Renderer([MODEL] * 3, device=device)
-    renderer.render(scene, *on_device(POSES, device))
-    expected = [renderer.measure(scene).value.numpy(), renderer.rgb(scene).numpy()]
+    frame = renderer.render(scene, *on_device(POSES, device))
+    expected = [frame.measure().value.numpy(), frame.colours().numpy()]
     poses = POSES.copy()
     poses[part] = value
-    renderer.render(scene, *on_device(poses, device))
-    value = renderer.measure(scene).value.numpy()
-    for one, other in zip(expected, (value, renderer.rgb(scene).numpy()), strict=True):
+    frame = renderer.render(scene, *on_device(poses, device))
+    value = frame.measure().value.numpy()
+    for one, other in zip(expected, (value, frame.colours().numpy()), strict=True):
         np.testing.assert_array_equal(one[[0, 2]], other[[0, 2]])
     assert not value[1, :, AMODAL_AREA].any()

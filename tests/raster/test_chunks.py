@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import camera_pose, on_device, packed_street
+from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import chunk_view_count, render_in_chunks
 from warpav.raster.renderer import Renderer
@@ -21,43 +22,42 @@ def poses(rng, count):
 
 def test_chunks_hold_the_views_of_one_render(device, rng):
     models = [CameraModel(96, 64, math.radians(fov_deg), 0.1) for fov_deg in rng.uniform(50, 110, VIEWS)]
-    pose, scene = poses(rng, VIEWS), packed_street(device)
-    whole = Renderer(models, device=device)
-    whole.render(scene, *on_device(pose, device))
-    depth_m, object_index = (array.numpy() for array in whole.depth_and_object(scene))
-    value = whole.measure(scene).value.numpy()
+    pose, scene = poses(rng, VIEWS), packed_street(device).raster
+    whole = Renderer(models, device=device).render(scene, *on_device(pose, device))
+    depth_m, object_id = (array.numpy() for array in whole.depths_and_ids())
+    value = whole.measure().value.numpy()
     seen = np.zeros(VIEWS, int)
-    for views, renderer in render_in_chunks(
+    for views, frame in render_in_chunks(
         scene, models, pose[:, :3, 3], pose[:, :3, :3].transpose(0, 2, 1), views_at_once=3, device=device
     ):
         count = views.stop - views.start
         seen[views] += 1
-        chunk_depth_m, chunk_object = (array.numpy()[:count] for array in renderer.depth_and_object(scene))
+        chunk_depth_m, chunk_object = (array.numpy()[:count] for array in frame.depths_and_ids())
         np.testing.assert_array_equal(chunk_depth_m, depth_m[views])
-        np.testing.assert_array_equal(chunk_object, object_index[views])
-        np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[:count], value[views])
+        np.testing.assert_array_equal(chunk_object, object_id[views])
+        np.testing.assert_array_equal(frame.measure().value.numpy()[:count], value[views])
     np.testing.assert_array_equal(seen, 1)
 
 
 def test_images_can_be_written_over(device, rng):
-    pose, scene = poses(rng, 2), packed_street(device)
+    pose, scene = poses(rng, 2), packed_street(device).raster
     renderer = Renderer([CameraModel(64, 48)] * 2, device=device)
-    renderer.render(scene, *on_device(pose, device))
-    fresh = [array.numpy() for array in (*renderer.depth_and_object(scene), renderer.rgb(scene))]
+    frame = renderer.render(scene, *on_device(pose, device))
+    fresh = [array.numpy() for array in (*frame.depths_and_ids(), frame.colours())]
     old = [wp.array(np.full_like(array, -7), dtype=dtype, device=device)
            for array, dtype in zip(fresh, (float, wp.int32, wp.vec3), strict=True)]  # fmt: skip
-    images = renderer.depth_and_object(scene, into=(old[0], old[1]))
+    images = frame.depths_and_ids(into=(old[0], old[1]))
     assert images == (old[0], old[1])
-    assert renderer.rgb(scene, into=old[2]) is old[2]
+    assert frame.colours(into=old[2]) is old[2]
     for one, other in zip(fresh, old, strict=True):
         np.testing.assert_array_equal(one, other.numpy())
-    with pytest.raises(ValueError, match=r"the images to write over must be \(1, 48, 64\), got \(2, 48, 64\)"):
-        renderer.rgb(scene, [0], into=old[2])
+    with pytest.raises(ValueError, match=r"expected images of shape \(1, 48, 64\), got \(2, 48, 64\)"):
+        frame.colours(views=[0], into=old[2])
 
 
 def test_a_renderer_can_be_used_again(device, rng):
     model = CameraModel(64, 64)
-    pose, scene = poses(rng, 4), packed_street(device)
+    pose, scene = poses(rng, 4), packed_street(device).raster
     renderer = Renderer([model] * 2, device=device)
     chunks = list(
         render_in_chunks(
@@ -65,7 +65,9 @@ def test_a_renderer_can_be_used_again(device, rng):
         )
     )
     assert [views for views, _ in chunks] == [slice(0, 2), slice(2, 4)]
-    assert all(used is renderer for _, used in chunks)
+    with pytest.raises(InputError, match="got a stale one"):
+        chunks[0][1].areas()
+    assert chunks[1][1].areas().visible.shape[0] == 2
 
 
 def test_chunks_are_bounded_in_memory():
@@ -75,7 +77,7 @@ def test_chunks_are_bounded_in_memory():
 
 
 def test_wrong_numbers_of_views_are_refused(rng):
-    pose, scene = poses(rng, 2), packed_street("cpu")
+    pose, scene = poses(rng, 2), packed_street("cpu").raster
     rotation = pose[:, :3, :3].transpose(0, 2, 1)
     with pytest.raises(ValueError, match="got 3, 2 and 2"):
         next(render_in_chunks(scene, [CameraModel()] * 3, pose[:, :3, 3], rotation))

@@ -10,9 +10,9 @@ from tests.driving_scene import camera_pose
 from tests.oracle import closed_forms, scanline
 from tests.oracle.scanline import ZOOM
 from tests.raster.bodies import WEIGHT, ball, cuboid, edges_of, error, measured, poses_towards, scene_of
+from warpav.raster.areas import AMODAL_AREA, BOX_AREA, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, VISIBLE_AREA
 
 MODEL = CameraModel(64, 48, math.radians(75.0), 0.1)
 TINY = CameraModel(20, 16, math.radians(75.0), 0.1)
@@ -134,7 +134,7 @@ def test_an_edge_across_the_image_moves_as_a_line(device, supersampling):
 
 
 def test_the_focal_length_moves_areas_as_other_lenses_show(device):
-    # per_zoom by itself, against cameras of another field of view; the truth's own grain is a sample
+    # jac_log_focal by itself, against cameras of another field of view; the truth's own grain is a sample
     factor = 1.1
     lenses = [
         dataclasses.replace(MODEL, fov_rad=2.0 * math.atan(math.tan(0.5 * MODEL.fov_rad) * f))

@@ -8,8 +8,8 @@ import pytest
 from tests.oracle import clipped_edges
 from tests.raster.bodies import cuboid, error, measured, poses_towards, scene_of
 from tests.raster.test_lenses import ZOOM, moved
+from warpav.raster.areas import BOTTOM, LEFT, RIGHT, TOP
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import BOTTOM, LEFT, RIGHT, TOP
 
 MODEL = CameraModel(192, 160, math.radians(40.0), 0.1)
 SIDES = [LEFT, TOP, RIGHT, BOTTOM]

@@ -9,9 +9,9 @@ import pytest
 from tests.driving_scene import camera_pose
 from tests.oracle import scanline
 from tests.raster.bodies import WEIGHT, cuboid, error, measured, poses_towards, scene_of, weighed
+from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
-from warpav.raster.renderer import VISIBLE_AREA
 
 WIDTH_PX, HEIGHT_PX, FOV_RAD = 32, 24, math.radians(75.0)
 

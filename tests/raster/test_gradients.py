@@ -11,21 +11,12 @@ from scipy.spatial.transform import Rotation
 from tests.driving_scene import SKY, block, camera_pose, car, flat_surface, ground, on_device, vehicle
 from warpav.core.frames import EGO_FROM_THESIS
 from warpav.optimisation.mount import CameraMount
+from warpav.raster.areas import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, TOP, VISIBLE_AREA
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import (
-    AMODAL_AREA,
-    BOTTOM,
-    BOX_AREA,
-    LEFT,
-    MEASURE_COUNT,
-    RIGHT,
-    TOP,
-    VISIBLE_AREA,
-    Content,
-    Renderer,
-)
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Vehicle
 
 MODEL = CameraModel(256, 256, math.radians(80.0), 0.1)
@@ -74,26 +65,26 @@ def moved(poses, direction, step):
 
 @functools.cache
 def measured(device, supersampling, direction=None, step=0.0):
-    """Measures of every pose, in chunks, with the boxes of `boxes`; values, per_shift, per_spin."""
-    scene = DeviceScene.pack(two_cars(), device=device)
+    """Measures of every pose, in chunks, with the boxes of `boxes`; values, jac_translation, jac_rotation."""
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     renderer = Renderer([MODEL] * VIEWS_AT_ONCE, supersampling=supersampling, device=device)
     poses = poses_round_the_car() if direction is None else moved(poses_round_the_car(), direction, step)
     parts = []
     for first in range(0, POSE_COUNT, VIEWS_AT_ONCE):
         chunk = slice(first, first + VIEWS_AT_ONCE)
-        renderer.render(scene, *on_device(poses[chunk], device))
-        measures = renderer.measure(scene, wp.array(boxes(device)[chunk], dtype=wp.vec4, device=device))
-        parts.append([getattr(measures, name).numpy() for name in ("value", "per_shift", "per_spin")])
+        frame = renderer.render(scene, *on_device(poses[chunk], device))
+        measures = frame.measure(wp.array(boxes(device)[chunk], dtype=wp.vec4, device=device))
+        parts.append([getattr(measures, name).numpy() for name in ("value", "jac_translation", "jac_rotation")])
     return [np.concatenate(part) for part in zip(*parts, strict=True)]
 
 
 @functools.cache
 def boxes(device):
     """Boxes that cut through the cars, whole quarters of pixels, so that every sampling sees the same box."""
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     renderer = Renderer([MODEL] * POSE_COUNT, device=device)
-    renderer.render(scene, *on_device(poses_round_the_car(), device))
-    box = renderer.measure(scene).value.numpy()[:, :, [LEFT, TOP, RIGHT, BOTTOM]]
+    frame = renderer.render(scene, *on_device(poses_round_the_car(), device))
+    box = frame.measure().value.numpy()[:, :, [LEFT, TOP, RIGHT, BOTTOM]]
     size = np.tile(box[..., 2:] - box[..., :2], 2)
     jitter = np.random.default_rng(9).uniform(-0.15, 0.15, box.shape)
     return (np.round((box + jitter * size) * 4.0) / 4.0).astype(np.float32)
@@ -101,10 +92,10 @@ def boxes(device):
 
 def jacobian(device, supersampling):
     """Per direction X .. YAW, [pose, vehicle, measure, direction]."""
-    _, per_shift, per_spin = measured(device, supersampling)
+    _, jac_translation, jac_rotation = measured(device, supersampling)
     up_in_camera = poses_round_the_car()[:, 2, :3]  # ego z in camera axes
-    per_yaw = -np.einsum("vkmi,vi->vkm", per_spin, up_in_camera)
-    return np.concatenate([per_shift, per_spin, per_yaw[..., None]], axis=-1)
+    per_yaw = -np.einsum("vkmi,vi->vkm", jac_rotation, up_in_camera)
+    return np.concatenate([jac_translation, jac_rotation, per_yaw[..., None]], axis=-1)
 
 
 def differences(device, directions):
@@ -159,15 +150,15 @@ def test_extent_gradients_match_differences(device, measure):
 
 
 def test_a_cut_extent_does_not_move(device):
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     # so long a lens that the car fills the width of the image
     renderer = Renderer([CameraModel(256, 256, math.radians(25.0))], device=device)
-    renderer.render(scene, *on_device([camera_pose([9.0, 5.0, 0.8], -math.pi / 2)], device))
-    measures = renderer.measure(scene)
-    value, per_spin = measures.value.numpy()[0, 0], measures.per_spin.numpy()[0, 0]
+    frame = renderer.render(scene, *on_device([camera_pose([9.0, 5.0, 0.8], -math.pi / 2)], device))
+    measures = frame.measure()
+    value, jac_rotation = measures.value.numpy()[0, 0], measures.jac_rotation.numpy()[0, 0]
     assert value[[LEFT, RIGHT]].tolist() == [0.0, 256.0]
-    assert not per_spin[[LEFT, RIGHT]].any()
-    assert not measures.per_shift.numpy()[0, 0, [LEFT, RIGHT]].any()
+    assert not jac_rotation[[LEFT, RIGHT]].any()
+    assert not measures.jac_translation.numpy()[0, 0, [LEFT, RIGHT]].any()
 
 
 def test_a_mirrored_scene_has_mirrored_gradients(device):
@@ -191,15 +182,15 @@ def test_a_mirrored_scene_has_mirrored_gradients(device):
     mirrored_poses[:, :3, 3] = poses[:, :3, 3] @ mirror
     found = []
     for each, at in ((scene, poses), (other, mirrored_poses)):
-        packed = DeviceScene.pack(each, device=device)
+        packed = DeviceScene.pack(each, device=device).raster
         renderer = Renderer([model] * POSE_COUNT, device=device)
-        renderer.render(packed, *on_device(at, device))
-        found.append(renderer.measure(packed))
+        frame = renderer.render(packed, *on_device(at, device))
+        found.append(frame.measure())
     value, value_there = (measures.value.numpy() for measures in found)
     assert ((value[:, 0, LEFT] == 0) ^ (value[:, 0, RIGHT] == 96)).sum() > 10
     np.testing.assert_allclose(value_there[..., :3], value[..., :3], atol=2.0)
-    shift, shift_there = (measures.per_shift.numpy() for measures in found)
-    spin, spin_there = (measures.per_spin.numpy() for measures in found)
+    shift, shift_there = (measures.jac_translation.numpy() for measures in found)
+    spin, spin_there = (measures.jac_rotation.numpy() for measures in found)
     # a sample on an edge may fall to the other side: nearly all views agree, and to rounding
     for one, there in ((shift, shift_there @ mirror), (spin, spin_there * [1, -1, -1])):
         scale = np.abs(one).max()
@@ -209,11 +200,11 @@ def test_a_mirrored_scene_has_mirrored_gradients(device):
 
 def test_measures_on_tape_have_the_rendered_values_and_jacobians(device, rng):
     poses = poses_round_the_car()[:3]
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     renderer = Renderer([MODEL] * 3, device=device)
     position, rotation = on_device(poses, device)
-    renderer.render(scene, position, rotation)
-    measures = renderer.measure(scene, wp.array(boxes(device)[:3], dtype=wp.vec4, device=device))
+    frame = renderer.render(scene, position, rotation)
+    measures = frame.measure(wp.array(boxes(device)[:3], dtype=wp.vec4, device=device))
     weight = rng.normal(size=(3, 2, MEASURE_COUNT)).astype(np.float32)
 
     position.requires_grad = rotation.requires_grad = True
@@ -222,14 +213,14 @@ def test_measures_on_tape_have_the_rendered_values_and_jacobians(device, rng):
         taped = measures.on_tape(position, rotation)
     np.testing.assert_allclose(taped.numpy(), measures.value.numpy(), rtol=1e-6)
     # a render of something else may use the renderer's buffers before the backward pass
-    renderer.render(scene, *on_device(poses_round_the_car()[3:6], device))
+    frame = renderer.render(scene, *on_device(poses_round_the_car()[3:6], device))
     tape.backward(grads={taped: wp.array(weight, dtype=float, device=device)})
-    expected = np.einsum("vkm,vkmi->vi", weight, measures.per_shift.numpy())
+    expected = np.einsum("vkm,vkmi->vi", weight, measures.jac_translation.numpy())
     np.testing.assert_allclose(position.grad.numpy(), expected, rtol=2e-4, atol=1e-2)
 
     # a spin about each camera axis, through the gradient to the nine numbers of the rotation
     rotation_gradient = rotation.grad.numpy()
-    expected = np.einsum("vkm,vkmi->vi", weight, measures.per_spin.numpy())
+    expected = np.einsum("vkm,vkmi->vi", weight, measures.jac_rotation.numpy())
     for axis in range(3):
         cross = np.cross(np.eye(3)[axis], np.eye(3)).T  # matrix of the cross product with the axis
         change = cross @ poses[:, :3, :3].transpose(0, 2, 1)
@@ -239,15 +230,17 @@ def test_measures_on_tape_have_the_rendered_values_and_jacobians(device, rng):
 
 def test_measures_on_tape_follow_the_pose_to_first_order(device):
     poses = poses_round_the_car()[:5]
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     renderer = Renderer([MODEL] * 5, device=device)
-    renderer.render(scene, *on_device(poses, device))
-    measures = renderer.measure(scene)
+    frame = renderer.render(scene, *on_device(poses, device))
+    measures = frame.measure()
     shift, spin = 0.02, 0.002
     there = moved(moved(poses, Y, shift), SPIN_X, spin)
     followed = measures.on_tape(*on_device(there, device)).numpy()
     expected = (
-        measures.value.numpy() + shift * measures.per_shift.numpy()[..., 1] + spin * measures.per_spin.numpy()[..., 0]
+        measures.value.numpy()
+        + shift * measures.jac_translation.numpy()[..., 1]
+        + spin * measures.jac_rotation.numpy()[..., 0]
     )
     np.testing.assert_allclose(followed, expected, rtol=1e-3, atol=1e-2)
 
@@ -272,7 +265,7 @@ def workload_scene(data):
 def test_taped_gradients_match_the_truth_of_the_benchmark(device, workload_folder):
     data, truth = np.load(workload_folder / "workload.npz"), np.load(workload_folder / "truth.npz")
     assert int(data["visible"]) == 0
-    scene = DeviceScene.pack(workload_scene(data), device=device)
+    scene = DeviceScene.pack(workload_scene(data), device=device).raster
     cosine, value_error = [], []
     for i, (x, z, yaw) in enumerate(truth["poses"]):
         # pose i takes the lens of camera i mod C; its x is the ego frame's y, its z the ego frame's x
@@ -287,8 +280,8 @@ def test_taped_gradients_match_the_truth_of_the_benchmark(device, workload_folde
         with tape:
             views = mount.place(pose)
         renderer = Renderer([model] * 4, device=device)
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego, content=Content.VEHICLES)
-        measures = renderer.measure(scene)
+        frame = renderer.render(scene, views.position_ego_m, views.camera_from_ego, content=Content.OBJECTS)
+        measures = frame.measure()
         with tape:
             taped = measures.on_tape(views.position_ego_m, views.camera_from_ego)
         weight = np.zeros(taped.shape, np.float32)

@@ -11,11 +11,23 @@ import warp as wp
 from tests.driving_scene import camera_pose, on_device, packed_street, random_poses, street
 from tests.oracle import closed_forms
 from tests.oracle.ray_cast import RayCaster, cast_scene
-from tests.raster.bodies import cuboid, edges_of, error, jacobian, measured, poses_towards, rendered, scene_of
+from tests.raster.bodies import (
+    cuboid,
+    depth_and_index,
+    edges_of,
+    error,
+    jacobian,
+    measured,
+    poses_towards,
+    rendered,
+    scene_of,
+)
 from tests.raster.test_renderer import poses_on_ego
+from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh, merge
-from warpav.raster.renderer import AMODAL_AREA, BOX_AREA, LEFT, VISIBLE_AREA, Occlusion, Renderer
+from warpav.raster.renderer import Renderer
 
 MODEL = CameraModel(64, 48, math.radians(75.0), 0.1)
 WHOLE_IMAGE = [0.0, 64.0, 0.0, 48.0]
@@ -47,11 +59,11 @@ NO_AREA = {
 @pytest.mark.parametrize("kind", NO_AREA)
 def test_triangles_without_area_change_nothing(device, kind):
     poses = np.array([AHEAD]) if kind == "seen from the side" else poses_round_the_box()
-    packed, renderer = rendered(scene_of([with_triangles(BOX, NO_AREA[kind])]), poses, MODEL, device)
-    clean, clean_renderer = rendered(scene_of([BOX]), poses, MODEL, device)
-    for one, other in zip(renderer.depth_and_object(packed), clean_renderer.depth_and_object(clean), strict=True):
+    _, frame = rendered(scene_of([with_triangles(BOX, NO_AREA[kind])]), poses, MODEL, device)
+    _, clean_frame = rendered(scene_of([BOX]), poses, MODEL, device)
+    for one, other in zip(frame.depths_and_ids(), clean_frame.depths_and_ids(), strict=True):
         np.testing.assert_array_equal(one.numpy(), other.numpy())
-    measures, expected = renderer.measure(packed), clean_renderer.measure(clean)
+    measures, expected = frame.measure(), clean_frame.measure()
     np.testing.assert_array_equal(measures.value.numpy(), expected.value.numpy())
     # worst seen .043: in 32 bits the three points of a line are not quite on it
     assert error(jacobian(measures), jacobian(expected), 1.0).max() < 0.1
@@ -85,7 +97,7 @@ def test_triangles_thinner_than_a_sample_do_not_spoil_a_gradient(device):
 
 def poison(measures):
     """Fill earlier results with NaN."""
-    for name in ("value", "per_shift", "per_spin", "per_zoom"):
+    for name in ("value", "jac_translation", "jac_rotation", "jac_log_focal"):
         array = getattr(measures, name)
         array.assign(np.full_like(array.numpy(), np.nan))
 
@@ -95,41 +107,41 @@ def test_empty_views_have_defined_outputs(device, occlusion):
     # into the sky; a wholly empty image; everything behind
     poses = [camera_pose([0.0, 0.0, 2.0], 0.3, -math.pi / 2), camera_pose([0.0, 0.0, 2.0], math.pi, -0.5)]
     behind = [cuboid([1.0, 1.0, 1.0], [5.0, k, 0.0]) for k in (-1.0, 2.0)]
-    packed, renderer = rendered(scene_of(behind), poses, MODEL, device, occlusion=occlusion)
+    _, frame = rendered(scene_of(behind), poses, MODEL, device, occlusion=occlusion)
     ones = wp.full((48, 64), 1.0, dtype=float, device=device)
-    measures, weighted = renderer.measure(packed), renderer.weighted_area(packed, ones, visible=True)
+    measures, weighted = frame.measure(), frame.weighted_area(ones, visible=True)
     poison(measures)
     poison(weighted)
-    renderer.measure(packed, into=measures)
-    renderer.weighted_area(packed, ones, visible=True, into=weighted)
+    frame.measure(into=measures)
+    frame.weighted_area(ones, visible=True, into=weighted)
     expected = np.tile([0.0, 0.0, 0.0, 64.0, 0.0, 48.0, 0.0], (2, 2, 1))
     np.testing.assert_array_equal(measures.value.numpy(), expected)
     np.testing.assert_array_equal(weighted.value.numpy(), np.zeros((2, 2, 1)))
     assert not jacobian(measures).any()
     assert not jacobian(weighted).any()
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed))
+    depth_m, object_index = depth_and_index(frame)
     assert np.isposinf(depth_m).all()
     assert (object_index == -1).all()
-    assert not any(mask.any() for row in renderer.visible_masks(packed, [0, 1]) for _, _, mask in row)
+    assert not any(mask.any() for row in frame.visible_masks([0, 1]) for _, _, mask in row)
 
 
 @pytest.mark.parametrize("occlusion", Occlusion)
 def test_old_results_do_not_show_through(device, occlusion):
     # a full view after an empty one and the other way round, into poisoned results
-    packed = packed_street(device, 4)
+    packed = packed_street(device, 4).raster
     full = camera_pose([1.0, 0.0, 1.9], 0.0), camera_pose([1.0, 0.0, 1.9], math.pi)
     empty = camera_pose([0.0, 0.0, 30.0], 0.0, -math.pi / 2), camera_pose([0.0, 0.0, -3.0], 0.0, -1.5)
     renderer = Renderer([MODEL] * 2, occlusion=occlusion, device=device)
     weight = wp.array(np.random.default_rng(0).normal(size=(48, 64)).astype(np.float32), dtype=float, device=device)
     results = []
     for poses in (full, empty, full):
-        renderer.render(packed, *on_device(poses, device))
+        frame = renderer.render(packed, *on_device(poses, device))
         if not results:
-            measures, weighted = renderer.measure(packed), renderer.weighted_area(packed, weight, visible=True)
+            measures, weighted = frame.measure(), frame.weighted_area(weight, visible=True)
         poison(measures)
         poison(weighted)
-        renderer.measure(packed, into=measures)
-        renderer.weighted_area(packed, weight, visible=True, into=weighted)
+        frame.measure(into=measures)
+        frame.weighted_area(weight, visible=True, into=weighted)
         arrays = [measures.value.numpy(), jacobian(measures), weighted.value.numpy(), jacobian(weighted)]
         results.append([np.array(array) for array in arrays])  # on the CPU NumPy shares the memory
     assert not results[1][0][..., :BOX_AREA].any()
@@ -141,12 +153,12 @@ def test_old_results_do_not_show_through(device, occlusion):
 def test_a_camera_inside_a_vehicle_sees_it_everywhere(device):
     around = cuboid([3.0, 2.0, 1.6], [0.2, 0.1, 0.0], (0.1, 0.0, 0.2))
     poses = [camera_pose([0.0, 0.0, 0.0], yaw, pitch, 0.3) for yaw in (0.0, 1.5, 3.0) for pitch in (-1.0, 0.2)]
-    packed, renderer = rendered(scene_of([around]), poses, MODEL, device)
-    measures = renderer.measure(packed)
+    _, frame = rendered(scene_of([around]), poses, MODEL, device)
+    measures = frame.measure()
     np.testing.assert_array_equal(measures.value.numpy()[:, 0, AREAS], np.full((6, 2), 64 * 48))
     np.testing.assert_array_equal(measures.value.numpy()[:, 0, LEFT:], np.tile(WHOLE_IMAGE, (6, 1)))
     assert not jacobian(measures)[:, 0].any()
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed))
+    depth_m, object_index = depth_and_index(frame)
     assert (object_index == 2).all()
     caster = RayCaster([around])
     truth = np.array([caster.look(pose, MODEL).depth_m for pose in poses])
@@ -214,10 +226,10 @@ def test_two_hundred_vehicles_are_told_apart(device):
     ]
     scene, model = scene_of(cars), CameraModel(160, 120, math.radians(90.0), 0.1)
     poses = [camera_pose([0.0, 0.0, 4.0], 0.0, 0.25), camera_pose([15.0, -18.0, 5.0], 1.4, 0.3, 0.1)]
-    packed, renderer = rendered(scene, poses, model, device)
-    measures = renderer.measure(packed)
+    _, frame = rendered(scene, poses, model, device)
+    measures = frame.measure()
     value, slope = measures.value.numpy(), jacobian(measures)
-    object_index = renderer.depth_and_object(packed)[1].numpy()
+    _, object_index = depth_and_index(frame)
     caster = cast_scene(scene)
     assert (
         np.mean([np.mean(object_index[v] == caster.look(pose, model).object_index) for v, pose in enumerate(poses)])
@@ -261,8 +273,8 @@ def test_a_ground_of_ten_kilometres_has_the_planes_depth(device):
         camera_pose([rng.uniform(-5, 5), rng.uniform(-5, 5), 1.5], *rng.uniform([-0.3, 0.0, -0.3], [0.3, 0.6, 0.3]))
         for _ in range(20)
     ]
-    packed, renderer = rendered(scene_of([], ground), poses, MODEL, device)
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed))
+    _, frame = rendered(scene_of([], ground), poses, MODEL, device)
+    depth_m, object_index = depth_and_index(frame)
     column, row = np.meshgrid(np.arange(64) + 0.5 - 32, np.arange(48) + 0.5 - 24)
     ray = np.stack([column, row, np.full(column.shape, closed_forms.focal_px(MODEL))], axis=-1) / closed_forms.focal_px(
         MODEL
@@ -281,15 +293,15 @@ def test_a_ground_of_ten_kilometres_has_the_planes_depth(device):
 
 @pytest.mark.parametrize("occlusion", Occlusion)
 def test_repeats_and_threads_give_the_same_bits(occlusion, device):
-    scene, poses = packed_street(device), poses_on_ego(np.random.default_rng(2), 7)
+    scene, poses = packed_street(device).raster, poses_on_ego(np.random.default_rng(2), 7)
     weight = wp.array(np.random.default_rng(0).normal(size=(7, 48, 64)).astype(np.float32), dtype=float, device=device)
     results = []
     for thread_count, repeats in ((1, 2), (2, 2), (3, 1)):
         renderer = Renderer([MODEL] * 7, supersampling=2, occlusion=occlusion, thread_count=thread_count, device=device)
         for _ in range(repeats):
-            renderer.render(scene, *on_device(poses, device))
-            found = [renderer.measure(scene)]
-            found += [renderer.weighted_area(scene, weight, visible=visible) for visible in (True, False)]
+            frame = renderer.render(scene, *on_device(poses, device))
+            found = [frame.measure()]
+            found += [frame.weighted_area(weight, visible=visible) for visible in (True, False)]
             results.append([array for each in found for array in (each.value.numpy(), jacobian(each))])
     assert all(np.isfinite(array).all() for array in results[0])
     assert np.count_nonzero(results[0][1].any(axis=(1, 2, 3))) >= 5
@@ -322,8 +334,8 @@ def test_images_differ_from_rays_only_at_edges(device, near_m, fov_deg):
     model = CameraModel(72, 56, math.radians(fov_deg), near_m)
     poses = random_poses(np.random.default_rng([int(fov_deg), int(10 * near_m)]), 12, near_ground=True)
     renderer = Renderer([model] * 12, device=device)
-    renderer.render(packed_street(device), *on_device(poses, device))
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed_street(device)))
+    frame = renderer.render(packed_street(device).raster, *on_device(poses, device))
+    depth_m, object_index = depth_and_index(frame)
     caster, wrong, depth_error = street_rays(), 0, []
     for pose, depth, index in zip(poses, depth_m, object_index, strict=True):
         truth = caster.look(pose, model)
@@ -343,5 +355,5 @@ def test_large_triangles_leave_no_holes_between_them(device):
     place_m = rng.uniform(-1.0, 1.0, (count, 3)) * (half_m - rng.choice([0.1, 1.0, 10.0], (count, 3)))
     angles_rad = rng.uniform([-math.pi, -1.5, -math.pi], [math.pi, 1.5, math.pi], (count, 3))
     poses = np.stack([camera_pose(place, *angles) for place, angles in zip(place_m, angles_rad, strict=True)])
-    scene, renderer = rendered(scene_of([], room), poses, CameraModel(64, 48, math.radians(90.0), 0.05), device)
-    assert np.count_nonzero(renderer.depth_and_object(scene)[1].numpy() < 0) == 0
+    _, frame = rendered(scene_of([], room), poses, CameraModel(64, 48, math.radians(90.0), 0.05), device)
+    assert np.count_nonzero(frame.object_id.numpy() == -1) == 0

@@ -11,10 +11,12 @@ from scipy.ndimage import gaussian_filter
 from tests.driving_scene import SKY, block, camera_pose, on_device
 from tests.raster.test_gradients import SIX, SIX_WEIGHT, SPIN_X, moved, poses_round_the_car, two_cars
 from tests.raster.test_renderer import FAR_AWAY
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.graph import record_graph
-from warpav.raster.renderer import Content, Renderer
+from warpav.raster.poses import ViewPoses
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 SIZE_PX, FOV_RAD, POSE_COUNT = 96, math.radians(80.0), 10
@@ -30,7 +32,7 @@ def model(scale=1, zoom=1.0):
 
 @functools.cache
 def scene_on(device):
-    return DeviceScene.pack(two_cars(), device=device)
+    return DeviceScene.pack(two_cars(), device=device).raster
 
 
 def slopes(look):
@@ -50,8 +52,8 @@ def true_colours(device):
 
     def look(at, zoom=1.0):
         renderer.set_lenses([model(zoom=zoom)] * POSE_COUNT)
-        renderer.render(scene_on(device), *on_device(at, device), content=Content.IMAGES)
-        return renderer.rgb(scene_on(device)).numpy()
+        frame = renderer.render(scene_on(device), *on_device(at, device), content=Content.IMAGES)
+        return frame.colours().numpy()
 
     return look(poses_round_the_car()[:POSE_COUNT]), slopes(look)
 
@@ -63,8 +65,8 @@ def true_depth_slopes(device):
 
     def look(at, zoom=1.0):
         renderer.set_lenses([model(TRUTH_SAMPLES, zoom)] * POSE_COUNT)
-        renderer.render(scene_on(device), *on_device(at, device), content=Content.IMAGES)
-        depth_m = renderer.depth_and_object(scene_on(device))[0].numpy()
+        frame = renderer.render(scene_on(device), *on_device(at, device), content=Content.IMAGES)
+        depth_m = frame.depths_and_ids()[0].numpy()
         depth_m[np.isinf(depth_m)] = SKY_DEPTH_M
         return depth_m.reshape(POSE_COUNT, SIZE_PX, TRUTH_SAMPLES, SIZE_PX, TRUTH_SAMPLES).mean(axis=4).mean(axis=2)
 
@@ -76,7 +78,7 @@ class Look:
 
     def __init__(self, device, poses, *, supersampling=1, scene=None, camera=None, thread_count=None):
         self.device, self.poses = device, np.asarray(poses)
-        self.scene = scene_on(device) if scene is None else DeviceScene.pack(scene, device=device)
+        self.scene = scene_on(device) if scene is None else DeviceScene.pack(scene, device=device).raster
         self.renderer = Renderer(
             [camera or model()] * len(poses), supersampling=supersampling, device=device, thread_count=thread_count
         )
@@ -88,17 +90,15 @@ class Look:
         self.render()
 
     def render(self):
-        self.renderer.render(self.scene, self.position, self.rotation, content=Content.IMAGES)
+        self.frame = self.renderer.render(self.scene, self.position, self.rotation, content=Content.IMAGES)
 
     def rgb(self, shown_view=None):
-        return self.renderer.rgb_on_tape(
-            self.tape, self.scene, self.position, self.rotation, log_zoom=self.log_zoom, shown_view=shown_view
-        )
+        with self.tape:
+            return self.frame.colours(ViewPoses(self.position, self.rotation, self.log_zoom), views=shown_view)
 
     def depth(self):
-        return self.renderer.depth_on_tape(
-            self.tape, self.scene, self.position, self.rotation, log_zoom=self.log_zoom, sky_depth_m=SKY_DEPTH_M
-        )
+        with self.tape:
+            return self.frame.depths(ViewPoses(self.position, self.rotation, self.log_zoom), background_m=SKY_DEPTH_M)
 
     def gradients(self, image, weight):
         """What the tape makes of an image's gradient: shift, spin about the camera's axes, zoom; [view, 7]."""
@@ -155,8 +155,8 @@ def test_depth_gradients_match_differences(device, rng, supersampling, least_cos
 
 def test_taped_images_are_the_plain_ones(device):
     look = Look(device, poses_round_the_car()[:3], supersampling=2)
-    np.testing.assert_array_equal(look.rgb([2, 0]).numpy(), look.renderer.rgb(look.scene, [2, 0]).numpy())
-    plain = look.renderer.depth_and_object(look.scene)[0].numpy()
+    np.testing.assert_array_equal(look.rgb([2, 0]).numpy(), look.frame.colours(views=[2, 0]).numpy())
+    plain = look.frame.depths_and_ids()[0].numpy()
     assert np.isinf(plain).any()
     np.testing.assert_array_equal(look.depth().numpy(), np.where(np.isinf(plain), SKY_DEPTH_M, plain))
 
@@ -218,25 +218,27 @@ def test_a_later_render_is_noticed(device):
     look = Look(device, poses_round_the_car()[:1])
     image = look.rgb()
     look.render()
-    with pytest.raises(ValueError, match="has rendered again; run the backward pass"):
+    with pytest.raises(ValueError, match="got a stale one"):
         look.gradients(image, np.ones((1, SIZE_PX, SIZE_PX, 3), np.float32))
 
 
 def test_nothing_is_recorded_for_views_without_gradients(device):
     look = Look(device, poses_round_the_car()[:1])
     position, rotation = on_device(look.poses, device)
-    look.renderer.rgb_on_tape(look.tape, look.scene, position, rotation)
+    with look.tape:
+        look.frame.colours(ViewPoses(position, rotation))
     assert not look.tape.launches
     position.requires_grad = True
-    image = look.renderer.rgb_on_tape(look.tape, look.scene, position, rotation)
+    with look.tape:
+        image = look.frame.colours(ViewPoses(position, rotation))
     look.tape.backward(grads={image: wp.full(image.shape, wp.vec3(1.0), device=device)})
     assert position.grad.numpy().any()
 
 
 def test_an_infinitely_far_sky_has_no_depth_gradient(device):
     look = Look(device, poses_round_the_car()[:1])
-    with pytest.raises(ValueError, match="sky_depth_m must be finite, got inf"):
-        look.renderer.depth_on_tape(look.tape, look.scene, look.position, look.rotation, sky_depth_m=math.inf)
+    with pytest.raises(ValueError, match="background_m must be finite where depths have a gradient, got inf"):
+        look.frame.depths(ViewPoses(look.position, look.rotation), background_m=math.inf)
 
 
 @pytest.mark.parametrize("thread_count", [1, 2])

@@ -22,20 +22,14 @@ from tests.driving_scene import (
     vehicle,
 )
 from tests.oracle.ray_cast import Silhouettes, cast_scene
+from tests.raster.bodies import depth_and_index
+from warpav.raster.areas import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import (
-    AMODAL_AREA,
-    BOTTOM,
-    BOX_AREA,
-    LEFT,
-    RIGHT,
-    TOP,
-    VISIBLE_AREA,
-    Content,
-    Occlusion,
-    Renderer,
-)
+from warpav.raster.decide import Occlusion
+from warpav.raster.poses import ViewPoses
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 SIZE = 128
@@ -71,7 +65,7 @@ def two_cars():
 
 def jacobian(measures):
     """To shift, spin and zoom, [view, vehicle, measure, 7]."""
-    parts = [measures.per_shift.numpy(), measures.per_spin.numpy(), measures.per_zoom.numpy()[..., None]]
+    parts = [measures.jac_translation.numpy(), measures.jac_rotation.numpy(), measures.jac_log_focal.numpy()[..., None]]
     return np.concatenate(parts, axis=-1)
 
 
@@ -92,11 +86,11 @@ def moved(pose, model, direction, step):
 
 def measured(scene, poses, models, supersampling, device, box_px=None):
     renderer = Renderer(models, supersampling=supersampling, device=device)
-    renderer.render(scene, *on_device(poses, device))
+    frame = renderer.render(scene, *on_device(poses, device))
     if box_px is None:
-        return renderer.measure(scene)
-    box_px = np.tile(np.asarray(box_px, np.float32), (len(poses), scene.vehicle_count, 1))
-    return renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=device))
+        return frame.measure()
+    box_px = np.tile(np.asarray(box_px, np.float32), (len(poses), scene.object_count, 1))
+    return frame.measure(wp.array(box_px, dtype=wp.vec4, device=device))
 
 
 def poses_round_the_cars(count, pitch_rad=0.1):
@@ -116,11 +110,11 @@ def poses_round_the_cars(count, pitch_rad=0.1):
 def test_images_agree_with_rays(device, rng, name):
     model = MODELS[name]
     poses = np.r_[random_poses(rng, 3), [camera_pose([1.0, 0.0, 1.9], 0.3, 0.05, 0.02)]]
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     renderer = Renderer([model] * len(poses), device=device)
-    renderer.render(scene, *on_device(poses, device))
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(scene))
-    rgb = renderer.rgb(scene).numpy()
+    frame = renderer.render(scene, *on_device(poses, device))
+    depth_m, object_index = depth_and_index(frame)
+    rgb = frame.colours().numpy()
     different, depth_error, rgb_error = 0, [], []
     for k, pose in enumerate(poses):
         truth = street_rays().look(pose, model)
@@ -144,7 +138,7 @@ def test_vehicles_alone_are_all_there(device, rng, name):
     """No rectangle is too small, wherever the vehicles are: before, behind, beside, across the seam."""
     model = MODELS[name]
     poses = random_poses(rng, 4)
-    value = measured(packed_street(device), poses, [model] * 4, 1, device).value.numpy()
+    value = measured(packed_street(device).raster, poses, [model] * 4, 1, device).value.numpy()
     alone = [rays.look(pose, model)[0] for rays in [Silhouettes(street())] for pose in poses]
     area = np.isfinite(alone).sum(axis=(2, 3))
     assert np.count_nonzero(area) >= 8
@@ -157,7 +151,7 @@ def ours_and_truth(name, device, near_m=0.1, count=3):
     model = dataclasses.replace(MODELS[name], near_m=near_m)
     if name == "panorama":
         model = dataclasses.replace(model, fov_rad=5.0)  # a zoomed-out whole turn would be more than one
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     poses = poses_round_the_cars(count)
     box = [0.4 * model.width_px, 40.0, 0.7 * model.width_px, 90.0]
     ours = jacobian(measured(scene, poses, [model] * count, 1, device, box))
@@ -232,16 +226,16 @@ def test_a_lens_without_distortion_is_a_pinhole(device):
     pinhole = CameraModel(160, 120, math.radians(80.0), 0.3)
     undistorted = dataclasses.replace(pinhole, lens="brown_conrady", distortion=(0.0,) * 8)
     poses = poses_round_the_cars(6)
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     box = [50.0, 40.0, 100.0, 90.0]
     for occlusion in Occlusion:
         found = []
         for model in (pinhole, undistorted):
             renderer = Renderer([model] * 6, occlusion=occlusion, device=device)
-            renderer.render(scene, *on_device(poses, device))
+            frame = renderer.render(scene, *on_device(poses, device))
             boxes = wp.array(np.tile(np.float32(box), (6, 2, 1)), dtype=wp.vec4, device=device)
-            images = [array.numpy() for array in (*renderer.depth_and_object(scene), renderer.rgb(scene))]
-            found.append((renderer.measure(scene, boxes), *images))
+            images = [array.numpy() for array in (*frame.depths_and_ids(), frame.colours())]
+            found.append((frame.measure(boxes), *images))
         (one, one_depth, one_object, one_rgb), (other, depth, object_index, rgb) = found
         assert np.count_nonzero(one_object != object_index) <= 2  # worst seen 0
         np.testing.assert_allclose(depth, one_depth, rtol=1e-4)
@@ -253,7 +247,7 @@ def test_a_lens_without_distortion_is_a_pinhole(device):
 
 
 def test_a_fisheye_sees_behind_and_a_panorama_all_round(device):
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     pose = camera_pose([1.0, 0.0, 2.2], 0.0)
     behind = np.array([4, 5, 9])  # cars behind the camera
     fisheye, panorama, wide = (
@@ -271,7 +265,7 @@ def test_a_fisheye_sees_behind_and_a_panorama_all_round(device):
 
 def test_the_seam_of_a_panorama_changes_nothing(device):
     """A car half on the right, half on the left, has the area and Jacobian of one in the middle."""
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     model = CameraModel(512, 128, 2.0 * math.pi, lens="panorama")
     poses = np.stack([camera_pose([1.0, -1.5, 1.6], yaw, 0.0, 0.0) for yaw in (0.36, 0.36 + math.pi)])
     measures = measured(scene, poses, [model] * 2, 1, device)
@@ -290,7 +284,7 @@ def test_the_seam_of_a_panorama_changes_nothing(device):
 
 
 def test_a_turning_panorama_shifts_and_a_rolling_fisheye_turns(device):
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     pose = camera_pose([0.5, -1.0, 1.6], 0.4, 0.1, 0.2)
     panorama = CameraModel(512, 256, 2.0 * math.pi, lens="panorama")
     slope = jacobian(measured(scene, [pose], [panorama], 1, device))[0]
@@ -314,13 +308,13 @@ def test_one_renderer_holds_all_lenses(device):
         MODELS["part"],
     ]
     poses = poses_round_the_cars(len(models))
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
 
     def look(models, poses, **options):
         renderer = Renderer(models, device=device, **options)
-        renderer.render(scene, *on_device(poses, device))
-        measures = renderer.measure(scene)
-        images = [array.numpy() for array in (*renderer.depth_and_object(scene), renderer.rgb(scene))]
+        frame = renderer.render(scene, *on_device(poses, device))
+        measures = frame.measure()
+        images = [array.numpy() for array in (*frame.depths_and_ids(), frame.colours())]
         return [measures.value.numpy(), jacobian(measures), *images]
 
     together = look(models, poses, thread_count=1)
@@ -332,10 +326,10 @@ def test_one_renderer_holds_all_lenses(device):
             np.testing.assert_array_equal(one[k], alone[0])
     # other lenses in the same renderer
     renderer = Renderer(models, device=device)
-    renderer.render(scene, *on_device(poses, device))
+    frame = renderer.render(scene, *on_device(poses, device))
     renderer.set_lenses(models[::-1])
-    renderer.render(scene, *on_device(poses[::-1], device))
-    np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[::-1], together[0])
+    frame = renderer.render(scene, *on_device(poses[::-1], device))
+    np.testing.assert_array_equal(frame.measure().value.numpy()[::-1], together[0])
 
 
 def colour_gradient(scene, model, pose, weight, device):
@@ -343,9 +337,10 @@ def colour_gradient(scene, model, pose, weight, device):
     position, rotation = on_device([pose], device)
     position.requires_grad = rotation.requires_grad = True
     renderer = Renderer([model], supersampling=2, device=device)
-    renderer.render(scene, position, rotation, content=Content.IMAGES)
+    frame = renderer.render(scene, position, rotation, content=Content.IMAGES)
     tape = wp.Tape()
-    image = renderer.rgb_on_tape(tape, scene, position, rotation)
+    with tape:
+        image = frame.colours(ViewPoses(position, rotation))
     tape.backward(grads={image: wp.array(weight, dtype=wp.vec3, device=device)})
     spin = [(rotation.grad.numpy()[0] * (np.cross(axis, np.eye(3)).T @ pose[:3, :3].T)).sum() for axis in np.eye(3)]
     return np.r_[position.grad.numpy()[0], spin] * [1.0, 1.0, 1.0, 0.1, 0.1, 0.1]
@@ -355,13 +350,13 @@ def colour_gradient(scene, model, pose, weight, device):
 def test_gradients_of_colours_match_differences(device, rng, name):
     model = MODELS[name]
     pose = poses_round_the_cars(1)[0]
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     weight = np.repeat(rng.normal(size=(1, 16, 16, 3)), 8, axis=1).repeat(8, axis=2).astype(np.float32)
     renderer = Renderer([model], supersampling=4, device=device)
 
     def loss(pose):
-        renderer.render(scene, *on_device([pose], device), content=Content.IMAGES)
-        return (weight * renderer.rgb(scene).numpy()).sum(dtype=float)
+        frame = renderer.render(scene, *on_device([pose], device), content=Content.IMAGES)
+        return (weight * frame.colours().numpy()).sum(dtype=float)
 
     truth = []
     for direction in range(ZOOM):
@@ -377,7 +372,7 @@ def test_gradients_of_colours_without_distortion_are_a_pinholes(device, rng):
     pinhole = CameraModel(SIZE, SIZE)
     undistorted = dataclasses.replace(pinhole, lens="brown_conrady")
     pose = poses_round_the_cars(1)[0]
-    scene = DeviceScene.pack(two_cars(), device=device)
+    scene = DeviceScene.pack(two_cars(), device=device).raster
     weight = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
     expected, ours = (colour_gradient(scene, model, pose, weight, device) for model in (pinhole, undistorted))
     assert relative_error(ours, expected) < 1e-4  # seen 3e-7
@@ -386,23 +381,23 @@ def test_gradients_of_colours_without_distortion_are_a_pinholes(device, rng):
 @pytest.mark.parametrize("lens", ["pinhole", "fisheye"])
 def test_views_that_are_zoomed_on_the_device_are_those_of_zoomed_lenses(device, lens):
     model, zooms = CameraModel(96, 72, 1.4, lens=lens), np.array([0.4, 0.0, -0.2], np.float32)
-    scene, poses = DeviceScene.pack(two_cars(), device=device), poses_round_the_cars(3)
+    scene, poses = DeviceScene.pack(two_cars(), device=device).raster, poses_round_the_cars(3)
     expected = measured(scene, poses, [model.zoomed(float(zoom)) for zoom in zooms], 2, device)
     renderer = Renderer([model] * 3, supersampling=2, device=device)
     position, rotation = on_device(poses, device)
     log_zoom = wp.array(zooms, dtype=float, device=device)
-    renderer.render(scene, position, rotation, log_zoom=log_zoom)
-    found = renderer.measure(scene)
+    frame = renderer.render(scene, position, rotation, log_focal=log_zoom)
+    found = frame.measure()
     np.testing.assert_allclose(found.value.numpy(), expected.value.numpy(), rtol=1e-4, atol=2e-2)
     np.testing.assert_array_equal(found.value.numpy()[1], expected.value.numpy()[1])
     # at the zooms at which it was rendered the value is the rendered one, and what moves is counted from there
     np.testing.assert_array_equal(found.on_tape(position, rotation, log_zoom).numpy(), found.value.numpy())
     np.testing.assert_array_equal(found.on_tape(position, rotation).numpy(), found.value.numpy())
     step = found.on_tape(position, rotation, wp.array(zooms + np.float32(0.01), dtype=float, device=device)).numpy()
-    np.testing.assert_allclose(step - found.value.numpy(), 0.01 * found.per_zoom.numpy(), rtol=1e-2, atol=1e-2)
+    np.testing.assert_allclose(step - found.value.numpy(), 0.01 * found.jac_log_focal.numpy(), rtol=1e-2, atol=1e-2)
     # and the next render is as the lenses say again
-    renderer.render(scene, position, rotation)
+    frame = renderer.render(scene, position, rotation)
     plain = measured(scene, poses, [model] * 3, 2, device)
-    np.testing.assert_array_equal(renderer.measure(scene).value.numpy(), plain.value.numpy())
-    with pytest.raises(ValueError, match="log_zoom must be one for each of 3 views"):
-        renderer.render(scene, position, rotation, log_zoom=wp.zeros(2, dtype=float, device=device))
+    np.testing.assert_array_equal(frame.measure().value.numpy(), plain.value.numpy())
+    with pytest.raises(ValueError, match="log_focal must be one for each of 3 views"):
+        renderer.render(scene, position, rotation, log_focal=wp.zeros(2, dtype=float, device=device))

@@ -11,10 +11,12 @@ from tests.driving_scene import block, camera_pose, car, on_device, packed_stree
 from tests.oracle.occlusion import extents, pairwise_hidden
 from tests.oracle.ray_cast import Silhouettes, cast_scene
 from tests.raster.test_renderer import FAR_AWAY, poses_on_ego
+from warpav.raster.areas import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import merge
-from warpav.raster.renderer import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA, Occlusion, Renderer
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 MODEL = CameraModel(96, 72, math.pi / 2, 0.1)
@@ -27,15 +29,15 @@ def street_silhouettes():
 
 def rendered(scene, poses, model=MODEL, *, device="cpu", box_px=None, **settings):
     renderer = Renderer([model] * len(poses), device=device, **settings)
-    renderer.render(scene, *on_device(poses, device))
+    frame = renderer.render(scene, *on_device(poses, device))
     box = None if box_px is None else wp.array(np.asarray(box_px, np.float32), dtype=wp.vec4, device=device)
-    return renderer, renderer.measure(scene, box).value.numpy()
+    return frame, frame.measure(box).value.numpy()
 
 
-def full_masks(renderer, scene, views, shape):
-    """`Renderer.visible_masks` pasted into whole images, bool [view, vehicle, row, column]."""
-    masks = np.zeros((len(views), scene.vehicle_count, *shape), bool)
-    for v, row_of_masks in enumerate(renderer.visible_masks(scene, views)):
+def full_masks(frame, scene, views, shape):
+    """`Frame.visible_masks` pasted into whole images, bool [view, vehicle, row, column]."""
+    masks = np.zeros((len(views), scene.object_count, *shape), bool)
+    for v, row_of_masks in enumerate(frame.visible_masks(views)):
         for k, (left, top, mask) in enumerate(row_of_masks):
             assert left >= 0
             assert top >= 0
@@ -46,10 +48,10 @@ def full_masks(renderer, scene, views, shape):
 @pytest.mark.parametrize("supersampling", [1, 2])
 def test_areas_extents_and_masks_equal_counts(device, rng, street_silhouettes, supersampling):
     poses = np.r_[poses_on_ego(rng, 4), random_poses(rng, 4)]
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     boxes = np.sort(rng.uniform(-20, 110, (8, 10, 2, 2)), axis=2).reshape(8, 10, 4)
-    renderer, value = rendered(scene, poses, device=device, box_px=boxes, supersampling=supersampling)
-    masks = full_masks(renderer, scene, range(8), (72 * supersampling, 96 * supersampling))
+    frame, value = rendered(scene, poses, device=device, box_px=boxes, supersampling=supersampling)
+    masks = full_masks(frame, scene, range(8), (72 * supersampling, 96 * supersampling))
     rays = cast_scene(street())
     centre_x, centre_y = np.meshgrid(
         (np.arange(96 * supersampling) + 0.5) / supersampling, (np.arange(72 * supersampling) + 0.5) / supersampling
@@ -80,13 +82,13 @@ def test_areas_extents_and_masks_equal_counts(device, rng, street_silhouettes, s
 
 
 def test_no_box_has_no_box_area(device, rng):
-    _, value = rendered(packed_street(device), poses_on_ego(rng, 2), device=device)
+    _, value = rendered(packed_street(device).raster, poses_on_ego(rng, 2), device=device)
     assert not value[..., BOX_AREA].any()
 
 
 def test_a_box_over_everything_holds_all_that_is_visible(device, rng):
     boxes = np.tile([0.0, 0.0, 96.0, 72.0], (2, 10, 1))
-    _, value = rendered(packed_street(device), poses_on_ego(rng, 2), device=device, box_px=boxes)
+    _, value = rendered(packed_street(device).raster, poses_on_ego(rng, 2), device=device, box_px=boxes)
     np.testing.assert_array_equal(value[..., BOX_AREA], value[..., VISIBLE_AREA])
     assert value[..., VISIBLE_AREA].max() > 50
 
@@ -97,9 +99,9 @@ def test_pairwise_occlusion_equals_medians(device, rng, street_silhouettes):
         camera_pose([rng.uniform(0, 2), rng.uniform(-0.7, 0.7), 1.7], (k % 4) * 0.5 * math.pi + rng.uniform(-0.3, 0.3))
         for k in range(12)
     ]
-    scene = packed_street(device)
-    renderer, value = rendered(scene, poses, device=device, occlusion=Occlusion.PAIRWISE)
-    masks = full_masks(renderer, scene, range(12), (72, 96))
+    scene = packed_street(device).raster
+    frame, value = rendered(scene, poses, device=device, occlusion=Occlusion.PAIRWISE)
+    masks = full_masks(frame, scene, range(12), (72, 96))
     overlaps = 0
     for v, pose in enumerate(poses):
         alone, ego = street_silhouettes.look(pose, MODEL)
@@ -129,7 +131,7 @@ def test_a_silhouette_inside_another_is_hidden_or_hides_by_depth(device, swapped
     pose = camera_pose([0.0, 0.0, 0.6], 0.0)
     alone, _ = Silhouettes(scene).look(pose, MODEL)
     assert not (np.isfinite(alone[far]) & ~np.isfinite(alone[near])).any()
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     for occlusion in Occlusion:
         _, value = rendered(packed, [pose], device=device, occlusion=occlusion)
         assert value[0, far, VISIBLE_AREA] == 0.0
@@ -143,7 +145,7 @@ def test_a_near_silhouette_inside_a_far_one_hides_it(device, swapped):
     small = vehicle(1, block(rng, [0.5, 0.5, 0.5], [0.0, 0.0, 0.75]), 5.0, 0.0, 0.0)
     large = vehicle(2, block(rng, [4.0, 6.0, 3.0], [0.0, 0.0, 1.0]), 12.0, 0.0, 0.0)
     vehicles = (large, small) if swapped else (small, large)
-    packed = DeviceScene.pack(Scene("inside", FAR_AWAY, FAR_AWAY, vehicles), device=device)
+    packed = DeviceScene.pack(Scene("inside", FAR_AWAY, FAR_AWAY, vehicles), device=device).raster
     _, value = rendered(packed, [camera_pose([0.0, 0.0, 0.8], 0.0)], device=device, occlusion=Occlusion.PAIRWISE)
     small_index = int(swapped)
     area = value[0, :, AMODAL_AREA]
@@ -161,7 +163,9 @@ def test_only_the_parts_outside_the_overlap_are_compared(device):
     alone, ego = Silhouettes(scene).look(pose, MODEL)
     truth = np.isfinite(alone) & ~pairwise_hidden(alone, ego)
     assert 0 < truth[0].sum() < 0.3 * np.isfinite(alone[0]).sum()  # hidden as the printed rule has it
-    _, value = rendered(DeviceScene.pack(scene, device=device), [pose], device=device, occlusion=Occlusion.PAIRWISE)
+    _, value = rendered(
+        DeviceScene.pack(scene, device=device).raster, [pose], device=device, occlusion=Occlusion.PAIRWISE
+    )
     np.testing.assert_allclose(value[0, :, VISIBLE_AREA], truth.sum(axis=(1, 2)), atol=2)
 
 
@@ -169,7 +173,7 @@ def test_pairwise_occlusion_ignores_the_environment_and_exact_does_not(device):
     rng = np.random.default_rng(4)
     wall = block(rng, [0.2, 40.0, 10.0], [4.0, 0.0, 0.0])
     scene = dataclasses.replace(place_cars((10.0, 0.0, 0.5)), environment=wall)
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     pose = camera_pose([0.0, 0.0, 0.8], 0.0)
     visible = {
         occlusion: rendered(packed, [pose], device=device, occlusion=occlusion)[1][0, 0, VISIBLE_AREA]
@@ -184,7 +188,7 @@ def test_the_ego_vehicle_hides_in_both_ways(device):
     rng = np.random.default_rng(4)
     hull = block(rng, [0.2, 4.0, 1.0], [2.0, 0.0, 0.0])
     scene = dataclasses.replace(place_cars((9.0, 0.0, 0.5)), ego=hull)
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     pose = camera_pose([0.0, 0.0, 0.55], 0.0)
     alone, ego = Silhouettes(scene).look(pose, MODEL)
     expected = np.count_nonzero(np.isfinite(alone[0]) & ~np.isfinite(ego))

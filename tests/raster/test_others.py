@@ -11,9 +11,9 @@ from tests.oracle.ray_cast import cast_scene
 from tests.raster.test_renderer import images_of
 from warpav.detection.images import render_images
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Box, Vehicle
 from warpav.scene.town.people import person_mesh
 
@@ -39,8 +39,8 @@ def _street_with_people(count=3):
 def test_images_with_people_agree_with_rays():
     scene = _street_with_people()
     poses = np.stack([camera_pose(EYE_M, yaw, 0.05, 0.0) for yaw in (0.0, 2.1, -2.1)])
-    depth_m, object_index, rgb = images_of(Renderer([MODEL] * len(poses)), DeviceScene.pack(scene), poses)
-    _, without, _ = images_of(Renderer([MODEL] * len(poses)), packed_street(), poses)
+    depth_m, object_index, rgb = images_of(Renderer([MODEL] * len(poses)), DeviceScene.pack(scene).raster, poses)
+    _, without, _ = images_of(Renderer([MODEL] * len(poses)), packed_street().raster, poses)
     rays = cast_scene(scene)
     people_px = 0
     for view, pose in enumerate(poses):
@@ -67,7 +67,7 @@ def test_a_pedestrian_hides_a_vehicle_and_is_asked_for_by_nobody():
 
 
 def test_a_scene_without_people_is_packed_as_before():
-    plain, empty = DeviceScene.pack(street()), DeviceScene.pack(dataclasses.replace(street(), others=()))
+    plain, empty = DeviceScene.pack(street()).raster, DeviceScene.pack(dataclasses.replace(street(), others=())).raster
     np.testing.assert_array_equal(plain.source_triangle, empty.source_triangle)
 
 

@@ -20,12 +20,15 @@ from tests.driving_scene import (
     vehicle,
 )
 from tests.oracle.ray_cast import RayCaster, cast_scene
+from tests.raster.bodies import depth_and_index
 from warpav.detection.images import render_images
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA, Content, Renderer
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 MODEL = CameraModel(128, 128, math.pi / 2, 0.1)
@@ -39,9 +42,12 @@ def street_rays():
 
 def images_of(renderer, scene, poses):
     """Depth, object and colour images."""
-    renderer.render(scene, *on_device(poses, renderer.device))
-    depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(scene))
-    return depth_m, object_index, renderer.rgb(scene).numpy()
+    return images_in(renderer.render(scene, *on_device(poses, renderer.device)))
+
+
+def images_in(frame):
+    """Depths, objects and colours of a frame, on the host."""
+    return *depth_and_index(frame), frame.rgb.numpy()
 
 
 def poses_on_ego(rng, count):
@@ -79,13 +85,13 @@ def assert_agrees(images, rays, poses, model, *, least=0.9999):
 
 
 def test_views_on_ego_agree_with_rays(device, rng, street_rays):
-    scene, poses = packed_street(device), poses_on_ego(rng, 16)
+    scene, poses = packed_street(device).raster, poses_on_ego(rng, 16)
     images = images_of(Renderer([MODEL] * 16, device=device), scene, poses)
     assert assert_agrees(images, street_rays, poses, MODEL) <= 3  # worst seen 0 of 262144
 
 
 def test_any_view_agrees_with_rays_though_triangles_cross_the_near_plane(device, rng, street_rays):
-    scene, poses = packed_street(device), random_poses(rng, 64, near_ground=True)
+    scene, poses = packed_street(device).raster, random_poses(rng, 64, near_ground=True)
     # the oracle needs something to bite on: triangles that reach behind the camera and still show in the image
     near_cut = 0
     corner_m = street_rays.vertex_m[street_rays.triangle]
@@ -104,14 +110,14 @@ def test_lenses_agree_with_rays(device, rng, street_rays, width_px, height_px, f
     model = CameraModel(width_px, height_px, math.radians(fov_deg), near_m)
     poses = np.r_[poses_on_ego(rng, 4), random_poses(rng, 4)]
     assert_agrees(
-        images_of(Renderer([model] * 8, device=device), packed_street(device), poses), street_rays, poses, model
+        images_of(Renderer([model] * 8, device=device), packed_street(device).raster, poses), street_rays, poses, model
     )
 
 
 def test_one_renderer_holds_views_of_different_lenses(device, rng, street_rays):
     models = [CameraModel(64, 64, math.radians(f), n) for f, n in ((40, 0.1), (90, 2.0), (120, 0.5))]
     poses = poses_on_ego(rng, 3)
-    images = images_of(Renderer(models, device=device), packed_street(device), poses)
+    images = images_of(Renderer(models, device=device), packed_street(device).raster, poses)
     for k, model in enumerate(models):
         assert_agrees([image[k : k + 1] for image in images], street_rays, poses[k : k + 1], model)
 
@@ -127,7 +133,7 @@ def test_grazing_surfaces_do_not_break_depth(device):
     scene = Scene("graze", coloured(bumpy, rng), FAR_AWAY, ())
     poses = [camera_pose([0, 0, z], yaw) for z in (1e-3, 1e-2, -1e-3, 0.3) for yaw in (0.0, 1.0, 2.5)]
     depth_m, object_index, _ = images_of(
-        Renderer([MODEL] * len(poses), device=device), DeviceScene.pack(scene, device=device), poses
+        Renderer([MODEL] * len(poses), device=device), DeviceScene.pack(scene, device=device).raster, poses
     )
     rays = RayCaster([scene.environment])
     wrong = 0
@@ -141,7 +147,7 @@ def test_grazing_surfaces_do_not_break_depth(device):
 
 def test_colours_are_averaged_over_samples(device, rng):
     poses = poses_on_ego(rng, 3)
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     twice = Renderer([MODEL] * 3, supersampling=2, device=device)
     _, _, averaged = images_of(twice, scene, poses)
     fine = CameraModel(256, 256, MODEL.fov_rad, MODEL.near_m)
@@ -154,7 +160,9 @@ def test_colours_are_averaged_over_samples(device, rng):
 def test_sky_is_graded_by_elevation(device):
     pose = camera_pose([0.0, 0.0, 50.0], 0.3, -math.pi / 4)
     empty = Scene("empty", FAR_AWAY, FAR_AWAY, (), street().sky)
-    _, object_index, rgb = images_of(Renderer([MODEL], device=device), DeviceScene.pack(empty, device=device), [pose])
+    _, object_index, rgb = images_of(
+        Renderer([MODEL], device=device), DeviceScene.pack(empty, device=device).raster, [pose]
+    )
     assert (object_index == -1).all()
     truth = RayCaster([FAR_AWAY], sky=street().sky).look(pose, MODEL)
     np.testing.assert_allclose(rgb[0], truth.rgb, atol=1e-5)
@@ -165,40 +173,41 @@ def test_sky_is_graded_by_elevation(device):
 
 def test_vehicles_alone_have_no_images(device, rng):
     poses = poses_on_ego(rng, 8)
-    scene = packed_street(device)
+    scene = packed_street(device).raster
     renderer = Renderer([MODEL] * 8, device=device)
-    renderer.render(scene, *on_device(poses, device), content=Content.VEHICLES)
-    value = renderer.measure(scene).value.numpy()
-    for images in (renderer.rgb, renderer.depth_and_object):
-        with pytest.raises(ValueError, match="holds vehicles only"):
-            images(scene)
+    frame = renderer.render(scene, *on_device(poses, device), content=Content.OBJECTS)
+    value = frame.measure().value.numpy()
+    for images in (frame.colours, frame.depths_and_ids):
+        with pytest.raises(ValueError, match="holds objects only"):
+            images()
     assert ((value[..., AMODAL_AREA] > 0).sum(axis=0) > 0).sum() >= 5
     np.testing.assert_array_equal(value[..., VISIBLE_AREA], value[..., AMODAL_AREA])
-    renderer.render(scene, *on_device(poses, device))
-    np.testing.assert_array_equal(renderer.measure(scene).value.numpy()[..., AMODAL_AREA], value[..., AMODAL_AREA])
+    frame = renderer.render(scene, *on_device(poses, device))
+    np.testing.assert_array_equal(frame.measure().value.numpy()[..., AMODAL_AREA], value[..., AMODAL_AREA])
 
 
 def test_scene_without_vehicles(device, rng):
     scene = dataclasses.replace(street(), vehicles=())
     poses = poses_on_ego(rng, 2)
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     renderer = Renderer([MODEL] * 2, device=device)
-    assert_agrees(images_of(renderer, packed, poses), cast_scene(scene), poses, MODEL)
-    assert renderer.measure(packed).value.shape[:2] == (2, 0)
-    assert renderer.visible_masks(packed, [0, 1]) == [[], []]
+    frame = renderer.render(packed, *on_device(poses, device))
+    assert_agrees(images_in(frame), cast_scene(scene), poses, MODEL)
+    assert frame.measure().value.shape[:2] == (2, 0)
+    assert frame.visible_masks([0, 1]) == [[], []]
 
 
 def test_vehicle_behind_the_camera_is_not_seen(device):
     scene = dataclasses.replace(street(), vehicles=street().vehicles[:1])  # ahead of the ego vehicle
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     renderer = Renderer([MODEL], device=device)
-    renderer.render(packed, *on_device([camera_pose([0.0, 0.0, 1.8], math.pi)], device))
-    measures = renderer.measure(packed)
+    frame = renderer.render(packed, *on_device([camera_pose([0.0, 0.0, 1.8], math.pi)], device))
+    measures = frame.measure()
     value = measures.value.numpy()[0, 0]
     np.testing.assert_array_equal(value, [0.0, 0.0, 0.0, 128.0, 0.0, 128.0, 0.0])
-    assert not measures.per_shift.numpy().any()
-    assert not measures.per_spin.numpy().any()
-    assert not renderer.visible_masks(packed, [0])[0][0][2].any()
+    assert not measures.jac_translation.numpy().any()
+    assert not measures.jac_rotation.numpy().any()
+    assert not frame.visible_masks([0])[0][0][2].any()
 
 
 def test_more_vehicles_than_bits_in_a_mask(device, rng):
@@ -207,11 +216,12 @@ def test_more_vehicles_than_bits_in_a_mask(device, rng):
     vehicles = tuple(vehicle(k + 1, prototype, x, y, 0.1 * k) for k, (x, y) in enumerate(places))
     scene = Scene("crowd", FAR_AWAY, FAR_AWAY, vehicles)
     poses = [camera_pose([-6.0, 0.0, 4.0], 0.0, 0.2), camera_pose([14.0, -20.0, 3.0], 1.5, 0.1)]
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene, device=device).raster
     renderer = Renderer([MODEL] * 2, device=device)
-    _, object_index, _ = images = images_of(renderer, packed, poses)
+    frame = renderer.render(packed, *on_device(poses, device))
+    _, object_index, _ = images = images_in(frame)
     assert_agrees(images, cast_scene(scene), poses, MODEL)
-    area = renderer.measure(packed).value.numpy()[..., VISIBLE_AREA]
+    area = frame.measure().value.numpy()[..., VISIBLE_AREA]
     for k in range(40):
         np.testing.assert_array_equal(area[:, k], (object_index == 2 + k).sum(axis=(1, 2)))
     assert len(np.unique(object_index)) > 33
@@ -219,10 +229,10 @@ def test_more_vehicles_than_bits_in_a_mask(device, rng):
 
 def test_every_output_is_written(device, rng, monkeypatch):
     # fresh arrays are poisoned: what a kernel forgets to write stays NaN
-    scene, poses = packed_street(device), np.r_[poses_on_ego(rng, 3), random_poses(rng, 3)]
-    clean = Renderer([MODEL] * 6, device=device)
-    expected = images_of(clean, scene, poses)
-    expected_measures = clean.measure(scene)
+    scene, poses = packed_street(device).raster, np.r_[poses_on_ego(rng, 3), random_poses(rng, 3)]
+    clean = Renderer([MODEL] * 6, device=device).render(scene, *on_device(poses, device))
+    expected = images_in(clean)
+    expected_measures = clean.measure()
     empty = wp.empty
 
     def poisoned(*args, **kwargs):
@@ -235,23 +245,24 @@ def test_every_output_is_written(device, rng, monkeypatch):
         return array
 
     monkeypatch.setattr(wp, "empty", poisoned)
-    dirty = Renderer([MODEL] * 6, device=device)
-    for one, other in zip(images_of(dirty, scene, poses), expected, strict=True):
+    dirty = Renderer([MODEL] * 6, device=device).render(scene, *on_device(poses, device))
+    for one, other in zip(images_in(dirty), expected, strict=True):
         np.testing.assert_array_equal(one, other)
-    measures = dirty.measure(scene)
-    for name in ("value", "per_shift", "per_spin"):
+    measures = dirty.measure()
+    for name in ("value", "jac_translation", "jac_rotation"):
         # on a GPU sums are taken in one thread too, so they are equal bit by bit
         np.testing.assert_array_equal(getattr(measures, name).numpy(), getattr(expected_measures, name).numpy())
 
 
 def test_threads_do_not_change_a_bit(rng):
-    scene, poses = packed_street(), poses_on_ego(rng, 7)
+    scene, poses = packed_street().raster, poses_on_ego(rng, 7)
     results = []
     for thread_count in (1, 2, 3):
         renderer = Renderer([MODEL] * 7, supersampling=2, thread_count=thread_count)
-        images = images_of(renderer, scene, poses)
-        measures = renderer.measure(scene)
-        results.append([*images, *(getattr(measures, n).numpy() for n in ("value", "per_shift", "per_spin"))])
+        frame = renderer.render(scene, *on_device(poses, "cpu"))
+        images = images_in(frame)
+        measures = frame.measure()
+        results.append([*images, *(getattr(measures, n).numpy() for n in ("value", "jac_translation", "jac_rotation"))])
     for one, *others in zip(*results, strict=True):
         for other in others:
             np.testing.assert_array_equal(one, other)
@@ -259,26 +270,27 @@ def test_threads_do_not_change_a_bit(rng):
 
 def test_renders_do_not_leak_into_each_other(device, rng):
     poses = poses_on_ego(rng, 3)
-    many, few = packed_street(device), packed_street(device, 7, 1)
+    many, few = packed_street(device).raster, packed_street(device, 7, 1).raster
     used = Renderer([MODEL] * 3, device=device)
     first = images_of(used, many, poses)
-    images_of(used, few, poses)
-    used_measures = used.measure(few).value.numpy()
+    used_measures = used.render(few, *on_device(poses, device)).measure().value.numpy()
     assert np.count_nonzero(used_measures[..., AMODAL_AREA]) >= 3
     fresh = Renderer([MODEL] * 3, device=device)
     for one, other in zip(images_of(used, few, poses), images_of(fresh, few, poses), strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(used_measures, fresh.measure(few).value.numpy())
-    used.render(few, *on_device(poses, device), content=Content.VEHICLES)
+    fresh_measures = fresh.render(few, *on_device(poses, device)).measure().value.numpy()
+    np.testing.assert_array_equal(used_measures, fresh_measures)
+    used.render(few, *on_device(poses, device), content=Content.OBJECTS)
     for one, other in zip(images_of(used, many, poses), first, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_chosen_views_are_shown_in_order(device, rng):
-    scene, poses = packed_street(device), poses_on_ego(rng, 3)
+    scene, poses = packed_street(device).raster, poses_on_ego(rng, 3)
     renderer = Renderer([MODEL] * 3, device=device)
-    _, _, rgb = images_of(renderer, scene, poses)
-    np.testing.assert_array_equal(renderer.rgb(scene, [2, 0]).numpy(), rgb[[2, 0]])
+    frame = renderer.render(scene, *on_device(poses, device))
+    _, _, rgb = images_in(frame)
+    np.testing.assert_array_equal(frame.colours(views=[2, 0]).numpy(), rgb[[2, 0]])
 
 
 def test_render_images_takes_cameras_of_any_size(device, street_rays):

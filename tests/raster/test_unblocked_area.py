@@ -8,7 +8,7 @@ import pytest
 from tests.driving_scene import camera_pose
 from tests.raster.bodies import cuboid, rendered, scene_of
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 
 
 @pytest.mark.equation(17)
@@ -20,25 +20,25 @@ def test_unblocked_area_is_what_lies_outside_the_ego_silhouette(device, occlusio
     model = CameraModel(96, 64, math.radians(80.0))
     poses = np.array([camera_pose([0.1, 0.4 - 0.2 * k, 1.75], 0.05 * k, 0.1) for k in range(4)])
     scene = scene_of([car, other, pole], ego=bonnet)
-    packed, renderer = rendered(scene, poses, model, device, occlusion=occlusion, ego_blockage=True)
-    before = renderer.measure(packed).value.numpy().copy()
+    _, frame = rendered(scene, poses, model, device, occlusion=occlusion, foreground_layer=True)
+    before = frame.measure().value.numpy().copy()
     # the bonnet as a vehicle of its own: what each covers alone, as pixels
     apart = scene_of([car, other, pole, bonnet])
     alone = []
     for k in range(4):
-        one, drawer = rendered(scene_of([apart.vehicles[k].mesh]), poses, model, device)
+        _, drawn = rendered(scene_of([apart.vehicles[k].mesh]), poses, model, device)
         masks = np.zeros((4, 64, 96), bool)
-        for view, [(left, top, mask)] in enumerate(drawer.visible_masks(one, range(4))):
+        for view, [(left, top, mask)] in enumerate(drawn.visible_masks(range(4))):
             masks[view, top : top + mask.shape[0], left : left + mask.shape[1]] = mask
         alone.append(masks)
     expected = np.stack([(alone[k] & ~alone[3]).sum(axis=(1, 2)) for k in range(3)], axis=1)
-    measures = renderer.unblocked_area(packed)
+    measures = frame.unblocked_area()
     np.testing.assert_array_equal(measures.value.numpy()[..., 0], expected)
     assert (expected[:, 0] < alone[0].sum(axis=(1, 2))).all()
     # the pole stands nearer than the bonnet, which hides it all the same, as printed
     assert (expected[:, 2] < alone[2].sum(axis=(1, 2))).all()
     # it leaves what the renderer holds alone, and writes over an earlier result
-    np.testing.assert_array_equal(renderer.measure(packed).value.numpy(), before)
+    np.testing.assert_array_equal(frame.measure().value.numpy(), before)
     measures.value.fill_(math.nan)
-    assert renderer.unblocked_area(packed, into=measures) is measures
+    assert frame.unblocked_area(into=measures) is measures
     np.testing.assert_array_equal(measures.value.numpy()[..., 0], expected)

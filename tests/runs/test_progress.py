@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows
-from warpav.runs.verdict import ARM_ROWS, show_verdict
+from warpav.runs.verdict import ARM_ROWS, show_verdict, worse_than_start
 
 
 @dataclasses.dataclass
@@ -108,3 +108,24 @@ def test_nothing_is_redrawn_where_there_is_no_terminal_whatever_colours_are_aske
     console = RunDisplay().console
     assert not console.is_terminal
     assert not console.is_jupyter
+
+
+@pytest.mark.parametrize(
+    ("training", "recall", "expected"),
+    [
+        ({"start": 0.2, "optimised": 0.1}, {"mean": 0.1, "low": 0.0, "high": 0.2}, []),
+        ({"start": 0.2, "optimised": 0.2}, {"mean": -0.1, "low": -0.3, "high": 0.1}, []),  # nothing is certain
+        ({"start": 0.2, "optimised": 0.3}, {"mean": 0.1, "low": 0.0, "high": 0.2}, ["objective 0.3, its start 0.2"]),
+        ({"start": 0.2, "optimised": None}, {"mean": None, "low": None, "high": None}, ["objective -"]),
+        ({"start": 0.2, "optimised": 0.1}, {"mean": -0.2, "low": -0.3, "high": -0.1}, ["recall 0.7000"]),
+    ],
+)
+def test_what_is_worse_than_its_start_is_said(training, recall, expected):
+    evaluation = {
+        "arms": {"optimised": {"tp_detection_rate": 0.7}, "start": {"tp_detection_rate": 0.9}},
+        "paired": {"start": {"tp_detection_rate": recall}},
+        "training_objective": training,
+    }
+    found = worse_than_start(evaluation)
+    assert len(found) == len(expected)
+    assert all(text in line for text, line in zip(expected, found, strict=True))

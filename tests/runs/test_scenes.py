@@ -12,8 +12,8 @@ from tests.scene.test_store import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.runs.build import build
 from warpav.runs.config import load_config
+from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
@@ -72,7 +72,7 @@ def small_scene(seed):
 
 
 def test_made_scenes_stay_and_are_split(working_directory, monkeypatch, capsys):
-    monkeypatch.setattr("warpav.scene.town.town.town_scene", small_scene)
+    monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(small_scene, seeds))
     assert main(["scenes", "make", "--count", "2", "--out", "scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines == ["building scenes: 2", "scenes/scene_0.glb", "scenes/scene_1.glb"]
@@ -93,7 +93,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
             raise RuntimeError("the street\nis closed")
         return small_scene(seed)
 
-    monkeypatch.setattr("warpav.scene.town.town.town_scene", failing)
+    monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(failing, seeds))
     assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2:] == ["2 of 3 done; refused:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
@@ -105,7 +105,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
 
 @pytest.mark.parametrize("count", [5, 6, 9])
 def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, count):
-    monkeypatch.setattr("warpav.scene.town.town.town_scene", small_scene)
+    monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(small_scene, seeds))
     assert main(["scenes", "make", "--count", str(count), "--out", "scenes"]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
     if count < 6:
@@ -253,7 +253,7 @@ def problem(folder, *overrides):
     cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:
-        return build(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
+        return Placement.from_config(load_config("quick", [*files, *seeds, *cameras, *overrides])).prepare(display)
 
 
 def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
@@ -262,7 +262,7 @@ def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
     assert [one.scene.name for one in plain.train] == ["town_0003"]
     assert [one.scene.name for one in both.train] == ["town_0003", "town_0003_mirrored"]
     assert [one.scene.name for one in both.test] == [one.scene.name for one in plain.test] == ["town_0004"]
-    original, mirrored = (one.scene.layer_bounds_ego_m.numpy() for one in both.train)
+    original, mirrored = (one.scene.raster.layer_bounds_world_m.numpy() for one in both.train)
     expected = (original * [1.0, -1.0, 1.0])[:, ::-1]
     np.testing.assert_allclose(mirrored[0, :, [0, 2]], original[0, :, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(mirrored[0, :, 1], expected[0, :, 1], atol=1e-5)

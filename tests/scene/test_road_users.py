@@ -6,9 +6,9 @@ import pytest
 from tests.driving_scene import ego_mesh
 from tests.scene.test_glb import _tetrahedron
 from warpav.core.errors import InputError
-from warpav.raster.device_scene import DeviceScene
 from warpav.runs.config import load_config
 from warpav.runs.scene_set import load_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import ROAD_USERS, Box, Scene, Vehicle
 from warpav.scene.town.town import town_scene

@@ -11,7 +11,7 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.evaluation.coverage import Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Steepest
 from warpav.view.inspected import InspectedRig
@@ -117,11 +117,11 @@ def test_frames_and_scenes(state, tmp_path):
 
 
 def test_the_detector_is_asked_once_for_a_rig(state):
-    assert state.look is state.look
+    assert state.observation is state.observation
     state.coverage  # noqa: B018 (needs no detector)
     assert len(state.asked) == 1
     state.turn(0, 0.1)
-    state.look  # noqa: B018
+    state.observation  # noqa: B018
     assert len(state.asked) == 2
 
 
@@ -348,7 +348,9 @@ def test_the_view_shows_the_boxes_of_the_chosen_camera(inspector):
     scale = 300 / 256
     x0, y0, _, _ = (int(round(value * scale)) + 4 for value in FOUND_PX[0])
     assert tuple(view[y0, x0 + 10]) == FALSE_POSITIVE_RGB
-    x0, y0, _, _ = (int(round(float(value) * scale)) + 4 for value in inspector.state.look.cameras[0].truth_box_px[0])
+    x0, y0, _, _ = (
+        int(round(float(value) * scale)) + 4 for value in inspector.state.observation.cameras[0].truth_box_px[0]
+    )
     assert tuple(view[y0, x0 + 5]) == MISS_RGB
     assert (after[bottom - 40 : bottom, right - 40 : right] != before[bottom - 40 : bottom, right - 40 : right]).any()
     inspector.choose(None)

@@ -69,7 +69,7 @@ def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
     code = "from warpav.cli.app import main\nsys.exit(main(['inspect', 'nuscenes', '--out', 'x.png']))"
     done = _without_opengl(code, tmp_path, *window)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith("pictures need OpenGL: there is no display")
+    assert done.stderr.startswith("images need OpenGL: there is no display")
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 

@@ -374,7 +374,7 @@ def assert_one_line(capsys, message):
         (["3", "--out", "3.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, got 3"),
         (["four", "--out", "4.png"], "command line"),
         (["4"], "--out"),
-        (["4", "--out", "4.png", "--seed", "-1"], "--seed: expected an integer from 0, got -1"),
+        (["4", "--out", "4.png", "--seed", "-1"], r"command line \(--seed\): expected an integer from 0, got -1"),
         (["4", "--out", "4.png", "--capture", "nowhere"], "nowhere"),
         (["4", "--out", "4.png", "--capture", "a", "--seed", "1"], "expected either seed or capture, got both"),
         (["4", "--out", "4.png", "--scenes", "a"], "that goes with figure 8"),

@@ -23,13 +23,15 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     from warpav.runs.config import find_config, placed_config
     from warpav.runs.jobs import optimise_rig
     from warpav.runs.progress import RunDisplay
-    from warpav.runs.verdict import show_verdict
+    from warpav.runs.verdict import show_verdict, worse_than_start
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         show_verdict(display.console, evaluation)
+    for text in worse_than_start(evaluation):
+        complain(f"warning: {text}")
 
 
 def evaluate(

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA, Occlusion, Renderer
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene, object_index_of
 from warpav.scene.scene import Scene
 
 
@@ -67,14 +69,14 @@ def render_images(
             thread_count=thread_count,
         )
         transform = np.stack([cameras[i].ego_from_camera for i in group])
-        renderer.render(
-            packed,
+        frame = renderer.render(
+            packed.raster,
             wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=device),
         )
-        rgb = (renderer.rgb(packed).numpy() * 255.0 + 0.5).astype(np.uint8)
-        depth_m, object_index = (array.numpy() for array in renderer.depth_and_object(packed))
-        value = renderer.measure(packed).value.numpy()
+        rgb = (frame.rgb.numpy() * 255.0 + 0.5).astype(np.uint8)
+        depth_m, object_index = frame.depth_m.numpy(), object_index_of(frame.object_id.numpy())
+        value = frame.measure().value.numpy()
         for k, i in enumerate(group):
             pictures[i] = CameraImage(
                 rgb[k], depth_m[k], object_index[k], value[k, :, VISIBLE_AREA], value[k, :, AMODAL_AREA]

@@ -11,8 +11,8 @@ import warp as wp
 from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.matching import match_detections
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Renderer
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.detection import network_input as network_input_kernels
 
 
@@ -147,11 +147,11 @@ def detections_in(network_input: wp.array | np.ndarray, detector: Detector) -> l
 
 
 def visible_objects(
-    renderer: Renderer, scene: DeviceScene, *, forward_view: Sequence[int], min_area_px: int = 16
+    frame: Frame, scene: DeviceScene, *, forward_view: Sequence[int], min_area_px: int = 16
 ) -> VisibleObjects:
-    """Visible parts of the vehicles in the renderer's last render; arguments as in `observe`."""
-    masks = renderer.visible_masks(scene, forward_view)
-    samples = renderer.supersampling
+    """Visible parts of the vehicles in a render; arguments as in `observe`."""
+    masks = frame.visible_masks(forward_view)
+    samples = frame.supersampling
     truth_box_px = np.full((len(masks), scene.vehicle_count, 4), np.nan, np.float32)
     too_small_box_px = truth_box_px.copy()
     for camera, masks_of_camera in enumerate(masks):
@@ -168,7 +168,7 @@ def visible_objects(
 
 
 def observe(
-    renderer: Renderer,
+    frame: Frame,
     scene: DeviceScene,
     detector: Detector,
     *,
@@ -178,12 +178,12 @@ def observe(
     iou_min: float,
     min_area_px: int = 16,
 ) -> Observation:
-    """Run the detector on the renderer's last render, and match its boxes to the ground truth.
+    """Run the detector on a render, and match its boxes to the ground truth.
 
     A detection only matches a vehicle of its own kind of road user.
 
     Args:
-        renderer: Has rendered ``scene``.
+        frame: A render of ``scene``.
         scene: The scene.
         detector: Finds vehicles.
         image: Rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
@@ -196,8 +196,8 @@ def observe(
         The observation; nothing here carries a gradient.
     """
     if image is None:
-        image = renderer.rgb(scene, forward_view)
+        image = frame.colours(views=forward_view)
     detections = detections_in(network_input_of([image], detector), detector)
-    visible = visible_objects(renderer, scene, forward_view=forward_view, min_area_px=min_area_px)
+    visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
     match = visible.match(detections, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match)

@@ -21,8 +21,9 @@ import platformdirs
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.raster.device_scene import DeviceScene, UprightBoxes
-from warpav.raster.renderer import Measures, Renderer
+from warpav.raster.areas import Measures
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene, UprightBoxes
 from warpav_kernels.detection import detection_probability as kernels
 
 SCHEMA = 1
@@ -61,7 +62,7 @@ class Appearance:
     """What a render shows of every vehicle in every view, on the device; the render's buffers are free again.
 
     Attributes:
-        measures: From `Renderer.measure`.
+        measures: From `Frame.measure`.
         in_frame: Solid angle of every vehicle alone in every view [sr], float [view, vehicle, 1], with Jacobians.
         contrast: Of colours; it is held fixed while a view moves, float [view, vehicle].
         box: Boxes of the vehicles (and more).
@@ -79,7 +80,7 @@ class Appearance:
     @classmethod
     def of(
         cls,
-        renderer: Renderer,
+        frame: Frame,
         scene: DeviceScene,
         *,
         measures: Measures | None = None,
@@ -88,28 +89,28 @@ class Appearance:
         """Measure the last render; nothing is taped.
 
         Args:
-            renderer: Has rendered ``scene`` with all content.
+            frame: All content of ``scene``.
             scene: The scene.
-            measures: Of this render, from `Renderer.measure`; None: they are taken here.
+            measures: Of this render, from `Frame.measure`; None: they are taken here.
             image: Its colours in all views, 0..1, vec3 [view, row, column]; None: they are drawn here.
         """
-        device = renderer.device
+        device = frame.device
         if measures is None:
-            measures = renderer.measure(scene)
-        in_frame = renderer.window_area(scene, visible=False)
+            measures = frame.measure()
+        in_frame = frame.window_area(visible=False)
         if image is None:
-            image = renderer.rgb(scene)
-        _, object_index = renderer.depth_and_object(scene)
-        contrast = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=float, device=device)
+            image = frame.colours()
+        _, object_id = frame.depths_and_ids()
+        contrast = wp.zeros((frame.view_count, scene.vehicle_count), dtype=float, device=device)
         wp.launch(
             kernels.find_contrast_kernel,
             dim=contrast.shape,
-            inputs=[image, object_index, scene.layer_object, measures.value],
+            inputs=[image, object_id, measures.value],
             outputs=[contrast],
             device=device,
             record_tape=False,
         )
-        return cls(measures, in_frame, contrast, scene.upright_box, renderer.width_px, renderer.height_px)
+        return cls(measures, in_frame, contrast, scene.upright_box, frame.width_px, frame.height_px)
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,7 @@ class DetectionProbability:
         """Probabilities as a function of measures, however they came about, recorded on the active tape.
 
         Args:
-            measure: As `Renderer.measure` gives them, float [view, vehicle, measure]; BOX_AREA is not used.
+            measure: As `Frame.measure` gives them, float [view, vehicle, measure]; BOX_AREA is not used.
             in_frame_sr: Solid angle of every vehicle alone inside the image [sr], float [view, vehicle, 1].
             whole_sr: That of its whole box, from `whole_solid_angle` [sr], float [view, vehicle].
             contrast: As in `Appearance`, float [view, vehicle].

@@ -24,11 +24,12 @@ from warpav.detection.probability import (
     natural_range,
     spline_basis,
 )
+from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import VISIBLE_AREA, Renderer
+from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
 
 KNOT_COUNT = 9
 PENALTIES = (0.3, 3.0, 30.0, 300.0)
@@ -143,10 +144,10 @@ def sample_detections(
     turn = transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
     camera_from_ego = wp.array(turn, dtype=wp.mat33, device=device)
     renderer.set_lenses([camera.model for camera in cameras])
-    renderer.render(scene, position_ego_m, camera_from_ego)
-    image = renderer.rgb(scene)
+    frame = renderer.render(scene.raster, position_ego_m, camera_from_ego)
+    image = frame.colours()
     observation = observe(
-        renderer,
+        frame,
         scene,
         detector,
         image=image,
@@ -154,7 +155,7 @@ def sample_detections(
         confidence_min=confidence_min,
         iou_min=iou_min,
     )
-    appearance = Appearance.of(renderer, scene, image=image)
+    appearance = Appearance.of(frame, scene, image=image)
     seen = DetectionProbability.blank().on_tape(appearance, position_ego_m, camera_from_ego)
     is_visible = appearance.measures.value.numpy()[:, :, VISIBLE_AREA] >= 1.0
     is_detected = observation.match[is_visible] >= 0

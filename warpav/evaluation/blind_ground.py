@@ -11,8 +11,8 @@ import numpy as np
 
 from warpav.evaluation.coverage import CELL_M, HEIGHTS_M, RADIUS_M, Ground
 from warpav.evaluation.metrics import SECTORS, sectors_of
-from warpav.raster.device_scene import DeviceScene
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 
 DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, RADIUS_M)
 """Bands of the distance from the centre of the ego vehicle [m]; a band includes its lower edge, the last one both."""

@@ -15,9 +15,9 @@ from functools import cache, cached_property
 import numpy as np
 import warp as wp
 
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import available_cores
+from warpav.raster.buffers import available_cores
 from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.evaluation import ground as kernels
 
 HEIGHTS_M = (1.1, 1.7)
@@ -71,13 +71,13 @@ class Ground:
         """
         if not (radius_m > 0.0 and cell_m > 0.0):
             raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
-        low_m, high_m = scene.layer_bounds_ego_m.numpy()[scene.ego_layer]
+        low_m, high_m = scene.raster.layer_bounds_world_m.numpy()[scene.raster.foreground_layer]
         centre_m = 0.5 * (low_m + high_m)[:2].astype(np.float64)
         steps = np.arange(-int(radius_m / cell_m), int(radius_m / cell_m) + 1)
         x_m, y_m = centre_m[0] + cell_m * steps, centre_m[1] + cell_m * steps
         position_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
         distance_m = np.linalg.norm(position_m - centre_m, axis=-1)
-        device, count = scene.layer_object.device, distance_m.size
+        device, count = scene.raster.device, distance_m.size
         ground_m = wp.empty(count, dtype=float, device=device)
         headroom_m = wp.empty(count, dtype=float, device=device)
         highest_m = (_HIGHEST_M + _GRADE_MAX * distance_m).astype(np.float32)
@@ -85,7 +85,7 @@ class Ground:
             kernels.ground_kernel,
             dim=count,
             inputs=[
-                scene.mesh.id,
+                scene.raster.mesh.id,
                 _ENVIRONMENT,
                 wp.array(position_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
                 -_DEPTH_M,
@@ -168,12 +168,12 @@ def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, n
     Returns:
         Share of the distance up to the first occluder, float32 [point]; 1 for an unobstructed line of sight.
     """
-    device, count = wp.get_device(scene.layer_object.device), len(end_m)
+    device, count = scene.raster.device, len(end_m)
     if count == 0:
         return np.zeros(0, np.float32)
     end = wp.array(np.asarray(end_m, np.float32), dtype=wp.vec3, device=device)
     share = wp.empty(count, dtype=float, device=device)
-    mesh = scene.mesh.id  # built before the threads use it
+    mesh = scene.raster.mesh.id  # built before the threads use it
 
     def launch(first: int) -> None:
         wp.launch(

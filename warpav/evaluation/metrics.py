@@ -25,9 +25,11 @@ from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.mount import CameraMount, views_of_rig
 from warpav.optimisation.objective import RigObjective
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import AMODAL_AREA, Measures, Occlusion, Renderer
+from warpav.raster.areas import AMODAL_AREA, Measures
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 
 # metrics defined per scene, so that rigs can be compared scene by scene
 PAIRED_METRICS = (
@@ -268,10 +270,10 @@ class RigObserver:
         observations, area_px = [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
-            renderer.render(scene, views.position_ego_m, views.camera_from_ego)
+            frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
             forward_view = list(range(len(part.cameras)))
             observation = observe(
-                renderer,
+                frame,
                 scene,
                 self._detector,
                 forward_view=forward_view,
@@ -279,7 +281,7 @@ class RigObserver:
                 iou_min=self._iou_min,
             )
             observations.append(observation)
-            area_px.append(_amodal_area_px(renderer.measure(scene), forward_view))
+            area_px.append(_amodal_area_px(frame.measure(), forward_view))
         return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
 
 

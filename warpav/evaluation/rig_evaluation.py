@@ -14,7 +14,7 @@ from warpav.evaluation.statistics import Difference, paired_difference, paired_d
 from warpav.rig.rig import Rig
 
 if TYPE_CHECKING:
-    import pandas
+    import pandas  # pyright: ignore[reportMissingImports]
 
 TABLE_ROWS = {
     "rig_recall": "recall of the rig",
@@ -149,7 +149,7 @@ class RigEvaluation:
             ImportError: pandas is not installed.
         """
         try:
-            import pandas
+            import pandas  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
         skipped = ("recall_by", "per_scene")

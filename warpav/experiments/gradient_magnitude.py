@@ -29,7 +29,9 @@ LOSS_OF = {
 
 THESIS_RUNS = 10
 THESIS_ITERATIONS = 100
-THESIS_SETTINGS = OptimiserSettings(learning_rate_yaw_deg=math.degrees(0.25))
+THESIS_SETTINGS = OptimiserSettings(
+    learning_rate_position_m=0.25, learning_rate_yaw_deg=math.degrees(0.25), weight_decay=1e-3
+)
 THESIS_BATCH_SIZE = 1
 
 

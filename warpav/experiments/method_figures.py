@@ -17,11 +17,9 @@ from warpav.core.progress import Progress
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion
+from warpav.raster.decide import Occlusion
 from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
-from warpav.runs.build import build
 from warpav.runs.config import Config, changed_config
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
@@ -31,6 +29,7 @@ from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene_set, load_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
 from warpav.view.figures.detections import DetectionPanel
@@ -175,7 +174,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         InputError: Something in the input is wrong.
     """
     if run is None:
-        placement = build(config).prepare(progress)
+        placement = Placement.from_config(config).prepare(progress)
         descent, count = Optimisation.begin(placement).descent, config.run.iterations
         for _ in progress.steps("optimising", range(count), count=count):
             if descent.verdict is None:
@@ -183,7 +182,8 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)
     else:
-        start, result = run.rig("initial"), run.rig()
+        # the rig that was found, even where the run hands over its start because that is better
+        start, result = run.rig("initial"), run.rig("final" if config.optimiser.keep == "last" else "best")
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
     observer = _Observer(config, progress)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.raster.device_scene import DeviceScene
 from warpav.rig.rig import Rig
+from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -386,7 +386,7 @@ class ZoneAndSpacing(Constraints):
         pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
         return np.flatnonzero(~np.concatenate([is_frozen, is_frozen[pairs].all(axis=1)])).astype(np.int32)
 
-    def _on_device(self, name: str, device: wp.Device) -> wp.array:
+    def _on_device(self, name: str, device: Any) -> wp.array:  # noqa: ANN401 (Warp's)
         """``raster``, the distances to the border, or ``kept``, the losses that count; copied to a device once."""
         key = (name, str(device))
         if key not in self._arrays:

@@ -42,6 +42,7 @@ class Exchange:
         panorama_share: See `LossSchedule`, float [1].
         detector_share: Likewise, float [1].
         weight: Of each loss of a scene in the gradient, float [loss].
+        weights: The same one by one, float [1] each.
         count: What each loss is a mean over in the batch, float [loss].
         batch_loss: Every loss, summed over the scenes that are done, float64 [loss].
         host_weight: As ``weight``, of the losses that the host computes.
@@ -55,11 +56,12 @@ class Exchange:
         sizes = [camera_count * MOUNT_POSE_SIZE, constraint_count, 1, 1, loss_count, loss_count, 1]
         ends = np.cumsum([0, *sizes])
         self._sent = wp.zeros(int(ends[-1]), dtype=float, device=device, requires_grad=True)
-        parts = [self._sent[int(a) : int(b)] for a, b in itertools.pairwise(ends)]
+        parts = [_slice(self._sent, int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.pose, self.multiplier = parts[0].reshape(self._shape), parts[1]
         self.panorama_share, self.detector_share, self.weight, self.count, _ = parts[2:]
         assert self._sent.grad is not None
-        self._gradient = self._sent.grad[: int(ends[2])]
+        self._gradient = _slice(self._sent.grad, 0, int(ends[2]))
+        self.weights = [_slice(self.weight, k, k + 1) for k in range(loss_count)]
         self.host_weight: tuple[float, ...] = ()
         self.batch_loss = wp.zeros(loss_count, dtype=wp.float64, device=device)
         self._mean_loss = wp.zeros(loss_count, dtype=float, device=device)
@@ -139,3 +141,10 @@ class Exchange:
             constraints.copy(),
             float(total_loss[0]),
         )
+
+
+def _slice(array: wp.array, first: int, end: int) -> wp.array:
+    """A part of an array, in the same memory, with the same part of its gradient."""
+    part = array[first:end]
+    assert isinstance(part, wp.array)
+    return part

@@ -261,7 +261,7 @@ class CameraMount:
         return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
 
     def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
-        """The field of view of each camera as a window of each view of its panorama, for `Renderer.window_area`.
+        """The field of view of each camera as a window of each view of its panorama, for `Frame.window_area`.
 
         A field of view becomes a rectangle of azimuth and elevation around the optical axis. Recorded on the active
         tape; gradients flow to the views' rotations and zooms.

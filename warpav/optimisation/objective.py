@@ -27,7 +27,9 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnT
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.optimisation.scene_step import Objective, RigViews, SceneLosses, SceneStep
-from warpav.raster.renderer import Measures, Occlusion, Renderer
+from warpav.raster.areas import Measures
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 
 # Images of so many scenes go to the detector together, while as many others are rendered.
@@ -338,7 +340,7 @@ class RigObjective:
                     supersampling=self.supersampling,
                     occlusion=self.occlusion,
                     device=self.device,
-                    ego_blockage=self._needs(schedule).unblocked_area,
+                    foreground_layer=self._needs(schedule).unblocked_area,
                 )
                 for _ in range(self._renderer_count(rotation_count))
             ]
@@ -401,7 +403,7 @@ class RigObjective:
             step.observe()
             sight, cameras = None, []
             if needs.detections or needs.true_boxes:
-                sight = visible_objects(views.renderers[slot], step.scene, forward_view=views.ahead)
+                sight = visible_objects(step.frame, step.scene, forward_view=views.ahead)
                 step.set_true_boxes(sight.truth_box_px)
                 cameras = self._cameras_that_matter(sight, assigned, needs.detections)
             observed.append(_Observed(step, sight, cameras))
@@ -479,9 +481,9 @@ class RigObjective:
             mount=self.mount,
         )
         scene, renderer = assigned.scene, at.renderers[0]
-        renderer.render(scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
+        frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom)
         observation = observe(
-            renderer,
+            frame,
             scene,
             self.detector,
             forward_view=at.ahead,
@@ -490,10 +492,10 @@ class RigObjective:
         )
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[at.ahead] = observation.matched_box_px()
-        measures = renderer.measure(scene, wp.array(box_px, dtype=wp.vec4, device=self.device))
+        measures = frame.measure(wp.array(box_px, dtype=wp.vec4, device=self.device))
         seen = SceneOnTape(
             self.mount,
-            renderer,
+            frame,
             scene,
             views,
             measures,

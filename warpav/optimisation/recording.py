@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import warp as wp
 
+from warpav.raster.buffers import RenderState
 from warpav.raster.graph import record_graph
-from warpav.raster.renderer import Held, Renderer
+from warpav.raster.renderer import Renderer
 
 
 class Recording:
@@ -29,7 +30,7 @@ class Recording:
         self._renderer = renderer
         self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled
         self._graph: wp.Graph | None = None
-        self._held: Held | None = None
+        self._state: RenderState | None = None
         self._generation = -1
 
     def __call__(self) -> None:
@@ -41,6 +42,6 @@ class Recording:
             return
         if self._graph is None:
             self._graph = record_graph(self._function, self._renderer.device)
-            self._held = self._renderer.held
+            self._state = self._renderer.state
         wp.capture_launch(self._graph)
-        self._renderer.held = self._held
+        self._renderer.state = self._state

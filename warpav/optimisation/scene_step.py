@@ -97,6 +97,7 @@ class SceneStep:
         scene: The scene.
         observe: Renders the scene from the present views.
         image: What the cameras see ahead after `observe`, until the renderer's next, 0..1, vec3 [camera, row, column].
+        frame: The render of the last `observe`; stale after the renderer's next.
     """
 
     def __init__(
@@ -166,16 +167,18 @@ class SceneStep:
 
     def _render(self) -> None:
         views = self._views.placed
-        self._renderer.render(self.scene, views.position_ego_m, views.camera_from_ego, log_zoom=views.log_zoom)
-        self._renderer.rgb(self.scene, self._views.ahead, into=self.image)
+        self.frame = self._renderer.render(
+            self.scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom
+        )
+        self.frame.colours(views=self._views.ahead, into=self.image)
 
     def _on_tape(self) -> SceneOnTape:
         return SceneOnTape(
             self._views.mount,
-            self._renderer,
+            self.frame,
             self.scene,
             self._views.placed,
-            self._renderer.measure(self.scene, self._box_px),
+            self.frame.measure(self._box_px),
             self._assigned_camera,
             self._assigned_on_device,
             self._detected,
@@ -199,8 +202,7 @@ class SceneStep:
                 values.append(value)
                 for array, part in gradient.items():
                     gradients[array] = part if array not in gradients else _sum(gradients[array], part)
-        weight = self._exchange.weight
-        tape.backward(grads={**{loss: weight[k : k + 1] for k, loss in enumerate(losses)}, **gradients})
+        tape.backward(grads={**dict(zip(losses, self._exchange.weights, strict=True)), **gradients})
         self._keep(scene, losses, values)
 
     def _evaluate(self) -> None:

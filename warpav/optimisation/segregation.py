@@ -12,9 +12,11 @@ import warp as wp
 
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.optimisation.assignment import AssignedScene
+from warpav.raster.areas import AMODAL_AREA
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import AMODAL_AREA, Content, Renderer
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,8 @@ def areas_around(
     position_ego_m = wp.array(place, dtype=wp.vec3, device=device)
     areas = []
     for scene in scenes:
-        renderer.render(scene, position_ego_m, camera_from_ego, content=Content.VEHICLES)
-        areas.append(renderer.measure(scene).value.numpy()[:, :, AMODAL_AREA].T)
+        frame = renderer.render(scene.raster, position_ego_m, camera_from_ego, content=Content.OBJECTS)
+        areas.append(frame.measure().value.numpy()[:, :, AMODAL_AREA].T)
     return areas
 
 

@@ -60,7 +60,7 @@ def evaluate_starts(
     *,
     known: np.ndarray,
 ) -> list[Start]:
-    """Evaluate a known rig, `first_rigs`, and at one made of the best cameras of all of them; the best come first.
+    """Evaluate a known rig, `first_rigs`, and one made of the best cameras of all of them; the best come first.
 
     The last one is made where the objective tells which camera finds which object: single cameras are exchanged for
     those of other rigs as long as that lowers the expected number of missed objects (`exchange_cameras`). It costs no

@@ -15,17 +15,43 @@ MAX_COUNT = 2**31 - 1
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh on the host.
+    """A triangle mesh on the host: ``Mesh(vertices, faces, rgb)``.
+
+    Anything array-like will do: numbers are stored with the types below, and one colour [3] is given to every vertex.
 
     Attributes:
         vertex_m: Vertex positions [m], float32, shape [vertex, 3], in the frame that the owner states.
         triangle: Vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside.
         vertex_rgb: sRGB colour per vertex, uint8, shape [vertex, 3].
+
+    Raises:
+        InputError: Indices that are not whole or need more than 32 bits, or colours outside 0..255. Whether the mesh
+            can be drawn is for `check` to say, which `Scene` asks.
+        TypeError: Something that holds no numbers.
     """
 
     vertex_m: np.ndarray
     triangle: np.ndarray
     vertex_rgb: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Give the arrays their types; those that have them already are kept as they are."""
+        kept = (("vertex_m", np.float32), ("triangle", np.int32), ("vertex_rgb", np.uint8))
+        if all(isinstance(a := getattr(self, name), np.ndarray) and a.dtype == dtype for name, dtype in kept) and (
+            self.vertex_rgb.ndim == 2
+        ):
+            return
+        vertex, index, colour = (_numbers(getattr(self, name), name) for name, _ in kept)
+        _refuse(~((colour >= 0) & (colour <= 255)), colour, "mesh: colours must be 0..255", "vertex_rgb")
+        _refuse(index % 1 != 0, index, "mesh: triangle indices must be whole", "triangle")
+        _refuse(np.abs(index) > MAX_COUNT, index, f"mesh: triangle indices must be below {MAX_COUNT}", "triangle")
+        with np.errstate(over="ignore"):  # what 32 bits cannot hold is infinite
+            vertex = np.ascontiguousarray(vertex, np.float32)
+        colour = np.ascontiguousarray(colour, np.uint8)
+        if colour.shape == (3,):
+            colour = np.tile(colour, (len(vertex), 1))
+        for (name, dtype), array in zip(kept, (vertex, index, colour), strict=True):
+            object.__setattr__(self, name, np.ascontiguousarray(array, dtype))
 
     @classmethod
     def create(cls, vertex_m: object, triangle: object, vertex_rgb: object, *, name: str = "mesh") -> Mesh:
@@ -53,7 +79,7 @@ class Mesh:
         colour = np.ascontiguousarray(colour, dtype=np.uint8)
         if colour.ndim == 1:
             colour = np.tile(colour, (len(vertex), 1))
-        cls(vertex, index, colour).check(name)  # before 32 bits cut the indices
+        _check(vertex, index, colour, name)  # before 32 bits cut the indices
         _refuse(index % 1 != 0, index, f"{name}: triangle indices must be whole", "triangle")
         return cls(vertex, np.ascontiguousarray(index, dtype=np.int32), colour)
 
@@ -63,20 +89,7 @@ class Mesh:
         Raises:
             InputError: No triangles, non-finite positions, an index out of range, or shapes that do not fit.
         """
-        vertex, index = self.vertex_m, self.triangle
-        if vertex.ndim != 2 or vertex.shape[1] != 3:
-            raise InputError(f"{name}: expected vertices of shape [n, 3], got {list(vertex.shape)}")
-        if index.ndim != 2 or index.shape[1:] != (3,) or len(index) == 0:
-            raise InputError(f"{name}: expected at least one triangle of three indices, got {list(index.shape)}")
-        if self.vertex_rgb.shape != vertex.shape:
-            shapes = f"{list(vertex.shape)}, got {list(self.vertex_rgb.shape)}"
-            raise InputError(f"{name}: expected colours of shape {shapes}")
-        bad = ~np.isfinite(vertex)
-        count = f"{np.count_nonzero(bad.any(axis=1))} of {len(vertex)}"
-        _refuse(bad, vertex, f"{name}: {count} vertices are NaN or infinite; repair the mesh first", "vertex_m")
-        bad = ~((index >= 0) & (index < len(vertex)))
-        limits = f"0..{len(vertex) - 1}, got {index.min()}..{index.max()}"
-        _refuse(bad, index, f"{name}: triangle indices must be {limits}", "triangle")
+        _check(self.vertex_m, self.triangle, self.vertex_rgb, name)
 
     def transformed(self, rotation: np.ndarray, translation_m: np.ndarray) -> Mesh:
         """The mesh with every vertex v mapped to ``rotation @ v + translation_m``; [3, 3] and [3]."""
@@ -110,6 +123,30 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate([mesh.triangle + np.int32(offset) for mesh, offset in zip(meshes, first, strict=False)]),
         np.concatenate([mesh.vertex_rgb for mesh in meshes]),
     )
+
+
+def _numbers(values: object, name: str) -> np.ndarray:
+    array = np.asarray(values)
+    if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
+        raise TypeError(f"mesh: expected numbers in {name}, got {type(values).__name__} of {array.dtype}")
+    return array
+
+
+def _check(vertex: np.ndarray, index: np.ndarray, colour: np.ndarray, name: str) -> None:
+    """See `Mesh.check`."""
+    if vertex.ndim != 2 or vertex.shape[1] != 3:
+        raise InputError(f"{name}: expected vertices of shape [n, 3], got {list(vertex.shape)}")
+    if index.ndim != 2 or index.shape[1:] != (3,) or len(index) == 0:
+        raise InputError(f"{name}: expected at least one triangle of three indices, got {list(index.shape)}")
+    if colour.shape != vertex.shape:
+        shapes = f"{list(vertex.shape)}, got {list(colour.shape)}"
+        raise InputError(f"{name}: expected colours of shape {shapes}")
+    bad = ~np.isfinite(vertex)
+    count = f"{np.count_nonzero(bad.any(axis=1))} of {len(vertex)}"
+    _refuse(bad, vertex, f"{name}: {count} vertices are NaN or infinite; repair the mesh first", "vertex_m")
+    bad = ~((index >= 0) & (index < len(vertex)))
+    limits = f"0..{len(vertex) - 1}, got {index.min()}..{index.max()}"
+    _refuse(bad, index, f"{name}: triangle indices must be {limits}", "triangle")
 
 
 def _refuse(bad: np.ndarray, values: np.ndarray, what: str, array: str) -> None:

@@ -27,12 +27,13 @@ from warpav.detection.probability_fit import (
     score,
 )
 from warpav.raster.chunks import chunk_view_count
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Occlusion, Renderer
+from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
 from warpav.runs.mounts import camera_model, free_ranges, mount_surface
 from warpav.runs.networks import detector_use, load_detector
 from warpav.runs.scene_set import load_scenes
+from warpav.scene.device_scene import DeviceScene
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector

@@ -218,10 +218,11 @@ def gradient_error(device: str) -> tuple[float, float]:
     import warp as wp
 
     from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
+    from warpav.raster.areas import VISIBLE_AREA
     from warpav.raster.camera import CameraModel
-    from warpav.raster.device_scene import DeviceScene
     from warpav.raster.mesh import Mesh
-    from warpav.raster.renderer import VISIBLE_AREA, Renderer
+    from warpav.raster.renderer import Renderer
+    from warpav.scene.device_scene import DeviceScene
     from warpav.scene.scene import Box, Scene, Vehicle
 
     def block(centre_m: tuple[float, float, float], size_m: tuple[float, float, float]) -> Mesh:
@@ -239,17 +240,18 @@ def gradient_error(device: str) -> tuple[float, float]:
         """Visible area [px^2] at poses (x, y, z, yaw), shape [view, 4], and its gradient, [view, 4]."""
         rotation = np.stack([rotation_from_yaw_pitch_roll(pose[3], 0.15, 0.3) @ FLU_FROM_RDF for pose in poses])
         renderer = Renderer([CameraModel(256, 256)] * len(poses), supersampling=supersampling, device=device)
-        renderer.render(
-            packed,
+        frame = renderer.render(
+            packed.raster,
             wp.array(poses[:, :3].astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(rotation.transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=device),
         )
-        measures = renderer.measure(packed)
-        value, per_shift, per_spin = (
-            array.numpy()[:, 0, VISIBLE_AREA] for array in (measures.value, measures.per_shift, measures.per_spin)
+        measures = frame.measure()
+        value, translation, rotation_about = (
+            array.numpy()[:, 0, VISIBLE_AREA]
+            for array in (measures.value, measures.jac_translation, measures.jac_rotation)
         )
         down_camera = -rotation[:, 2]  # turning the camera left turns the world about it the other way
-        return value, np.concatenate([per_shift, (per_spin * down_camera).sum(axis=1, keepdims=True)], axis=1)
+        return value, np.concatenate([translation, (rotation_about * down_camera).sum(axis=1, keepdims=True)], axis=1)
 
     pose = np.array([[0.3, -0.2, 1.7, 0.1]])
     _, gradient = visible_area(pose, SELF_TEST_SUPERSAMPLING)

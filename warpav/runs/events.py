@@ -56,7 +56,7 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
     return events
 
 
-def trajectory(events: Sequence[dict[str, Any]]) -> np.ndarray | None:
+def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
     """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
 
     Of several descents it is the way of the one that came upon the best rig.

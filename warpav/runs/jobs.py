@@ -10,10 +10,10 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.optimisation.history import IterationRecord
-from warpav.runs.build import build
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
+from warpav.runs.placement import Placement
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
@@ -36,7 +36,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
     """
     timer = StageTimer()
     check_new_run(config)
-    placement = build(config).prepare(progress)
+    placement = Placement.from_config(config).prepare(progress)
     timer.end("scenes and detector")
     optimisation = Optimisation.begin(placement, progress=progress)
     timer.end("looking for a start")
@@ -87,7 +87,7 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, progress
         raise ArgumentError(
             "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
         )
-    placement = build(config).prepare(progress)
+    placement = Placement.from_config(config).prepare(progress)
     rig = find_rig(source, config, placement.ego)
     began_as = rig
     if is_run_folder(source):

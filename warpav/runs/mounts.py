@@ -8,6 +8,8 @@ import math
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
 from warpav.raster.camera import CameraModel
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
     from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
     from warpav.raster.mesh import Mesh
+
+SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 
 
 def camera_model(config: Config) -> CameraModel:
@@ -153,3 +157,26 @@ def _as_frozen(model: CameraModel) -> str:
     numbers = ",".join(f"{value:g}" for value in model.distortion)
     angle = f" camera.fov_deg={math.degrees(model.fov_rad):g}"
     return f"set {options} camera.lens={model.lens}{angle} camera.distortion=[{numbers}]"
+
+
+def with_shared_model(rig: Rig, config: Config, *, name: str) -> Rig:
+    """A rig from a file, its cameras completed by the camera model of a configuration.
+
+    They take its near plane, which files do not hold, and the model itself where they differ by rounding alone.
+
+    Args:
+        rig: The rig.
+        config: The configuration.
+        name: Name of the result.
+    """
+    shared = camera_model(config)
+    cameras = [dataclasses.replace(camera, model=_completed(camera.model, shared)) for camera in rig.cameras]
+    return Rig.create(cameras, name=name)
+
+
+def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
+    """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
+    model = dataclasses.replace(model, near_m=shared.near_m)
+    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared
+    return shared if is_shared else model

@@ -103,6 +103,6 @@ def load_networks(config: Config) -> Networks:
     device = checked_device(config.device)
     detector = load_detector(config)
     differentiable = None
-    if config.losses.detector_gradient > 0.0:
+    if config.losses.weights["detector_gradient"] > 0.0:
         differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
     return Networks(detector, differentiable)

@@ -1,7 +1,7 @@
 """The task of placing cameras: scenes, a vehicle, cameras, a detector and an objective, joined.
 
 `Placement` is what `warpav.optimise` and `warpav.evaluate` take. It can be made of objects, or of a configuration
-(`warpav.runs.build.build`); both ways lead to the same objects.
+(`Placement.from_config`); both ways lead to the same objects.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras, assign_vehicles, nearest_cameras
-from warpav.optimisation.losses.detected_area import Reference
+from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import Loss, LossSchedule
-from warpav.optimisation.losses.registry import LOSSES, LossOptions, losses_of
+from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import Segregation, choose_orientations
-from warpav.raster.device_scene import DeviceScene
+from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
-from warpav.raster.renderer import Occlusion
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.mounts import checked_frozen, constraints_of
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
-from warpav.runs.scene_set import SceneSet, checked_vehicle, own_vehicle, pack_scenes
+from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -134,6 +135,7 @@ class Placement:
         freeze: str | Sequence[str] = (),
         rig: RigConfig | Mapping[str, Any] | None = None,
         losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
+        probability: DetectionProbability | None = None,
         config: Config | None = None,
     ) -> None:
         """A placement from objects.
@@ -152,6 +154,8 @@ class Placement:
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+            probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
+                None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
 
         Raises:
@@ -205,6 +209,7 @@ class Placement:
             names or found.rig.freeze,
             mesh,
             networks=None if own_detector is None else Networks(own_detector, None),
+            probability=probability,
             losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
             has_own_detector=own_detector is not None,
             has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),
@@ -212,6 +217,22 @@ class Placement:
         self._own: tuple[list[Scene], list[Scene]] | None = (train, validation)
         self._load = _packer(train, validation, self._parts)
         self._prepared: _Prepared | None = None
+
+    @classmethod
+    def from_config(cls, config: Config, *, start: Rig | None = None) -> Placement:
+        """The placement that a configuration describes; nothing is written.
+
+        The rig of ``rig.start`` is read now, scenes and detector when they are first needed.
+
+        Args:
+            config: The configuration.
+            start: The rig that ``rig.start`` means, where it has been read already.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)
+        return cls.of(parts, lambda progress: load_scene_set(config, progress))
 
     @classmethod
     def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:

@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import in_background
@@ -194,11 +192,11 @@ def _drawing(
     arrows: bool = True,
     visibility: bool = False,
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    from warpav.runs.inspect import DrawnRun, rigs_of_events
+    from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
     placement, events = result.placement, [asdict(record) for record in result.records]
     frames = rigs_of_events(events, result.rig, place="result")
-    scene = placement.shown if scene is None else scene.around(placement.shown.ego)
+    scene = placement.shown if scene is None else next(placement.as_seen([scene]))
     run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
     return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 
@@ -377,23 +375,3 @@ def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]
         "objective": [candidate.training_objective for candidate in candidates],
         "objective_iteration": [candidate.iteration for candidate in candidates],
     }
-
-
-@drawing_of.register(Result)
-def _drawing(
-    result: Result,
-    canvas: Canvas,
-    *,
-    scene: Scene | None = None,
-    visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    scene = result.placement.shown if scene is None else next(result.placement.as_seen([scene]))
-    steps = [record.positions_m for record in result.records if record.descent == result._kept.descent]
-    has_path = len(steps) > 1 and not result.is_worse_than_start
-    return drawing_of(
-        result.rig,
-        canvas,
-        scene=scene,
-        trajectory_m=np.array(steps) if has_path else None,
-        visibility=visibility,
-    )

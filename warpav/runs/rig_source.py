@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from warpav.core.errors import InputError
-from warpav.raster.camera import CameraModel
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
 from warpav.rig.rig import Rig
 from warpav.runs.config import NAMED_STARTS, Config, placed_config
-from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of
+from warpav.runs.mounts import camera_mount, checked_frozen, constraints_of, with_shared_model
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
-
-SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 
 
 def is_run_folder(source: str) -> bool:
@@ -56,14 +50,7 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
 
         mount = camera_mount(config, ego)
         return mount.rig(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras))
-    shared = camera_model(config)
-    return Rig.create(
-        [
-            dataclasses.replace(camera, model=_completed(camera.model, shared))
-            for camera in find_file_rig(source).cameras
-        ],
-        name=source,
-    )
+    return with_shared_model(find_file_rig(source), config, name=source)
 
 
 def config_for(
@@ -124,11 +111,3 @@ def read_start(config: Config) -> Rig | None:
         )
     checked_frozen(config, rig, config.rig.freeze)
     return rig
-
-
-def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
-    """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
-    model = dataclasses.replace(model, near_m=shared.near_m)
-    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
-    is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared
-    return shared if is_shared else model

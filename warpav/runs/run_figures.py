@@ -234,7 +234,7 @@ def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> 
 def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Scene) -> None:
     import cv2
 
-    from warpav.raster.device_scene import EGO, FIRST_VEHICLE
+    from warpav.scene.device_scene import EGO, FIRST_VEHICLE
 
     value_of_object = np.full(FIRST_VEHICLE + len(scene.vehicles) + 1, OBJECT_BACKGROUND, np.uint16)  # last: nothing
     value_of_object[EGO] = OBJECT_EGO

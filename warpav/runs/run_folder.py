@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.rig.rig import Rig
+    from warpav.runs.drawn_run import DrawnRun
     from warpav.scene.scene import Scene
 
     MultiBlock = Any
@@ -256,6 +257,26 @@ class RunFolder:
             + ("; was it removed?" if len(roles) == 1 and role is None else "; the run has none yet")
         )
 
+    def drawn(self, config: Config | None = None, *, scene: Scene | None = None) -> DrawnRun:
+        """The run as its images show it.
+
+        Args:
+            config: Names the scene; None: the configuration of the run.
+            scene: Traffic and street; None: the first test scene.
+
+        Raises:
+            InputError: A file of the folder is missing or cannot be used.
+        """
+        from warpav.runs.drawn_run import DrawnRun, rigs_of_events
+        from warpav.runs.mounts import mount_surface, with_shared_model
+        from warpav.runs.scene_set import load_scenes
+
+        config = self.config() if config is None else config
+        shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
+        events, rig = self.events(), with_shared_model(self.rig(), config, name=str(self.path))
+        frames = rigs_of_events(events, rig, place=self.path)
+        return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
+
     def plot(self, out: Path | str | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the run in a window or a notebook, or write its image to a file; see `warpav.view.plot`.
 
@@ -278,10 +299,9 @@ class RunFolder:
         Raises:
             InputError: A file of the folder is missing or cannot be used.
         """
-        from warpav.runs.inspect import DrawnRun
         from warpav.view.blocks import run_to_pyvista
 
-        run = DrawnRun.of(self, scene=scene)
+        run = self.drawn(scene=scene)
         return run_to_pyvista(run.frames, start=self.rig("initial"), end=run.rig, scene=run.scene)
 
     def _append(self, name: str, line: str) -> None:
@@ -371,6 +391,4 @@ def _drawing(
     arrows: bool = True,
     visibility: bool = False,
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
-    from warpav.runs.inspect import DrawnRun
-
-    return DrawnRun.of(run, scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+    return run.drawn(scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)

@@ -20,12 +20,12 @@ from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import compiling
 from warpav.optimisation.segregation import areas_around
-from warpav.raster.device_scene import DeviceScene
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount
 from warpav.scene.cache import town_scenes
 from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
@@ -268,9 +268,11 @@ def checked_vehicle(ego: object) -> Mesh:
 
 
 def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
-    pair = ego if isinstance(ego, tuple) and len(ego) == 2 else None
-    if pair is None and hasattr(ego, "vertices") and hasattr(ego, "faces"):
+    pair: tuple[Any, Any] | None = None
+    if not isinstance(ego, tuple) and hasattr(ego, "vertices") and hasattr(ego, "faces"):
         pair = ego.vertices, ego.faces
+    elif isinstance(ego, tuple) and len(ego) == 2:
+        pair = ego
     if pair is None:
         raise TypeError(
             f"ego: expected the path of a mesh file, a Mesh, a trimesh or (vertices, faces), got {type(ego).__name__}"

@@ -138,7 +138,7 @@ def _read(file: Path) -> Scene:
         )
     ]
     users = tuple(
-        Vehicle(instance_id, category, mesh, Box(*box_m, yaw_rad))
+        Vehicle(instance_id, category, mesh, Box(box_m[0], box_m[1], yaw_rad))
         for (instance_id, category, yaw_rad), mesh, box_m in zip(
             words["users"], meshes[2:], arrays["box_m"], strict=True
         )

@@ -16,8 +16,8 @@ import numpy as np
 
 from warpav.evaluation.coverage import Ground
 from warpav.optimisation.constraints import min_camera_distance_m
-from warpav.raster.device_scene import DeviceScene
 from warpav.rig.rig import Rig, RigCamera, write_rig
+from warpav.scene.device_scene import DeviceScene
 
 if TYPE_CHECKING:
     from warpav.evaluation.coverage import Coverage

@@ -13,14 +13,14 @@ import numpy as np
 
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import COVERAGE_RGB, INK_RGB, OUTCOME_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.rig_view import mesh_to_pyvista
+from warpav.view.polydata import mesh_to_pyvista
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpav.evaluation.coverage import Coverage
-    from warpav.raster.device_scene import DeviceScene
     from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.device_scene import DeviceScene
     from warpav.scene.scene import Scene
 
     Plotter = Any

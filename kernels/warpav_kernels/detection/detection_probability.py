@@ -77,8 +77,7 @@ def box_solid_angle_kernel(
 def find_contrast_kernel(
     # in
     image: wp.array3d[wp.vec3],
-    object_index: wp.array3d[wp.int32],
-    layer_object: wp.array[wp.int32],
+    object_id: wp.array3d[wp.int32],
     measure: wp.array3d[float],
     # out
     contrast: wp.array2d[float],
@@ -109,7 +108,7 @@ def find_contrast_kernel(
         for j in range(COLOUR_POINTS):
             row = int(top + (float(i) + 0.5) / float(COLOUR_POINTS) * (bottom - top))
             column = int(left + (float(j) + 0.5) / float(COLOUR_POINTS) * (right - left))
-            if object_index[v, row, column] == layer_object[k]:
+            if object_id[v, row, column] == k:
                 own += image[v, row, column]
                 own_count += 1.0
             else:

@@ -70,9 +70,9 @@ def measure_extents_kernel(
     supersampling: int,
     # out
     measure: wp.array3d[float],
-    per_shift: wp.array3d[wp.vec3],
-    per_spin: wp.array3d[wp.vec3],
-    per_zoom: wp.array3d[float],
+    jac_translation: wp.array3d[wp.vec3],
+    jac_rotation: wp.array3d[wp.vec3],
+    jac_log_focal: wp.array3d[float],
 ):
     """Extents inside the image of one object alone in one view, from the line of samples that reaches farthest.
 
@@ -80,13 +80,13 @@ def measure_extents_kernel(
     opposite side of the grid; 0 where the object is not in the image. There LEFT = TOP = the image's size and
     RIGHT = BOTTOM = 0, with zero Jacobians.
 
-    Launch: ``dim=(view_count, vehicle_count, EXTENT_COUNT)``; one thread per side. Not taped.
-    Writes: the measures LEFT, RIGHT, TOP and BOTTOM of every view and vehicle once.
+    Launch: ``dim=(view_count, object_count, EXTENT_COUNT)``; one thread per side. Not taped.
+    Writes: the measures LEFT, RIGHT, TOP and BOTTOM of every view and object once.
     """
-    v, vehicle, side = wp.tid()
+    v, object_index, side = wp.tid()
     camera = view[v]
-    rectangle = layers.rectangle[v, vehicle]
-    samples = farthest[v, vehicle, side]
+    rectangle = layers.rectangle[v, object_index]
+    samples = farthest[v, object_index, side]
     i = LEFT + side
     along_columns = i == LEFT or i == RIGHT
     size = height
@@ -110,7 +110,7 @@ def measure_extents_kernel(
             first = wp.max(rectangle[1], GUARD)
             last = wp.min(rectangle[1] + rectangle[3], height - GUARD)
             end = height - GUARD
-        offset = layers.offset[v, vehicle]
+        offset = layers.offset[v, object_index]
         reach = SLOPE_PX * supersampling
         slope = slope_at_border(layers, rectangle, offset, line, along_columns, outwards, GUARD, 1, reach)
         slope += slope_at_border(layers, rectangle, offset, line, along_columns, outwards, end - 1, -1, reach)
@@ -156,7 +156,7 @@ def measure_extents_kernel(
             place_px = float(line + 1 - GUARD) / samples_per_px
         if line != border:
             share = 1.0 / (sample_count * samples_per_px)
-    measure[v, vehicle, i] = place_px
-    per_shift[v, vehicle, i] = -share * (wp.transpose(camera.camera_from_ego) * gradient)
-    per_spin[v, vehicle, i] = share * moment
-    per_zoom[v, vehicle, i] = share * zoom
+    measure[v, object_index, i] = place_px
+    jac_translation[v, object_index, i] = -share * (wp.transpose(camera.camera_from_world) * gradient)
+    jac_rotation[v, object_index, i] = share * moment
+    jac_log_focal[v, object_index, i] = share * zoom

@@ -21,7 +21,7 @@ def hide_by_nearest_surface_kernel(
     # in
     key: wp.array3d[wp.int64],
     scene: Triangles,
-    layer_object: wp.array[wp.int32],
+    layer_body: wp.array[wp.int32],
     layers: Layers,
     first_view: int,
     row_lanes: int,
@@ -46,7 +46,7 @@ def hide_by_nearest_surface_kernel(
             bits = wp.int32(0)
             if nearest != wp.int64(0):
                 triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
-                if scene.triangle_object[triangle] != layer_object[layer]:
+                if scene.triangle_body[triangle] != layer_body[layer]:
                     bits = wp.int32(nearest >> wp.int64(32))
                     hiding_source[offset + row * rectangle[2] + column] = triangle
             hiding_bits[offset + row * rectangle[2] + column] = bits
@@ -120,17 +120,17 @@ def median_inverse_depth(
 def order_overlapping_layers_kernel(
     # in
     layers: Layers,
-    vehicle_count: int,
+    object_count: int,
     first_view: int,
     # out
     is_hidden_by: wp.array3d[wp.int32],
 ):
-    """The thesis's pairwise occlusion: of two vehicles whose silhouettes overlap, the nearer one hides the other.
+    """The thesis's pairwise occlusion: of two objects whose silhouettes overlap, the nearer one hides the other.
 
     "Nearer" compares the median depths of the areas that do not overlap; where one silhouette lies wholly inside the
     other, the medians inside the overlap (the thesis leaves that case open).
 
-    Launch: ``dim=(views of this chunk, vehicle_count, vehicle_count)``; thread (v, a, b) with b <= a does nothing. Not
+    Launch: ``dim=(views of this chunk, object_count, object_count)``; thread (v, a, b) with b <= a does nothing. Not
     taped.
     Writes: ``is_hidden_by[v, a, b]`` = 1 where a is hidden by b; the caller zeroes it.
     """
@@ -168,27 +168,27 @@ def hide_by_ordered_layers_kernel(
     # in
     layers: Layers,
     is_hidden_by: wp.array3d[wp.int32],
-    ego_layer: int,
+    foreground_layer: int,
     first_view: int,
     # out
     hiding_bits: wp.array[wp.int32],
     hiding_source: wp.array[wp.int32],
 ):
-    """Pairwise occlusion: the silhouettes of all nearer vehicles and of the ego vehicle hide a vehicle.
+    """Pairwise occlusion: the silhouettes of all nearer objects and of the foreground hide an object.
 
-    The ego vehicle counts as nearest everywhere, as in the thesis. Buildings hide nothing.
+    The foreground counts as nearest everywhere, as the ego vehicle in the thesis. Other occluders hide nothing.
 
-    Launch: ``dim=(views of this chunk, vehicle_count)``; one thread per pair. Not taped.
-    Writes: the samples of the vehicle's layer that something hides; the caller zeroes ``hiding_bits``.
+    Launch: ``dim=(views of this chunk, object_count)``; one thread per pair. Not taped.
+    Writes: the samples of the object's layer that something hides; the caller zeroes ``hiding_bits``.
     """
-    chunk_view, vehicle = wp.tid()
+    chunk_view, object_index = wp.tid()
     v = first_view + chunk_view
-    rectangle = layers.rectangle[v, vehicle]
-    offset = layers.offset[v, vehicle]
+    rectangle = layers.rectangle[v, object_index]
+    offset = layers.offset[v, object_index]
     for other in range(layers.rectangle.shape[1]):
-        hides = other == ego_layer
-        if other != ego_layer:
-            hides = is_hidden_by[v, vehicle, other] == 1
+        hides = other == foreground_layer
+        if other != foreground_layer:
+            hides = is_hidden_by[v, object_index, other] == 1
         if hides:
             other_rectangle = layers.rectangle[v, other]
             other_offset = layers.offset[v, other]

@@ -19,7 +19,7 @@ Perturbations, Jacobians and sums in a fixed order are those of `measure`.
 
 import warp as wp
 
-from warpav_kernels.raster.measure import Flow, flow_of_lanes
+from warpav_kernels.raster.measure import BoundaryDerivative, derivative_of_lanes
 from warpav_kernels.raster.rasterise import Triangles
 from warpav_kernels.raster.shade import Patch, patch_under, rgb_along
 from warpav_kernels.raster.view import (
@@ -66,16 +66,23 @@ def front_inverse_depth(key: wp.array3d[wp.int64], v: int, row: int, column: int
 
 @wp.func
 def with_pair(
-    flow: Flow, camera: View, key: wp.array3d[wp.int64], v: int, row: int, column: int, step: wp.vec2i, change: float
-) -> Flow:
-    """The flow with the pair of a sample and the next in a direction; ``change`` weighs the flow along the step.
+    derivative: BoundaryDerivative,
+    camera: View,
+    key: wp.array3d[wp.int64],
+    v: int,
+    row: int,
+    column: int,
+    step: wp.vec2i,
+    change: float,
+) -> BoundaryDerivative:
+    """The derivative with the pair of a sample and the next in a direction; ``change`` weighs the flow along the step.
 
     The edge of what a lens sees stays where it is in the image.
     """
     if change == 0.0:
-        return flow
+        return derivative
     if not sees(camera, column, row) or not sees(camera, column + step[1], row + step[0]):
-        return flow
+        return derivative
     x = float(column) + 0.5 + 0.5 * float(step[1])
     y = float(row) + 0.5 + 0.5 * float(step[0])
     ray = ray_in_camera(camera, x, y)
@@ -85,10 +92,10 @@ def with_pair(
     if step[0] != 0:
         g = change * row_gradient(camera, ray)
         away = y - camera.centre[1]
-    moved = flow
+    moved = derivative
     moved.gradient += front_inverse_depth(key, v, row, column, step) * g
     moved.moment += wp.cross(ray, g)
-    moved.zoom += change * away
+    moved.log_focal += change * away
     return moved
 
 
@@ -117,11 +124,11 @@ def depth_gradient_at(gradient: wp.array3d[float], v: int, row_px: int, column_p
 
 
 @wp.func
-def depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int, sky_depth_m: float) -> float:
+def depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int, background_m: float) -> float:
     """Depth of the nearest surface at a sample [m]."""
     w = inverse_depth_at(key, v, row, column)
     if w == 0.0:
-        return sky_depth_m
+        return background_m
     return 1.0 / w
 
 
@@ -141,25 +148,25 @@ def flow_colours_kernel(
     row_lanes: int,
     column_lanes: int,
     # out
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
 ):
     """What the gradient to a colour image says about its view, over one lane's samples and their next ones.
 
     A lane walks along its part of every ``row_lanes``-th row: the colour to the right is the next one's own.
 
     Launch: ``dim=(images of this chunk, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [image, 0, 0, lane] of these images.
+    Writes: ``derivative`` [image, 0, 0, lane] of these images.
     """
     chunk_image, lane = wp.tid()
     image = first_image + chunk_image
     v = shown_view[image]
     camera = view[v]
-    ego_from_camera = wp.transpose(camera.camera_from_ego)
+    world_from_camera = wp.transpose(camera.camera_from_world)
     width = key.shape[2]
     height = key.shape[1]
     run = (width + column_lanes - 1) / column_lanes
     first_column = (lane % column_lanes) * run
-    total = Flow()
+    total = BoundaryDerivative()
     patch = Patch()
     patch.triangle = -1
     below_patch = Patch()
@@ -176,28 +183,28 @@ def flow_colours_kernel(
             rgb = right_rgb
             gradient = right_gradient
             if column == first_column:
-                patch = patch_under(patch, key[v, row, column], camera.position_ego_m, scene, vertex_rgb)
-                ray = ego_from_camera * ray_in_camera(camera, x, y)
+                patch = patch_under(patch, key[v, row, column], camera.position_world_m, scene, vertex_rgb)
+                ray = world_from_camera * ray_in_camera(camera, x, y)
                 rgb = rgb_along(ray, key[v, row, column], patch, horizon_rgb, zenith_rgb)
                 gradient = rgb_gradient_at(rgb_gradient, image, row_px, column_px)
             if row + 1 < height:
                 nearest = key[v, row + 1, column]
-                below_patch = patch_under(below_patch, nearest, camera.position_ego_m, scene, vertex_rgb)
-                ray = ego_from_camera * ray_in_camera(camera, x, y + 1.0)
+                below_patch = patch_under(below_patch, nearest, camera.position_world_m, scene, vertex_rgb)
+                ray = world_from_camera * ray_in_camera(camera, x, y + 1.0)
                 below_rgb = rgb_along(ray, nearest, below_patch, horizon_rgb, zenith_rgb)
                 below_gradient = rgb_gradient_at(rgb_gradient, image, below_px, column_px)
                 change = 0.5 * wp.dot(rgb - below_rgb, gradient + below_gradient)
                 total = with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
             if column + 1 < width:
                 nearest = key[v, row, column + 1]
-                patch = patch_under(patch, nearest, camera.position_ego_m, scene, vertex_rgb)
-                ray = ego_from_camera * ray_in_camera(camera, x + 1.0, y)
+                patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
+                ray = world_from_camera * ray_in_camera(camera, x + 1.0, y)
                 right_rgb = rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
                 right_px = pixel_of(column + 1, width, supersampling)
                 right_gradient = rgb_gradient_at(rgb_gradient, image, row_px, right_px)
                 change = 0.5 * wp.dot(rgb - right_rgb, gradient + right_gradient)
                 total = with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
-    flow[image, 0, 0, lane] = total
+    derivative[image, 0, 0, lane] = total
 
 
 @wp.kernel(enable_backward=False)
@@ -206,18 +213,18 @@ def flow_depths_kernel(
     view: wp.array[View],
     key: wp.array3d[wp.int64],
     depth_gradient_px: wp.array3d[float],
-    sky_depth_m: float,
+    background_m: float,
     supersampling: int,
     first_view: int,
     row_lanes: int,
     column_lanes: int,
     # out
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
 ):
     """What the gradient to a depth image says about its view, over one lane's samples and their next ones.
 
     Launch: ``dim=(views of this chunk, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [view, 0, 0, lane] of these views.
+    Writes: ``derivative`` [view, 0, 0, lane] of these views.
     """
     chunk_view, lane = wp.tid()
     v = first_view + chunk_view
@@ -226,31 +233,31 @@ def flow_depths_kernel(
     height = key.shape[1]
     run = (width + column_lanes - 1) / column_lanes
     first_column = (lane % column_lanes) * run
-    total = Flow()
+    total = BoundaryDerivative()
     for row in range(lane / column_lanes, height, row_lanes):
         row_px = pixel_of(row, height, supersampling)
         below_px = pixel_of(row + 1, height, supersampling)
         for column in range(first_column, wp.min(first_column + run, width)):
             column_px = pixel_of(column, width, supersampling)
             gradient = depth_gradient_at(depth_gradient_px, v, row_px, column_px)
-            depth_m = depth_at(key, v, row, column, sky_depth_m)
+            depth_m = depth_at(key, v, row, column, background_m)
             if gradient != 0.0 and key[v, row, column] != wp.int64(0):
                 point_m = depth_m * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
                 g = gradient * depth_gradient(camera, point_m)
                 total.gradient += g
                 total.moment += wp.cross(point_m, g)
             if row + 1 < height:
-                below_m = depth_at(key, v, row + 1, column, sky_depth_m)
+                below_m = depth_at(key, v, row + 1, column, background_m)
                 below_gradient = depth_gradient_at(depth_gradient_px, v, below_px, column_px)
                 change = 0.5 * (depth_m - below_m) * (gradient + below_gradient)
                 total = with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
             if column + 1 < width:
-                right_m = depth_at(key, v, row, column + 1, sky_depth_m)
+                right_m = depth_at(key, v, row, column + 1, background_m)
                 right_px = pixel_of(column + 1, width, supersampling)
                 right_gradient = depth_gradient_at(depth_gradient_px, v, row_px, right_px)
                 change = 0.5 * (depth_m - right_m) * (gradient + right_gradient)
                 total = with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
-    flow[v, 0, 0, lane] = total
+    derivative[v, 0, 0, lane] = total
 
 
 @wp.kernel(enable_backward=False)
@@ -258,12 +265,12 @@ def add_view_gradient_kernel(
     # in
     view: wp.array[View],
     shown_view: wp.array[wp.int32],
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
     supersampling: int,
     # out
     position_gradient: wp.array[wp.vec3],
     rotation_gradient: wp.array[wp.mat33],
-    log_zoom_gradient: wp.array[float],
+    log_focal_gradient: wp.array[float],
 ):
     """Sum what the lanes have found, in their order, and add it to the gradients to every view's pose and focal length.
 
@@ -274,10 +281,10 @@ def add_view_gradient_kernel(
     """
     v = wp.tid()
     per_sample = 1.0 / (float(supersampling) * float(supersampling))
-    rotation = view[v].camera_from_ego
+    rotation = view[v].camera_from_world
     for image in range(shown_view.shape[0]):
         if shown_view[image] == v:
-            total = flow_of_lanes(flow, image, 0, 0, 0, flow.shape[3])
+            total = derivative_of_lanes(derivative, image, 0, 0, 0, derivative.shape[3])
             position_gradient[v] = position_gradient[v] - per_sample * (wp.transpose(rotation) * total.gradient)
             rotation_gradient[v] = rotation_gradient[v] + 0.5 * per_sample * (wp.skew(total.moment) * rotation)
-            log_zoom_gradient[v] = log_zoom_gradient[v] + per_sample * total.zoom
+            log_focal_gradient[v] = log_focal_gradient[v] + per_sample * total.log_focal

@@ -1,8 +1,9 @@
 """Layers: what single objects cover when each stands alone, in one flat buffer for all views (the atlas).
 
-A layer is an object whose silhouette is wanted alone: every vehicle, and the ego vehicle where the pairwise occlusion
-of the thesis needs it. Its samples are those of the rectangle that holds its image, cut out of the view's sample grid;
-all rectangles of all views lie one behind the other.
+A layer is a body whose silhouette is wanted alone: every object, and the foreground where it is asked for. The
+foreground is one occluder that counts as nearest everywhere, such as the body that carries the cameras. The samples of
+a layer are those of the rectangle that holds its image, cut out of the view's sample grid; all rectangles of all views
+lie one behind the other.
 """
 
 import warp as wp
@@ -20,7 +21,7 @@ TO_RIGHT = wp.constant(3)
 
 BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut to bound its image
 
-# set in the lower half of a reach's key where the near plane ends the surface
+# set in the lower half of an edge crossing's key where the near plane ends the surface
 NEAR_CUT = wp.constant(wp.int64(0x80000000))
 
 
@@ -34,16 +35,16 @@ class Layers:
         offset: Place of the rectangle's first sample, [view, layer].
         inverse_depth_bits: Bits of 1/z of the object's nearest surface at the sample's centre, 0 where it does not
             cover it, [sample].
-        reach_key: Bits of how far the object's surface goes on from the sample's centre towards each neighbour's, 0..1
-            in samples, solved from the edges of its triangles. In the lower half the bits of 1/z where it ends; where
-            the near plane ends it, which triangle it cuts, with the highest bit set. 0 where all that is unknown,
+        crossing_key: Where the object's surface ends between the sample's centre and each neighbour's: bits of the
+            offset, 0..1 in samples, solved from the edges of its triangles. In the lower half the bits of 1/z there;
+            where the near plane ends it, which triangle it cuts, with the highest bit set. 0 where all that is unknown,
             [direction, sample].
     """
 
     rectangle: wp.array2d[wp.vec4i]
     offset: wp.array2d[wp.int32]
     inverse_depth_bits: wp.array[wp.int32]
-    reach_key: wp.array2d[wp.int64]
+    crossing_key: wp.array2d[wp.int64]
 
 
 @wp.func
@@ -98,7 +99,7 @@ def box_corner(low: wp.vec3, high: wp.vec3, corner: int) -> wp.vec3:
 
 @wp.func
 def pinhole_bounds(camera: View, low: wp.vec3, high: wp.vec3) -> wp.vec4:
-    """Bounds (left, top, right, bottom) in samples of the image of a box in the ego frame.
+    """Bounds (left, top, right, bottom) in samples of the image of a box in the world frame.
 
     The eight corners and, where the near plane cuts the box, its twelve edges are projected.
     """
@@ -138,7 +139,7 @@ def turned_bounds(left: float, right: float, turn: float, width: float) -> wp.ve
 
 @wp.func
 def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.vec4:
-    """Bounds (left, top, right, bottom) in samples of the image of a box in the ego frame, seen through any lens.
+    """Bounds (left, top, right, bottom) in samples of the image of a box in the world frame, seen through any lens.
 
     A box lies in the cone about its centre's direction that holds its corners. The smaller, the better the bounds.
     """
@@ -179,7 +180,7 @@ def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.v
 def place_layers_kernel(
     # in
     view: wp.array[View],
-    layer_bounds_ego_m: wp.array2d[wp.vec3],
+    layer_bounds_world_m: wp.array2d[wp.vec3],
     width: int,
     height: int,
     capacity: wp.int64,
@@ -200,8 +201,8 @@ def place_layers_kernel(
     """
     v, layer = wp.tid()
     camera = view[v]
-    low = layer_bounds_ego_m[layer, 0]
-    high = layer_bounds_ego_m[layer, 1]
+    low = layer_bounds_world_m[layer, 0]
+    high = layer_bounds_world_m[layer, 1]
     box = pinhole_bounds(camera, low, high)
     if camera.lens.kind != PINHOLE:
         box = lens_bounds(camera, low, high, float(width))

@@ -5,10 +5,11 @@ outline, and what moves there is the surface in front: the object itself at its 
 something hides it. With the outline as a polygon (see `outline`), the change of a weighted area is the sum over its
 segments of weight x (image flow of the front surface's point) x (normal of the segment times its length).
 
-A perturbation of a view is a shift of its centre, ``shift`` (ego axes), a small rotation, ``spin`` (camera axes, from
-the left), and a common factor 1 + ``zoom`` of its focal lengths: a point q in camera coordinates becomes
-``q + spin x q - camera_from_ego shift``. With g the gradient to q of the flow along the normal, this gives the
-Jacobians ``q x g`` and ``-camera_from_ego^T g``; under a zoom every image point moves away from the principal point.
+A perturbation of a view is a shift of its centre, ``shift`` (world axes), a small rotation, ``spin`` (camera axes, from
+the left), and a relative change of its focal lengths, ``log_focal``: a point q in camera coordinates becomes
+``q + spin x q - camera_from_world shift``. With g the gradient to q of the flow along the normal, this gives the
+Jacobians ``q x g`` and ``-camera_from_world^T g``; under the last every image point moves away from the principal
+point.
 
 The samples of a pair of view and object are shared by lanes, whose sums are added in a fixed order: results are the
 same bit for bit from run to run.
@@ -57,20 +58,20 @@ LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts tha
 
 
 @wp.struct
-class Flow:
-    """An area and how it flows: sums over samples and over segments of outline.
+class BoundaryDerivative:
+    """An area and how it changes as the view moves: sums over samples and over segments of its boundary.
 
     Attributes:
         area: The area, in samples.
-        gradient: Sum of the flow gradients g, in camera axes [samples/m].
+        gradient: Sum of the gradients g of the flow along the boundary's normal, in camera axes [samples/m].
         moment: Sum of their moments q x g [samples/rad].
-        zoom: Change under a relative change of the focal lengths [samples].
+        log_focal: Change under a relative change of the focal lengths [samples].
     """
 
     area: float
     gradient: wp.vec3
     moment: wp.vec3
-    zoom: float
+    log_focal: float
 
 
 @wp.func
@@ -87,8 +88,8 @@ def cut_gradient(
     """
     start_plane = scene.triangle_plane[start_triangle]
     end_plane = scene.triangle_plane[end_triangle]
-    a = camera.camera_from_ego * wp.vec3(start_plane[0], start_plane[1], start_plane[2])
-    b = camera.camera_from_ego * wp.vec3(end_plane[0], end_plane[1], end_plane[2])
+    a = camera.camera_from_world * wp.vec3(start_plane[0], start_plane[1], start_plane[2])
+    b = camera.camera_from_world * wp.vec3(end_plane[0], end_plane[1], end_plane[2])
     # the parts along the near plane
     axis = depth_gradient(camera, point_m)
     a_level = a - wp.dot(a, axis) * axis
@@ -107,13 +108,18 @@ def cut_gradient(
 
 @wp.func
 def with_step(
-    flow: Flow, camera: View, scene: Triangles, segment: Segment, across_columns: float, across_rows: float
-) -> Flow:
-    """The flow with one more segment, whose weighted normal is (across_columns, across_rows)."""
+    derivative: BoundaryDerivative,
+    camera: View,
+    scene: Triangles,
+    segment: Segment,
+    across_columns: float,
+    across_rows: float,
+) -> BoundaryDerivative:
+    """The derivative with one more segment, whose weighted normal is (across_columns, across_rows)."""
     column = 0.5 * (segment.start[0] + segment.end[0])
     row = 0.5 * (segment.start[1] + segment.end[1])
-    moved = flow
-    moved.zoom += across_columns * (column - camera.centre[0]) + across_rows * (row - camera.centre[1])
+    moved = derivative
+    moved.log_focal += across_columns * (column - camera.centre[0]) + across_rows * (row - camera.centre[1])
     if segment.is_fixed:
         return moved
     point_m = ray_in_camera(camera, column, row) / segment.inverse_depth
@@ -146,23 +152,27 @@ def box_weight(column: float, row: float, box_px: wp.vec4, samples_per_px: float
 
 
 @wp.func
-def pixel_weight(column: int, row: int, weight_image: wp.array3d[float], v: int) -> float:
-    """Weight of a pixel; 0 beyond the image. One image may serve all views."""
+def pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image: int) -> float:
+    """Weight of a pixel in one of the images; 0 beyond it."""
     if column < 0 or row < 0 or column >= weight_image.shape[2] or row >= weight_image.shape[1]:
         return 0.0
-    return weight_image[v % weight_image.shape[0], row, column]
+    return weight_image[image, row, column]
 
 
 @wp.func
-def image_weight(column: float, row: float, weight_image: wp.array3d[float], v: int, samples_per_px: float) -> float:
+def image_weight(
+    column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
+) -> float:
     """The weight of the pixel that holds a sample's centre."""
     x = int(wp.floor((column - float(GUARD)) / samples_per_px))
     y = int(wp.floor((row - float(GUARD)) / samples_per_px))
-    return pixel_weight(x, y, weight_image, v)
+    return pixel_weight(x, y, weight_image, image)
 
 
 @wp.func
-def outline_weight(column: float, row: float, weight_image: wp.array3d[float], v: int, samples_per_px: float) -> float:
+def outline_weight(
+    column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
+) -> float:
     """Weight at a place of an outline: the mean over as far as it moves in a small step, see `OUTLINE_STEP`."""
     x = (column - float(GUARD)) / samples_per_px - OUTLINE_STEP
     y = (row - float(GUARD)) / samples_per_px - OUTLINE_STEP
@@ -173,13 +183,13 @@ def outline_weight(column: float, row: float, weight_image: wp.array3d[float], v
     bottom_share = wp.clamp((y - top - 1.0) / (2.0 * OUTLINE_STEP) + 1.0, 0.0, 1.0)
     i = int(top)
     j = int(left)
-    weight = (1.0 - right_share) * (1.0 - bottom_share) * pixel_weight(j, i, weight_image, v)
+    weight = (1.0 - right_share) * (1.0 - bottom_share) * pixel_weight(j, i, weight_image, image)
     if right_share > 0.0:
-        weight += right_share * (1.0 - bottom_share) * pixel_weight(j + 1, i, weight_image, v)
+        weight += right_share * (1.0 - bottom_share) * pixel_weight(j + 1, i, weight_image, image)
     if bottom_share > 0.0:
-        weight += (1.0 - right_share) * bottom_share * pixel_weight(j, i + 1, weight_image, v)
+        weight += (1.0 - right_share) * bottom_share * pixel_weight(j, i + 1, weight_image, image)
         if right_share > 0.0:
-            weight += right_share * bottom_share * pixel_weight(j + 1, i + 1, weight_image, v)
+            weight += right_share * bottom_share * pixel_weight(j + 1, i + 1, weight_image, image)
     return weight
 
 
@@ -198,27 +208,27 @@ def measure_areas_kernel(
     row_lanes: int,
     column_lanes: int,
     # out
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
     farthest: wp.array3d[wp.int32],
 ):
-    """Visible, amodal and in-box area of one object in one view, and how they flow, over one lane's samples.
+    """Visible, amodal and in-box area of one object in one view, and their derivatives, over one lane's samples.
 
     On the way it finds how far the object reaches in the image to the left, right, top and bottom: ``farthest`` counts
     the samples from the opposite side of the grid.
 
-    Launch: ``dim=(views of this chunk, vehicle_count, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [view, vehicle, measure, lane] of these views, in the order VISIBLE_AREA, AMODAL_AREA, BOX_AREA;
-        ``farthest`` [view, vehicle, side] by atomic maximum; the caller zeroes it.
+    Launch: ``dim=(views of this chunk, object_count, row_lanes * column_lanes)``. Not taped.
+    Writes: ``derivative`` [view, object, measure, lane] of these views, in the order VISIBLE_AREA, AMODAL_AREA,
+        BOX_AREA; ``farthest`` [view, object, side] by atomic maximum; the caller zeroes it.
     """
-    chunk_view, vehicle, lane = wp.tid()
+    chunk_view, object_index, lane = wp.tid()
     v = first_view + chunk_view
     camera = view[v]
-    pair = pair_of(v, vehicle, layers)
-    box = box_px[v, vehicle]
+    pair = pair_of(v, object_index, layers)
+    box = box_px[v, object_index]
     samples_per_px = float(supersampling)
-    visible = Flow()
-    amodal = Flow()
-    boxed = Flow()
+    visible = BoundaryDerivative()
+    amodal = BoundaryDerivative()
+    boxed = BoundaryDerivative()
     to_left = int(0)
     to_right = int(0)
     to_top = int(0)
@@ -278,14 +288,14 @@ def measure_areas_kernel(
                                 boxed = with_step(
                                     boxed, camera, scene, segment, in_box * extent[1], -in_box * extent[0]
                                 )
-    flow[v, vehicle, VISIBLE_AREA, lane] = visible
-    flow[v, vehicle, AMODAL_AREA, lane] = amodal
-    flow[v, vehicle, BOX_AREA, lane] = boxed
+    derivative[v, object_index, VISIBLE_AREA, lane] = visible
+    derivative[v, object_index, AMODAL_AREA, lane] = amodal
+    derivative[v, object_index, BOX_AREA, lane] = boxed
     if to_left > 0:
-        wp.atomic_max(farthest, v, vehicle, LEFT - LEFT, to_left)
-        wp.atomic_max(farthest, v, vehicle, RIGHT - LEFT, to_right)
-        wp.atomic_max(farthest, v, vehicle, TOP - LEFT, to_top)
-        wp.atomic_max(farthest, v, vehicle, BOTTOM - LEFT, to_bottom)
+        wp.atomic_max(farthest, v, object_index, LEFT - LEFT, to_left)
+        wp.atomic_max(farthest, v, object_index, RIGHT - LEFT, to_right)
+        wp.atomic_max(farthest, v, object_index, TOP - LEFT, to_top)
+        wp.atomic_max(farthest, v, object_index, BOTTOM - LEFT, to_bottom)
 
 
 @wp.kernel(enable_backward=False)
@@ -296,6 +306,8 @@ def measure_weighted_area_kernel(
     layers: Layers,
     hiding: Hiding,
     weight_image: wp.array3d[float],
+    view_stride: int,
+    object_stride: int,
     kind: int,
     width: int,
     height: int,
@@ -304,27 +316,29 @@ def measure_weighted_area_kernel(
     row_lanes: int,
     column_lanes: int,
     # out
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
 ):
-    """Area of one object in one view weighted by an image, and how it flows, over one lane's samples.
+    """Area of one object in one view weighted by an image, and its derivative, over one lane's samples.
 
-    ``weight_image`` is [view, row, column] in pixels, or [1, row, column] for all views.
+    ``weight_image`` is [image, row, column] in pixels; object k in view v takes image
+    ``v * view_stride + k * object_stride``.
 
-    Launch: ``dim=(views of this chunk, vehicle_count, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [view, vehicle, 0, lane] of these views.
+    Launch: ``dim=(views of this chunk, object_count, row_lanes * column_lanes)``. Not taped.
+    Writes: ``derivative`` [view, object, 0, lane] of these views.
     """
-    chunk_view, vehicle, lane = wp.tid()
+    chunk_view, object_index, lane = wp.tid()
     v = first_view + chunk_view
     camera = view[v]
-    pair = pair_of(v, vehicle, layers)
+    pair = pair_of(v, object_index, layers)
+    image = v * view_stride + object_index * object_stride
     samples_per_px = float(supersampling)
-    weighted = Flow()
+    weighted = BoundaryDerivative()
     for row in range(lane / column_lanes, pair.rectangle[3], row_lanes):
         for column in range(lane % column_lanes, pair.rectangle[2], column_lanes):
             if is_in_mask(pair, row, column, kind, layers, hiding):
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
-                weighted.area += image_weight(x, y, weight_image, v, samples_per_px)
+                weighted.area += image_weight(x, y, weight_image, image, samples_per_px)
             mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)
@@ -336,64 +350,92 @@ def measure_weighted_area_kernel(
                     for k in range(3):
                         middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
                         weight += (cut[k + 1] - cut[k]) * outline_weight(
-                            middle[0], middle[1], weight_image, v, samples_per_px
+                            middle[0], middle[1], weight_image, image, samples_per_px
                         )
                     weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])
-    flow[v, vehicle, 0, lane] = weighted
+    derivative[v, object_index, 0, lane] = weighted
 
 
 @wp.func
-def flow_of_lanes(flow: wp.array4d[Flow], v: int, vehicle: int, i: int, first_lane: int, end_lane: int) -> Flow:
+def derivative_of_lanes(
+    derivative: wp.array4d[BoundaryDerivative], v: int, object_index: int, i: int, first_lane: int, end_lane: int
+) -> BoundaryDerivative:
     """The sum of what some lanes have measured, in their order."""
-    total = Flow()
+    total = BoundaryDerivative()
     for lane in range(first_lane, end_lane):
-        part = flow[v, vehicle, i, lane]
+        part = derivative[v, object_index, i, lane]
         total.area += part.area
         total.gradient += part.gradient
         total.moment += part.moment
-        total.zoom += part.zoom
+        total.log_focal += part.log_focal
     return total
 
 
 @wp.kernel(enable_backward=False)
 def sum_lanes_kernel(
     # in
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
     group_lanes: int,
     # out
-    group_flow: wp.array4d[Flow],
+    group_derivative: wp.array4d[BoundaryDerivative],
 ):
     """Sum groups of neighbouring lanes, so that the last sum is short.
 
-    Launch: ``dim=(view_count, vehicle_count, area_count, group_count)``; one thread per group. Not taped.
-    Writes: every element of ``group_flow`` once.
+    Launch: ``dim=(view_count, object_count, area_count, group_count)``; one thread per group. Not taped.
+    Writes: every element of ``group_derivative`` once.
     """
-    v, vehicle, i, group = wp.tid()
+    v, object_index, i, group = wp.tid()
     first_lane = group * group_lanes
-    group_flow[v, vehicle, i, group] = flow_of_lanes(flow, v, vehicle, i, first_lane, first_lane + group_lanes)
+    group_derivative[v, object_index, i, group] = derivative_of_lanes(
+        derivative, v, object_index, i, first_lane, first_lane + group_lanes
+    )
 
 
 @wp.kernel(enable_backward=False)
-def sum_flow_kernel(
+def sum_derivatives_kernel(
     # in
     view: wp.array[View],
-    flow: wp.array4d[Flow],
+    derivative: wp.array4d[BoundaryDerivative],
     supersampling: int,
     # out
     measure: wp.array3d[float],
-    per_shift: wp.array3d[wp.vec3],
-    per_spin: wp.array3d[wp.vec3],
-    per_zoom: wp.array3d[float],
+    jac_translation: wp.array3d[wp.vec3],
+    jac_rotation: wp.array3d[wp.vec3],
+    jac_log_focal: wp.array3d[float],
 ):
-    """Sum what the lanes have measured, in their order, and turn it into pixels and ego axes.
+    """Sum what the lanes have measured, in their order, and turn it into pixels and world axes.
 
-    Launch: ``dim=(view_count, vehicle_count, area_count)``; one thread per sum. Not taped.
-    Writes: the first ``area_count`` measures of every view and vehicle once.
+    Launch: ``dim=(view_count, object_count, area_count)``; one thread per sum. Not taped.
+    Writes: the first ``area_count`` measures of every view and object once.
     """
-    v, vehicle, i = wp.tid()
-    total = flow_of_lanes(flow, v, vehicle, i, 0, flow.shape[3])
+    v, object_index, i = wp.tid()
+    total = derivative_of_lanes(derivative, v, object_index, i, 0, derivative.shape[3])
     per_sample = 1.0 / (float(supersampling) * float(supersampling))
-    measure[v, vehicle, i] = per_sample * total.area
-    per_shift[v, vehicle, i] = -per_sample * (wp.transpose(view[v].camera_from_ego) * total.gradient)
-    per_spin[v, vehicle, i] = per_sample * total.moment
-    per_zoom[v, vehicle, i] = per_sample * total.zoom
+    measure[v, object_index, i] = per_sample * total.area
+    jac_translation[v, object_index, i] = -per_sample * (wp.transpose(view[v].camera_from_world) * total.gradient)
+    jac_rotation[v, object_index, i] = per_sample * total.moment
+    jac_log_focal[v, object_index, i] = per_sample * total.log_focal
+
+
+@wp.kernel(enable_backward=False)
+def gather_jacobian_kernel(
+    # in
+    jac_translation: wp.array3d[wp.vec3],
+    jac_rotation: wp.array3d[wp.vec3],
+    jac_log_focal: wp.array3d[float],
+    first: int,
+    # out
+    jacobian: wp.array4d[float],
+):
+    """The Jacobians of some neighbouring measures in one array, from the measure ``first`` on.
+
+    Launch: ``dim=jacobian.shape[:3]``; one thread per measure of an object in a view. Not taped.
+    Writes: every element of ``jacobian`` [view, object, measure, 7] once: translation, rotation, log focal length.
+    """
+    v, object_index, i = wp.tid()
+    translation = jac_translation[v, object_index, first + i]
+    rotation = jac_rotation[v, object_index, first + i]
+    for axis in range(3):
+        jacobian[v, object_index, i, axis] = translation[axis]
+        jacobian[v, object_index, i, 3 + axis] = rotation[axis]
+    jacobian[v, object_index, i, 6] = jac_log_focal[v, object_index, first + i]

@@ -1,8 +1,8 @@
 """Outlines of masks, between the samples: where they cross from one sample to the next, and what lies in front there.
 
 Four neighbouring samples make a cell. Where the mask differs between two of them, its outline crosses the cell's side
-between them; where it does, the reach of the surface in front says. The outline of a cell is the straight segment
-between two such crossings (the rule of marching squares), so the outline of a mask is a closed polygon.
+between them; where it does, the edge crossing of the surface in front says. The outline of a cell is the straight
+segment between two such crossings (the rule of marching squares), so the outline of a mask is a closed polygon.
 """
 
 import warp as wp
@@ -62,39 +62,39 @@ def pair_of(v: int, layer: int, layers: Layers) -> Pair:
 
 
 @wp.struct
-class Reach:
-    """How far a surface goes on from a sample's centre towards a neighbour's, and how far away it ends.
+class EdgeCrossing:
+    """Where a surface ends between a sample's centre and a neighbour's: a subsample offset, and the depth there.
 
     Attributes:
-        distance: 0..1 in samples.
+        offset: 0..1 in samples.
         inverse_depth: 1/z of the surface there [1/m].
         cut_triangle: The triangle that the near plane ends there; -1 where something else does.
         is_known: Whether it is solved; else half way stands for it.
     """
 
-    distance: float
+    offset: float
     inverse_depth: float
     cut_triangle: int
     is_known: bool
 
 
 @wp.func
-def reach_from(key: wp.int64, bits: wp.int32, near_m: float) -> Reach:
-    """A reach from its key; half way, at the depth of the sample's ``bits``, where it is unknown."""
-    reach = Reach()
-    reach.distance = 0.5
-    reach.inverse_depth = inverse_depth_of(bits)
-    reach.cut_triangle = -1
-    reach.is_known = key != wp.int64(0)
-    if reach.is_known:
-        reach.distance = wp.cast(wp.int32(key >> wp.int64(32)), float)
+def edge_crossing_from(key: wp.int64, bits: wp.int32, near_m: float) -> EdgeCrossing:
+    """An edge crossing from its key; half way, at the depth of the sample's ``bits``, where it is unknown."""
+    edge = EdgeCrossing()
+    edge.offset = 0.5
+    edge.inverse_depth = inverse_depth_of(bits)
+    edge.cut_triangle = -1
+    edge.is_known = key != wp.int64(0)
+    if edge.is_known:
+        edge.offset = wp.cast(wp.int32(key >> wp.int64(32)), float)
         end = wp.int32(key & wp.int64(0x7FFFFFFF))
         if (key & NEAR_CUT) == wp.int64(0):
-            reach.inverse_depth = inverse_depth_of(end)
+            edge.inverse_depth = inverse_depth_of(end)
         else:
-            reach.inverse_depth = 1.0 / near_m
-            reach.cut_triangle = end
-    return reach
+            edge.inverse_depth = 1.0 / near_m
+            edge.cut_triangle = end
+    return edge
 
 
 @wp.func
@@ -132,14 +132,14 @@ def share_inside(start: wp.vec3, end: wp.vec3, normal: wp.vec3) -> float:
 
 
 @wp.func
-def traced_triangle_reach(
+def traced_triangle_crossing(
     camera: View, scene: Triangles, triangle: int, bits: wp.int32, row: int, column: int, direction: int
-) -> Reach:
-    """`triangle_reach` for a lens that is no pinhole, where straight sides are planes of rays."""
+) -> EdgeCrossing:
+    """`triangle_crossing` for a lens that is no pinhole, where straight sides are planes of rays."""
     corner = scene.triangle[triangle]
-    a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
-    b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
-    c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
+    a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
+    b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
+    c = point_in_camera(camera, scene.vertex_world_m[corner[2]])
     step = step_of(direction)
     x = float(column) + 0.5
     y = float(row) + 0.5
@@ -159,19 +159,19 @@ def traced_triangle_reach(
     if end_w > nearest:
         cut_share = wp.clamp((nearest - start_w) / (end_w - start_w), 0.0, 1.0)
     if wp.min(share, cut_share) >= 1.0:
-        return reach_from(wp.int64(0), bits, camera.near_m)
-    reach = Reach()
-    reach.distance = wp.min(share, cut_share)
-    reach.inverse_depth = start_w + reach.distance * (end_w - start_w)
-    reach.cut_triangle = -1
-    reach.is_known = True
+        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
+    edge = EdgeCrossing()
+    edge.offset = wp.min(share, cut_share)
+    edge.inverse_depth = start_w + edge.offset * (end_w - start_w)
+    edge.cut_triangle = -1
+    edge.is_known = True
     if cut_share < share:
-        reach.cut_triangle = triangle
-    return reach
+        edge.cut_triangle = triangle
+    return edge
 
 
 @wp.func
-def triangle_reach(
+def triangle_crossing(
     camera: View,
     scene: Triangles,
     triangle: int,
@@ -181,19 +181,19 @@ def triangle_reach(
     direction: int,
     width: int,
     height: int,
-) -> Reach:
+) -> EdgeCrossing:
     """How far one triangle goes on from a sample's centre that it covers; half way where it covers the next as well.
 
     For surfaces without a layer: their triangles are large, and their neighbours are not asked.
     """
     if camera.lens.kind != PINHOLE:
-        return traced_triangle_reach(camera, scene, triangle, bits, row, column, direction)
+        return traced_triangle_crossing(camera, scene, triangle, bits, row, column, direction)
     x = float(column) + 0.5
     y = float(row) + 0.5
     part = front_part(camera, scene, triangle)
-    reach = Reach()
-    reach.cut_triangle = -1
-    reach.is_known = True
+    edge = EdgeCrossing()
+    edge.cut_triangle = -1
+    edge.is_known = True
     for index in range(part.part_count):
         image = image_triangle(camera, part, index, True, width, height)
         w = image.w + image.w_per_column * (x - image.a[0]) + image.w_per_row * (y - image.a[1])
@@ -210,18 +210,18 @@ def triangle_reach(
             end = span[1]
             if direction == TO_LEFT or direction == TO_TOP:
                 end = span[0]
-            if wp.abs(end - here) > reach.distance:
-                reach.distance = wp.abs(end - here)
-                reach.inverse_depth = w + w_per_step * (end - here)
-    if reach.distance <= 0.0 or reach.distance >= 1.0:
-        return reach_from(wp.int64(0), bits, camera.near_m)
-    if not part.is_whole and reach.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
-        reach.cut_triangle = triangle
-    return reach
+            if wp.abs(end - here) > edge.offset:
+                edge.offset = wp.abs(end - here)
+                edge.inverse_depth = w + w_per_step * (end - here)
+    if edge.offset <= 0.0 or edge.offset >= 1.0:
+        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
+    if not part.is_whole and edge.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
+        edge.cut_triangle = triangle
+    return edge
 
 
 @wp.func
-def hiding_reach(
+def hiding_crossing(
     camera: View,
     scene: Triangles,
     layers: Layers,
@@ -233,18 +233,18 @@ def hiding_reach(
     direction: int,
     width: int,
     height: int,
-) -> Reach:
+) -> EdgeCrossing:
     """How far a hiding surface goes on from a sample's centre that it hides."""
     layer = -1 - source
     if source >= 0:
-        layer = scene.object_layer[scene.triangle_object[source]]
+        layer = scene.body_layer[scene.triangle_body[source]]
     if layer >= 0 and layer < layers.rectangle.shape[1]:
         place = place_in(layers.rectangle[v, layer], layers.offset[v, layer], row, column)
         if place >= 0:
-            return reach_from(layers.reach_key[direction, place], bits, camera.near_m)
+            return edge_crossing_from(layers.crossing_key[direction, place], bits, camera.near_m)
     if source < 0:
-        return reach_from(wp.int64(0), bits, camera.near_m)
-    return triangle_reach(camera, scene, source, bits, row, column, direction, width, height)
+        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
+    return triangle_crossing(camera, scene, source, bits, row, column, direction, width, height)
 
 
 @wp.func
@@ -252,8 +252,8 @@ def plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int,
     """Inverse depth of a triangle's plane at a sample's centre [1/m]; not positive where the camera looks past it."""
     plane = scene.triangle_plane[triangle]
     normal = wp.vec3(plane[0], plane[1], plane[2])
-    ray = wp.transpose(camera.camera_from_ego) * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
-    height_m = plane[3] - wp.dot(normal, camera.position_ego_m)
+    ray = wp.transpose(camera.camera_from_world) * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
+    height_m = plane[3] - wp.dot(normal, camera.position_world_m)
     if height_m == 0.0:
         return 0.0
     return wp.dot(normal, ray) / height_m
@@ -273,7 +273,7 @@ def passing_share(front: float, front_next: float, back: float, back_next: float
 
 
 @wp.struct
-class Crossing:
+class OutlineCrossing:
     """Where an outline crosses from one sample's centre to the next.
 
     Attributes:
@@ -290,7 +290,7 @@ class Crossing:
 
 
 @wp.func
-def crossing_from(
+def outline_crossing(
     pair: Pair,
     row: int,
     column: int,
@@ -302,22 +302,24 @@ def crossing_from(
     hiding: Hiding,
     width: int,
     height: int,
-) -> Crossing:
+) -> OutlineCrossing:
     """The crossing next to a sample of the mask whose neighbour in a direction is not of the mask."""
     step = step_of(direction)
     place = place_in(pair.rectangle, pair.offset, row, column)
     other_row = row + step[0]
     other_column = column + step[1]
     other = place_in(pair.rectangle, pair.offset, other_row, other_column)
-    reach = Reach()
-    reach.distance = 1.0
-    reach.cut_triangle = -1
+    edge = EdgeCrossing()
+    edge.offset = 1.0
+    edge.cut_triangle = -1
     if layers.inverse_depth_bits[other] == wp.int32(0):
-        reach = reach_from(layers.reach_key[direction, place], layers.inverse_depth_bits[place], camera.near_m)
+        edge = edge_crossing_from(
+            layers.crossing_key[direction, place], layers.inverse_depth_bits[place], camera.near_m
+        )
     if kind == VISIBLE:
         bits = hiding.bits[other]
         if bits != wp.int32(0):
-            back = hiding_reach(
+            back = hiding_crossing(
                 camera,
                 scene,
                 layers,
@@ -335,20 +337,20 @@ def crossing_from(
                 own = inverse_depth_of(layers.inverse_depth_bits[place])
                 behind = plane_inverse_depth(camera, scene, hiding.source[other], row, column)
                 share = passing_share(own, own_next, behind, inverse_depth_of(bits))
-                if share >= 0.0 and (share > 1.0 - back.distance or not back.is_known):
-                    back.distance = 1.0 - share
+                if share >= 0.0 and (share > 1.0 - back.offset or not back.is_known):
+                    back.offset = 1.0 - share
                     back.inverse_depth = own + share * (own_next - own)
                     back.cut_triangle = -1
             # what lies behind the object hides nothing; it is only what one sees beside it
-            if back.inverse_depth > reach.inverse_depth and 1.0 - back.distance <= reach.distance:
-                reach.distance = 1.0 - back.distance
-                reach.inverse_depth = back.inverse_depth
-                reach.cut_triangle = back.cut_triangle
-    crossing = Crossing()
-    crossing.x = float(column) + 0.5 + reach.distance * float(step[1])
-    crossing.y = float(row) + 0.5 + reach.distance * float(step[0])
-    crossing.inverse_depth = reach.inverse_depth
-    crossing.cut_triangle = reach.cut_triangle
+            if back.inverse_depth > edge.inverse_depth and 1.0 - back.offset <= edge.offset:
+                edge.offset = 1.0 - back.offset
+                edge.inverse_depth = back.inverse_depth
+                edge.cut_triangle = back.cut_triangle
+    crossing = OutlineCrossing()
+    crossing.x = float(column) + 0.5 + edge.offset * float(step[1])
+    crossing.y = float(row) + 0.5 + edge.offset * float(step[0])
+    crossing.inverse_depth = edge.inverse_depth
+    crossing.cut_triangle = edge.cut_triangle
     return crossing
 
 
@@ -461,7 +463,7 @@ def side_crossing(
     hiding: Hiding,
     width: int,
     height: int,
-) -> Crossing:
+) -> OutlineCrossing:
     """The outline's crossing of one side of a cell."""
     # corners clockwise: upper left, upper right, lower right, lower left; a side's direction from its first corner
     corner = side
@@ -481,7 +483,7 @@ def side_crossing(
     column = cell.column
     if corner == 1 or corner == 2:
         column += 1
-    return crossing_from(pair, row, column, direction, kind, camera, scene, layers, hiding, width, height)
+    return outline_crossing(pair, row, column, direction, kind, camera, scene, layers, hiding, width, height)
 
 
 @wp.struct

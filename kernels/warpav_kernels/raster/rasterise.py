@@ -7,8 +7,8 @@ Two kinds of buffer are filled in one sweep over the triangles:
 * the layers (see `layers`): 1/z of single objects, and how far each goes on between its samples.
 
 A row of samples meets a triangle in one span, whose ends are solved from the triangle's edges. The samples inside are
-covered; the rest of the span, beyond its last sample on either side, is the reach. Columns are swept as well, for the
-reach alone.
+covered; the rest of the span, beyond its last sample on either side, ends at the edge
+crossing. Columns are swept as well, for the edge crossings alone.
 """
 
 import warp as wp
@@ -24,37 +24,39 @@ LARGE_SAMPLES = wp.constant(64)
 STRIP_ROWS = wp.constant(8)
 
 LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
-LEAST_REACH = wp.constant(1.0e-6)  # 0 means unknown
+LEAST_OFFSET = wp.constant(1.0e-6)  # 0 means unknown
 
 
 @wp.struct
 class Triangles:
-    """The scene's triangles, sorted by object and by place, in clusters of one object each.
+    """The scene's triangles, sorted by body and by place, in clusters of one body each.
+
+    A body is one mesh of the scene: the occluders in order, then the objects in order.
 
     Attributes:
-        vertex_ego_m: Vertex positions in the ego frame [m], [vertex].
+        vertex_world_m: Vertex positions in the world frame [m], [vertex].
         triangle: Vertex indices, [triangle].
-        triangle_object: Object of every triangle, [triangle].
+        triangle_body: Body of every triangle, [triangle].
         triangle_plane: Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle].
         neighbour: Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of
             the other winding, [triangle].
-        object_layer: Layer of every object; -1 where it has none, [object].
+        body_layer: Layer of every body; -1 where it has none, [body].
         cluster_first: First triangle of each cluster, [cluster].
         cluster_count: Number of triangles of each cluster, [cluster].
-        cluster_layer: Layer of each cluster's object; -1 where the object has none, [cluster].
-        cluster_sphere_ego_m: Bounding sphere, centre and radius [m], [cluster].
+        cluster_layer: Layer of each cluster's body; -1 where it has none, [cluster].
+        cluster_sphere_world_m: Bounding sphere, centre and radius [m], [cluster].
     """
 
-    vertex_ego_m: wp.array[wp.vec3]
+    vertex_world_m: wp.array[wp.vec3]
     triangle: wp.array[wp.vec3i]
-    triangle_object: wp.array[wp.int32]
+    triangle_body: wp.array[wp.int32]
     triangle_plane: wp.array[wp.vec4]
     neighbour: wp.array[wp.vec3i]
-    object_layer: wp.array[wp.int32]
+    body_layer: wp.array[wp.int32]
     cluster_first: wp.array[wp.int32]
     cluster_count: wp.array[wp.int32]
     cluster_layer: wp.array[wp.int32]
-    cluster_sphere_ego_m: wp.array[wp.vec4]
+    cluster_sphere_world_m: wp.array[wp.vec4]
 
 
 @wp.struct
@@ -84,9 +86,9 @@ def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
     near_m = camera.near_m
     corner = scene.triangle[triangle]
     part = FrontPart()
-    part.a = point_in_camera(camera, scene.vertex_ego_m[corner[0]])
-    part.b = point_in_camera(camera, scene.vertex_ego_m[corner[1]])
-    part.c = point_in_camera(camera, scene.vertex_ego_m[corner[2]])
+    part.a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
+    part.b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
+    part.c = point_in_camera(camera, scene.vertex_world_m[corner[2]])
     in_front = int(part.a[2] >= near_m) + int(part.b[2] >= near_m) + int(part.c[2] >= near_m)
     part.part_count = 0
     part.is_whole = in_front == 3
@@ -288,19 +290,19 @@ def raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
 
 
 @wp.func
-def raise_reach(layers: Layers, direction: int, place: int, reach: float, inverse_depth: float, cut_triangle: int):
-    """Raise a sample's reach in one direction.
+def raise_crossing(layers: Layers, direction: int, place: int, offset: float, inverse_depth: float, cut_triangle: int):
+    """Raise a sample's edge crossing in one direction.
 
     ``inverse_depth`` is the surface's where it ends; ``cut_triangle`` the triangle that the near plane ends there, or
     -1.
     """
-    far = wp.int64(wp.cast(wp.clamp(reach, LEAST_REACH, 1.0), wp.int32))
+    far = wp.int64(wp.cast(wp.clamp(offset, LEAST_OFFSET, 1.0), wp.int32))
     end = wp.int64(wp.cast(wp.max(inverse_depth, LEAST_INVERSE_DEPTH), wp.int32))
     if cut_triangle >= 0:
         end = NEAR_CUT | wp.int64(cut_triangle)
     value = (far << wp.int64(32)) | end
-    if layers.reach_key[direction, place] < value:
-        wp.atomic_max(layers.reach_key, direction, place, value)
+    if layers.crossing_key[direction, place] < value:
+        wp.atomic_max(layers.crossing_key, direction, place, value)
 
 
 @wp.func
@@ -352,8 +354,8 @@ def fill_rows(
 @wp.func
 def faces(camera: View, plane: wp.vec4) -> bool:
     """Whether the camera is in front of a plane."""
-    position_ego_m = camera.position_ego_m
-    return plane[0] * position_ego_m[0] + plane[1] * position_ego_m[1] + plane[2] * position_ego_m[2] > plane[3]
+    position_world_m = camera.position_world_m
+    return plane[0] * position_world_m[0] + plane[1] * position_world_m[1] + plane[2] * position_world_m[2] > plane[3]
 
 
 @wp.func
@@ -365,10 +367,10 @@ def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: i
 
 
 @wp.func
-def reach_over_edge(
+def cross_edge(
     start: wp.vec3, end: wp.vec3, side: float, cut_triangle: int, rectangle: wp.vec4i, offset: int, layers: Layers
 ):
-    """Scatter how far a triangle reaches, over one of its sides, from the samples next to it in rows and columns.
+    """Scatter where one side of a triangle crosses the lines from the samples next to it to their neighbours.
 
     ``start`` and ``end`` are (column, row, 1/z) of the side's corners; ``side`` is the sign of the triangle's area.
     Where the near plane has made the side, ``cut_triangle`` is the triangle, else -1.
@@ -391,7 +393,7 @@ def reach_over_edge(
                 distance = 1.0 - distance
             if column >= rectangle[0] and column < right and distance <= 1.0:
                 place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
-                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
+                raise_crossing(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
     first_column = line_after(start[0], rectangle[0], right)
     last_column = line_after(end[0], rectangle[0], right)
     if first_column != last_column:
@@ -407,7 +409,7 @@ def reach_over_edge(
                 distance = 1.0 - distance
             if row >= rectangle[1] and row < bottom and distance <= 1.0:
                 place = offset + (row - rectangle[1]) * rectangle[2] + column - rectangle[0]
-                raise_reach(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
+                raise_crossing(layers, direction, place, distance, start[2] + share * along[2], cut_triangle)
 
 
 @wp.func
@@ -468,7 +470,7 @@ def scatter_triangles_kernel(
     camera = view[v]
     if camera.lens.kind != PINHOLE:
         return
-    sphere = scene.cluster_sphere_ego_m[cluster]
+    sphere = scene.cluster_sphere_world_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
     if is_outside(centre_m, sphere[3], camera, width, height):
         return
@@ -493,15 +495,15 @@ def scatter_triangles_kernel(
                     neighbour = scene.neighbour[triangle]
                     is_facing = faces(camera, scene.triangle_plane[triangle])
                 if may_be_outline(camera, scene, is_facing, neighbour[0]):
-                    reach_over_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
+                    cross_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[1]):
                     # the last triangle of a fan has the side that the near plane made
                     cut_triangle = int(-1)
                     if not part.is_whole and index == part.part_count - 1:
                         cut_triangle = triangle
-                    reach_over_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
+                    cross_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[2]):
-                    reach_over_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
+                    cross_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
             rows = image.last_row - image.first_row + 1
             columns = image.last_column - image.first_column + 1
             if image.side != 0.0 and rows > 0 and columns > 0:
@@ -561,7 +563,7 @@ def fill_strips_kernel(
         v = entry[0]
         camera = view[v]
         triangle = entry[1]
-        layer = scene.object_layer[scene.triangle_object[triangle]]
+        layer = scene.body_layer[scene.triangle_body[triangle]]
         rectangle = wp.vec4i(0, 0, 0, 0)
         offset = int(-1)
         if layer >= 0 and layer < layer_count:

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpav_kernels.raster.layers import Layers
+from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
 from warpav_kernels.raster.rasterise import Triangles
 from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, ray_in_camera
 
@@ -13,19 +15,22 @@ def resolve_depth_kernel(
     # in
     key: wp.array3d[wp.int64],
     scene: Triangles,
-    sky_depth_m: float,
+    background_m: float,
+    first_object: int,
     supersampling: int,
     first_view: int,
     lane_count: int,
     # out
     depth_m: wp.array3d[float],
-    object_index: wp.array3d[wp.int32],
+    object_id: wp.array3d[wp.int32],
 ):
     """Depth and object at the sample nearest to every pixel's centre.
 
+    ``first_object`` is the number of occluders: the bodies from there on are objects.
+
     Launch: ``dim=(views of this chunk, height_px, lane_count)``; the lanes share the pixels of a row. Not taped.
-    Writes: every element of ``depth_m`` [m], ``sky_depth_m`` where nothing is hit, and of ``object_index``, -1 there,
-        of these views.
+    Writes: every element of ``depth_m`` [m], ``background_m`` where nothing is hit, and of ``object_id`` of these
+        views: k for object k, -1 where nothing is hit, ``-2 - j`` for occluder j.
     """
     chunk_view, row, lane = wp.tid()
     v = first_view + chunk_view
@@ -33,11 +38,48 @@ def resolve_depth_kernel(
     for column in range(lane, depth_m.shape[2], lane_count):
         nearest = key[v, grid_row, GUARD + column * supersampling + supersampling / 2]
         if nearest == wp.int64(0):
-            depth_m[v, row, column] = sky_depth_m
-            object_index[v, row, column] = -1
+            depth_m[v, row, column] = background_m
+            object_id[v, row, column] = -1
         else:
             depth_m[v, row, column] = 1.0 / inverse_depth_of(wp.int32(nearest >> wp.int64(32)))
-            object_index[v, row, column] = scene.triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
+            body = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
+            if body >= first_object:
+                object_id[v, row, column] = body - first_object
+            else:
+                object_id[v, row, column] = -2 - body
+
+
+@wp.kernel(enable_backward=False)
+def resolve_silhouettes_kernel(
+    # in
+    layers: Layers,
+    hiding: Hiding,
+    kind: int,
+    supersampling: int,
+    first_view: int,
+    lane_count: int,
+    # out
+    silhouette: wp.array4d[float],
+):
+    """Share of every pixel that an object covers, alone or unhidden as ``kind`` says.
+
+    Launch: ``dim=(views of this chunk, object_count, lane_count)``; the lanes share the rows of an image. Not taped.
+    Writes: every element of ``silhouette`` [view, object, row, column], 0..1, of these views once.
+    """
+    chunk_view, object_index, lane = wp.tid()
+    v = first_view + chunk_view
+    pair = pair_of(v, object_index, layers)
+    share = 1.0 / float(supersampling * supersampling)
+    for row in range(lane, silhouette.shape[2], lane_count):
+        for column in range(silhouette.shape[3]):
+            covered = int(0)
+            for sample in range(supersampling * supersampling):
+                r = GUARD + row * supersampling + sample / supersampling - pair.rectangle[1]
+                c = GUARD + column * supersampling + sample % supersampling - pair.rectangle[0]
+                if r >= 0 and c >= 0 and r < pair.rectangle[3] and c < pair.rectangle[2]:
+                    if is_in_mask(pair, r, c, kind, layers, hiding):
+                        covered += 1
+            silhouette[v, object_index, row, column] = share * float(covered)
 
 
 @wp.func
@@ -72,12 +114,12 @@ class Patch:
 
 
 @wp.func
-def patch_of(position_ego_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
-    """The colours of a triangle, seen from a place; rays are in ego axes."""
+def patch_of(position_world_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
+    """The colours of a triangle, seen from a place; rays are in world axes."""
     corner = scene.triangle[triangle]
-    a = scene.vertex_ego_m[corner[0]] - position_ego_m
-    b = scene.vertex_ego_m[corner[1]] - position_ego_m
-    c = scene.vertex_ego_m[corner[2]] - position_ego_m
+    a = scene.vertex_world_m[corner[0]] - position_world_m
+    b = scene.vertex_world_m[corner[1]] - position_world_m
+    c = scene.vertex_world_m[corner[2]] - position_world_m
     patch = Patch()
     patch.triangle = triangle
     patch.share_a = wp.cross(b, c)
@@ -101,18 +143,18 @@ def patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
 
 @wp.func
 def patch_under(
-    patch: Patch, nearest: wp.int64, position_ego_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
+    patch: Patch, nearest: wp.int64, position_world_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
 ) -> Patch:
     """The patch of the triangle of a key; the given one again where that is the same, or there is none."""
     triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
     if nearest == wp.int64(0) or triangle == patch.triangle:
         return patch
-    return patch_of(position_ego_m, scene, vertex_rgb, triangle)
+    return patch_of(position_world_m, scene, vertex_rgb, triangle)
 
 
 @wp.func
 def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3) -> wp.vec3:
-    """What a camera sees along a ray in ego axes: the patch of the key, or the sky where the key is empty.
+    """What a camera sees along a ray in world axes: the patch of the key, or the sky where the key is empty.
 
     Black along a ray of zero, where the lens sees nothing.
     """
@@ -149,7 +191,7 @@ def resolve_rgb_kernel(
     image = first_image + chunk_image
     v = shown_view[image]
     camera = view[v]
-    ego_from_camera = wp.transpose(camera.camera_from_ego)
+    world_from_camera = wp.transpose(camera.camera_from_world)
     # neighbouring samples often see the same triangle
     patch = Patch()
     patch.triangle = -1
@@ -158,9 +200,9 @@ def resolve_rgb_kernel(
         for sample in range(supersampling * supersampling):
             grid_row = GUARD + row * supersampling + sample / supersampling
             grid_column = GUARD + column * supersampling + sample % supersampling
-            ray = ego_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
+            ray = world_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
             nearest = key[v, grid_row, grid_column]
-            patch = patch_under(patch, nearest, camera.position_ego_m, scene, vertex_rgb)
+            patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
             total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
         colour = total / float(supersampling * supersampling)
         rgb[image, row, column] = wp.vec3(

@@ -10,13 +10,13 @@ from the last ray that hits it to the first that does not.
 import warp as wp
 
 from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
-from warpav_kernels.raster.rasterise import LEAST_INVERSE_DEPTH, LEAST_REACH, Triangles
+from warpav_kernels.raster.rasterise import LEAST_INVERSE_DEPTH, LEAST_OFFSET, Triangles
 from warpav_kernels.raster.view import View, inverse_depth_of, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
 FARTHEST_M = wp.constant(1.0e6)
-REACH_STEPS = wp.constant(12)  # halvings of a sample
+CROSSING_STEPS = wp.constant(12)  # halvings of a sample
 NEAR_TOLERANCE = wp.constant(3.0e-4)  # of 1/z, by which a surface ends where it is too near
 LEAST_STEP = wp.constant(0.1)  # of 1/z, from a layer's front to a part behind it
 WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
@@ -42,10 +42,10 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
     hit.inverse_depth = 0.0
     hit.triangle = -1
     if wp.length_sq(ray) > 0.0:
-        direction = wp.transpose(camera.camera_from_ego) * ray
+        direction = wp.transpose(camera.camera_from_world) * ray
         # what is nearer is cut away
-        start_ego_m = camera.position_ego_m + camera.near_m * direction
-        query = wp.mesh_query_ray(mesh, start_ego_m, direction, FARTHEST_M, root)
+        start_world_m = camera.position_world_m + camera.near_m * direction
+        query = wp.mesh_query_ray(mesh, start_world_m, direction, FARTHEST_M, root)
         if query.result:
             hit.inverse_depth = wp.max(1.0 / (camera.near_m + query.t), LEAST_INVERSE_DEPTH)
             hit.triangle = query.face
@@ -99,7 +99,7 @@ def trace_layers_kernel(
     view: wp.array[View],
     scene: Triangles,
     mesh: wp.uint64,
-    layer_object: wp.array[wp.int32],
+    layer_body: wp.array[wp.int32],
     traced_view: wp.array[wp.int32],
     key: wp.array3d[wp.int64],
     has_key: int,
@@ -121,7 +121,7 @@ def trace_layers_kernel(
     v = traced_view[first + i]
     camera = view[v]
     rectangle = layers.rectangle[v, layer]
-    root = wp.mesh_get_group_root(mesh, layer_object[layer])
+    root = wp.mesh_get_group_root(mesh, layer_body[layer])
     for row in range(lane / column_lanes, rectangle[3], row_lanes):
         for column in range(lane % column_lanes, rectangle[2], column_lanes):
             nearest = wp.int64(0)
@@ -133,7 +133,7 @@ def trace_layers_kernel(
             if is_asked:
                 is_own = False
                 if nearest != wp.int64(0):
-                    is_own = scene.triangle_object[wp.int32(nearest & wp.int64(0xFFFFFFFF))] == layer_object[layer]
+                    is_own = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))] == layer_body[layer]
                 if is_own:
                     bits = wp.int32(nearest >> wp.int64(32))
                 else:
@@ -143,11 +143,11 @@ def trace_layers_kernel(
 
 
 @wp.kernel(enable_backward=False)
-def trace_reaches_kernel(
+def trace_crossings_kernel(
     # in
     view: wp.array[View],
     mesh: wp.uint64,
-    layer_object: wp.array[wp.int32],
+    layer_body: wp.array[wp.int32],
     traced_view: wp.array[wp.int32],
     first: int,
     row_lanes: int,
@@ -159,14 +159,14 @@ def trace_reaches_kernel(
 
     Launch: ``dim=(traced views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
     samples. Not taped.
-    Writes: ``layers.reach_key`` of these views at outlines; the caller zeroes it.
+    Writes: ``layers.crossing_key`` of these views at outlines; the caller zeroes it.
     """
     i, layer, lane = wp.tid()
     v = traced_view[first + i]
     camera = view[v]
     rectangle = layers.rectangle[v, layer]
     offset = layers.offset[v, layer]
-    root = wp.mesh_get_group_root(mesh, layer_object[layer])
+    root = wp.mesh_get_group_root(mesh, layer_body[layer])
     for r in range(lane / column_lanes, rectangle[3], row_lanes):
         for c in range(lane % column_lanes, rectangle[2], column_lanes):
             row = rectangle[1] + r
@@ -193,7 +193,7 @@ def trace_reaches_kernel(
                             outside = float(1.0)
                             end_inverse_depth = inverse_depth_of(bits)
                             end_triangle = int(-1)
-                            for _ in range(REACH_STEPS):
+                            for _ in range(CROSSING_STEPS):
                                 middle = 0.5 * (inside + outside)
                                 hit = first_hit(camera, mesh, root, ray_between(here, there, middle))
                                 if hit.triangle >= 0 and hit.inverse_depth >= front:
@@ -205,5 +205,5 @@ def trace_reaches_kernel(
                             end = wp.int64(wp.cast(end_inverse_depth, wp.int32))
                             if end_triangle >= 0 and end_inverse_depth * camera.near_m > 1.0 - NEAR_TOLERANCE:
                                 end = NEAR_CUT | wp.int64(end_triangle)
-                            reach = wp.cast(wp.max(0.5 * (inside + outside), LEAST_REACH), wp.int32)
-                            layers.reach_key[direction, place] = (wp.int64(reach) << wp.int64(32)) | end
+                            offset_bits = wp.cast(wp.max(0.5 * (inside + outside), LEAST_OFFSET), wp.int32)
+                            layers.crossing_key[direction, place] = (wp.int64(offset_bits) << wp.int64(32)) | end

@@ -21,16 +21,16 @@ class View:
     """Pose and lens of one view.
 
     Attributes:
-        position_ego_m: Camera centre in the ego frame [m].
-        camera_from_ego: Rotation from ego axes to camera axes (x right, y down, z forward).
+        position_world_m: Camera centre in the world frame [m].
+        camera_from_world: Rotation from world axes to camera axes (x right, y down, z forward).
         focal: Focal lengths along columns and rows, in samples of the grid.
         centre: Principal point (column, row), in samples of the grid.
         near_m: Depth below which nothing is seen [m].
         lens: The lens without its focal lengths.
     """
 
-    position_ego_m: wp.vec3
-    camera_from_ego: wp.mat33
+    position_world_m: wp.vec3
+    camera_from_world: wp.mat33
     focal: wp.vec2
     centre: wp.vec2
     near_m: float
@@ -38,9 +38,9 @@ class View:
 
 
 @wp.func
-def point_in_camera(view: View, point_ego_m: wp.vec3) -> wp.vec3:
-    """A point of the ego frame in camera coordinates [m]."""
-    return view.camera_from_ego * (point_ego_m - view.position_ego_m)
+def point_in_camera(view: View, point_world_m: wp.vec3) -> wp.vec3:
+    """A point of the world frame in camera coordinates [m]."""
+    return view.camera_from_world * (point_world_m - view.position_world_m)
 
 
 @wp.func
@@ -107,19 +107,19 @@ def inverse_depth_of(bits: wp.int32) -> float:
 @wp.kernel(enable_backward=False)
 def place_views_kernel(
     # in
-    position_ego_m: wp.array[wp.vec3],
-    camera_from_ego: wp.array[wp.mat33],
+    position_world_m: wp.array[wp.vec3],
+    camera_from_world: wp.array[wp.mat33],
     intrinsics_px: wp.array[wp.vec4],
     near_m: wp.array[float],
     lens: wp.array[Lens],
-    log_zoom: wp.array[float],
+    log_focal: wp.array[float],
     supersampling: int,
     # out
     view: wp.array[View],
 ):
     """Gather each view's pose and lens into one struct.
 
-    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_zoom`` is the
+    ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_focal`` is the
     logarithm of what the focal lengths are multiplied by.
 
     Launch: ``dim=view_count``; one thread per view. Not taped.
@@ -129,9 +129,9 @@ def place_views_kernel(
     scale = float(supersampling)
     intrinsics = intrinsics_px[i]
     placed = View()
-    placed.position_ego_m = position_ego_m[i]
-    placed.camera_from_ego = camera_from_ego[i]
-    focal_scale = scale * wp.exp(log_zoom[i])
+    placed.position_world_m = position_world_m[i]
+    placed.camera_from_world = camera_from_world[i]
+    focal_scale = scale * wp.exp(log_focal[i])
     placed.focal = wp.vec2(intrinsics[0] * focal_scale, intrinsics[1] * focal_scale)
     placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]

@@ -18,7 +18,7 @@ what the border sweeps.
 import warp as wp
 
 from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.measure import Flow, frame_weight, with_step
+from warpav_kernels.raster.measure import BoundaryDerivative, frame_weight, with_step
 from warpav_kernels.raster.outline import Hiding, cell_of, cell_segment, is_in_mask, mask_corners, pair_of, segment_cuts
 from warpav_kernels.raster.rasterise import Triangles
 from warpav_kernels.raster.view import GUARD, View, ray_in_camera, solid_angle
@@ -92,21 +92,21 @@ def measure_window_kernel(
     row_lanes: int,
     column_lanes: int,
     # out
-    flow: wp.array4d[Flow],
-    window_flow: wp.array3d[wp.vec4],
+    derivative: wp.array4d[BoundaryDerivative],
+    window_derivative: wp.array3d[wp.vec4],
 ):
-    """Solid angle of one object in one view inside the view's window, and how it flows, over one lane's samples.
+    """Solid angle of one object in one view inside the view's window, and its derivatives, over one lane's samples.
 
-    Launch: ``dim=(views of this chunk, vehicle_count, row_lanes * column_lanes)``. Not taped.
-    Writes: ``flow`` [view, vehicle, 0, lane] and ``window_flow`` [view, vehicle, lane] of these views.
+    Launch: ``dim=(views of this chunk, object_count, row_lanes * column_lanes)``. Not taped.
+    Writes: ``derivative`` [view, object, 0, lane] and ``window_derivative`` [view, object, lane] of these views.
     """
-    chunk_view, vehicle, lane = wp.tid()
+    chunk_view, object_index, lane = wp.tid()
     v = first_view + chunk_view
     camera = view[v]
-    pair = pair_of(v, vehicle, layers)
+    pair = pair_of(v, object_index, layers)
     window = window_rad[v]
-    seen = Flow()
-    per_window = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    seen = BoundaryDerivative()
+    jac_window = wp.vec4(0.0, 0.0, 0.0, 0.0)
     zoom = float(0.0)
     for row in range(lane / column_lanes, pair.rectangle[3], row_lanes):
         for column in range(lane % column_lanes, pair.rectangle[2], column_lanes):
@@ -118,7 +118,7 @@ def measure_window_kernel(
                 if frame_weight(x, y, width, height) > 0.0:
                     density = window_density(camera, x, y, window, softness_rad)
                     seen.area += density[0]
-                    per_window += wp.vec4(density[1], density[2], density[3], density[4])
+                    jac_window += wp.vec4(density[1], density[2], density[3], density[4])
                     zoom -= border_sweep(camera, grid_column, grid_row, width, height, window, softness_rad)
             mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
@@ -135,25 +135,25 @@ def measure_window_kernel(
                             weight += (cut[k + 1] - cut[k]) * density[0]
                     seen = with_step(seen, camera, scene, segment, weight * extent[1], -weight * extent[0])
     # an outline keeps its directions; only the image's border does not
-    seen.zoom = zoom
-    flow[v, vehicle, 0, lane] = seen
-    window_flow[v, vehicle, lane] = per_window
+    seen.log_focal = zoom
+    derivative[v, object_index, 0, lane] = seen
+    window_derivative[v, object_index, lane] = jac_window
 
 
 @wp.kernel(enable_backward=False)
-def sum_window_flow_kernel(
+def sum_window_derivatives_kernel(
     # in
-    window_flow: wp.array3d[wp.vec4],
+    window_derivative: wp.array3d[wp.vec4],
     # out
-    per_window: wp.array2d[wp.vec4],
+    jac_window: wp.array2d[wp.vec4],
 ):
     """Sum the derivatives to the window over the lanes, in their order.
 
-    Launch: ``dim=(view_count, vehicle_count)``; one thread per sum. Not taped.
-    Writes: every element of ``per_window`` [sr/rad] once.
+    Launch: ``dim=(view_count, object_count)``; one thread per sum. Not taped.
+    Writes: every element of ``jac_window`` [sr/rad] once.
     """
-    v, vehicle = wp.tid()
+    v, object_index = wp.tid()
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for lane in range(window_flow.shape[2]):
-        total += window_flow[v, vehicle, lane]
-    per_window[v, vehicle] = total
+    for lane in range(window_derivative.shape[2]):
+        total += window_derivative[v, object_index, lane]
+    jac_window[v, object_index] = total

@@ -15,7 +15,6 @@ from warpav.experiments.bench.workload import (
     read_truth,
     read_workload,
 )
-from warpav.raster.device_scene import FIRST_VEHICLE
 
 
 def written(folder, arrays, name="some.npz"):
@@ -59,20 +58,19 @@ def test_objects_keep_their_numbers_on_the_device(device, tmp_path):
     arrays = small_workload()
     workload = read_workload(written(tmp_path, arrays))
     packed = pack_workload(workload, device=device)
-    assert packed.vehicle_count == VEHICLES
-    found = np.bincount(packed.triangles.triangle_object.numpy())
-    np.testing.assert_array_equal(found[FIRST_VEHICLE:], arrays["face_counts"])
-    assert found[1] == 1  # the triangle that stands in for the ego vehicle
+    assert packed.object_count == VEHICLES
+    found = np.bincount(packed.triangles.triangle_body.numpy())
+    others = packed.occluder_count
+    np.testing.assert_array_equal(np.r_[found[others:], found[:others]], arrays["face_counts"])
     # corners and colours go together
-    corner = packed.triangles.vertex_ego_m.numpy()[packed.triangles.triangle.numpy()][:, :, [1, 2, 0]]
+    corner = packed.triangles.vertex_world_m.numpy()[packed.triangles.triangle.numpy()][:, :, [1, 2, 0]]
     rgb = packed.vertex_rgb.numpy()[packed.triangles.triangle.numpy()]
-    real = packed.triangles.triangle_object.numpy() >= FIRST_VEHICLE
 
     def rows(place, colour):
         return sorted(map(tuple, np.concatenate([place, colour], axis=2).reshape(-1, 18).tolist()))
 
     expected = rows(arrays["verts"][arrays["faces"]], arrays["colors"][arrays["faces"]])
-    assert rows(corner[real], rgb[real]) == expected
+    assert rows(corner, rgb) == expected
 
 
 def test_objects_may_lack_triangles_and_everything_may_be_a_vehicle(tmp_path):
@@ -83,9 +81,9 @@ def test_objects_may_lack_triangles_and_everything_may_be_a_vehicle(tmp_path):
     arrays["faces"] = np.delete(arrays["faces"], slice(count[0], count[0] + count[1]), axis=0)
     arrays["face_counts"] = np.r_[count[0], 0, count[2:]]
     packed = pack_workload(read_workload(written(tmp_path, arrays)))
-    assert packed.vehicle_count == len(count)
+    assert packed.object_count == len(count)
     assert len(end) == len(count)
-    assert np.isfinite(packed.layer_bounds_ego_m.numpy()).all()
+    assert np.isfinite(packed.layer_bounds_world_m.numpy()).all()
 
 
 def changed(key, change):

@@ -265,7 +265,7 @@ def test_the_summary_says_what_the_numbers_say(folder, page):
 def test_no_difference_is_claimed_that_is_not_proven(folder, found, told):
     words = words_of(folder, paired={"start": {"tp_detection_rate": found}})
     assert told in words
-    assert "The optimised rig cannot be told from the start by what it detects." in words
+    assert "The optimised rig cannot be distinguished from the start by what it detects." in words
 
 
 def test_what_is_proven_besides_recall_is_told(folder):
@@ -494,10 +494,10 @@ BROKEN = {
     "configuration is no YAML": (_replace("config.yaml", "a: [\n"), "config.yaml:"),
     "environment is a list": (_replace("env.json", "[1]"), "env.json: expected what"),
     "rig is none": (_replace("rig_best.yaml", "frame: ego\n"), "rig_best.yaml"),
-    "picture is none": (_replace("figures/rig.png", b"\x89PNG nothing"), "rig.png: expected a picture, got"),
+    "picture is none": (_replace("figures/rig.png", b"\x89PNG nothing"), "rig.png: expected an image, got"),
     "picture cut off": (
         lambda folder: _replace("figures/rig.png", (folder.path / "figures/rig.png").read_bytes()[:200])(folder),
-        "rig.png: expected a picture, got",
+        "rig.png: expected an image, got",
     ),
     "view outside of the folder": (
         lambda folder: folder.write_views([{**views()[0], "image": "../../env.json"}], {}),
@@ -505,7 +505,7 @@ BROKEN = {
     ),
     "view is gone": (
         lambda folder: folder.view_path(views()[0]["image"]).unlink(),
-        "0_start_left.webp: expected a picture, got",
+        "0_start_left.webp: expected an image, got",
     ),
     "ground is none": (_replace("figures/ground.npz", b"PK nothing"), "ground.npz: expected arrays"),
     "ground of another shape": (_ground_of_another_shape, "ground.npz: expected counts of one shape"),

@@ -200,7 +200,7 @@ def render_scene(
         Images for every size of ``views_per_scene``.
     """
     from warpav.detection.images import render_images
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
 
     rng = np.random.default_rng([seed, 1])
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())

@@ -15,12 +15,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.experiments.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Workload
+from warpav.experiments.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Workload, workload_objects
+from warpav.raster.areas import Measures
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, render_in_chunks
-from warpav.raster.device_scene import FIRST_VEHICLE, DeviceScene
+from warpav.raster.frame import Frame
 from warpav.raster.graph import record_graph
-from warpav.raster.renderer import Content, Measures, Renderer
+from warpav.raster.renderer import Renderer
+from warpav.raster.scene import Scene
 from warpav_kernels.experiments import benchmark
 from warpav_kernels.raster import linearise
 
@@ -55,7 +58,7 @@ class Timing:
 class Bench:
     """A workload on a device, ready to be measured."""
 
-    def __init__(self, workload: Workload, scene: DeviceScene, *, device: str = "cpu") -> None:
+    def __init__(self, workload: Workload, scene: Scene, *, device: str = "cpu") -> None:
         """Nothing is rendered yet.
 
         Args:
@@ -116,11 +119,11 @@ class Bench:
 
     def time_depth_and_object(self, *, repeat: int) -> Timing:
         """Time W2: depth and object of the nearest surface at every pixel's centre, all views."""
-        return self._time_images(lambda renderer, into: renderer.depth_and_object(self.scene, into=into), repeat)
+        return self._time_images(lambda frame, into: frame.depths_and_ids(into=into), repeat)
 
     def time_rgb(self, *, repeat: int) -> Timing:
         """Time W3: colour of the nearest surface at every pixel's centre, all views."""
-        return self._time_images(lambda renderer, into: renderer.rgb(self.scene, into=into), repeat)
+        return self._time_images(lambda frame, into: frame.colours(into=into), repeat)
 
     def depth_and_object(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """W2 in the workload's terms, some views at a time.
@@ -130,11 +133,11 @@ class Bench:
         """
         integer = object_type(len(self.workload.triangle_count))
         images = None
-        for chunk, renderer in self._rendered():
+        for chunk, frame in self._rendered():
             count = chunk.stop - chunk.start
-            images = renderer.depth_and_object(self.scene, into=images)
+            images = frame.depths_and_ids(into=images)
             depth, index = (array.numpy()[:count] for array in images)
-            index = np.where(index >= FIRST_VEHICLE, index - FIRST_VEHICLE, -1).astype(integer)
+            index = workload_objects(index, self.workload.vehicle_count).astype(integer)
             yield chunk.start, index, np.where(index >= 0, depth, np.float32(-1.0))
 
     def rgb(self) -> Iterator[tuple[int, np.ndarray]]:
@@ -144,8 +147,8 @@ class Bench:
             First view; colour 0..1, float32 [view, row, column, 3], 0 where nothing is.
         """
         image = None
-        for chunk, renderer in self._rendered():
-            image = renderer.rgb(self.scene, into=image)
+        for chunk, frame in self._rendered():
+            image = frame.colours(into=image)
             yield chunk.start, image.numpy()[: chunk.stop - chunk.start].copy()
 
     def peak_mib(self) -> float | None:
@@ -164,7 +167,7 @@ class Bench:
         height_m = wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device)
         return place_cameras(pose, height_m)
 
-    def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Renderer]]:
+    def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Frame]]:
         """All views at one sample per pixel, some at a time."""
         position_ego_m, camera_from_ego = (array.numpy() for array in self._placed())
         device = self.device.alias
@@ -178,7 +181,7 @@ class Bench:
             device=device,
         )
 
-    def _time_images(self, resolve: Callable[[Renderer, Any], object], repeat: int) -> Timing:
+    def _time_images(self, resolve: Callable[[Frame, Any], object], repeat: int) -> Timing:
         compile_ms = self._load_kernels()
         began = time.perf_counter()
         models = self._models()
@@ -190,11 +193,10 @@ class Bench:
         def run() -> None:
             nonlocal images
             if at_once == len(models):
-                renderer.render(self.scene, *views, content=Content.IMAGES)
-                images = resolve(renderer, images)
+                images = resolve(renderer.render(self.scene, *views, content=Content.IMAGES), images)
                 return
-            for _ in self._rendered(renderer):
-                images = resolve(renderer, images)
+            for _, frame in self._rendered(renderer):
+                images = resolve(frame, images)
 
         return self._time(run, repeat, renderer, began, compile_ms, is_capturable=at_once == len(models))
 
@@ -276,12 +278,10 @@ class _Silhouettes:
         tape = wp.Tape()
         with tape:
             views = place_cameras(self._pose, self._height_m)
-        self.renderer.render(
-            self._scene, *views, content=Content.ALL if self._workload.is_visible else Content.VEHICLES
+        frame = self.renderer.render(
+            self._scene, *views, content=Content.ALL if self._workload.is_visible else Content.OBJECTS
         )
-        self._measures = self.renderer.weighted_area(
-            self._scene, weight, visible=self._workload.is_visible, into=self._measures
-        )
+        self._measures = frame.weighted_area(weight, visible=self._workload.is_visible, into=self._measures)
         with tape:
             area = self._measures.on_tape(*views)
             wp.launch(

@@ -22,10 +22,9 @@ from warpav.core.errors import InputError
 from warpav.core.frames import EGO_FROM_THESIS
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import BLACK_SKY, Box, Scene, Vehicle
 
 if TYPE_CHECKING:
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.raster.scene import Scene
 
 FORMAT = 1
 ROTATION_COUNT = 4
@@ -237,62 +236,36 @@ def read_truth(file: Path, workload: Workload) -> Truth:
     )
 
 
-def pack_workload(workload: Workload, *, device: str = "cpu") -> DeviceScene:
+def pack_workload(workload: Workload, *, device: str = "cpu") -> Scene:
     """The scene of a workload on a device, in the ego frame, with colours as exact as the file's.
 
-    Object k of the workload is object ``FIRST_VEHICLE + k``; vehicle k is its vehicle.
+    Its vehicles are the objects, its others the occluders; see `workload_objects`.
     """
     import warp as wp
 
-    from warpav.raster.device_scene import ENVIRONMENT, FIRST_VEHICLE, DeviceScene
+    from warpav.raster.scene import Scene
 
     vertex_ego_m = workload.vertex_m @ EGO_FROM_THESIS.T.astype(np.float32)
     triangle_end = np.cumsum(workload.triangle_count)
-    grey = np.zeros(vertex_ego_m.shape, np.uint8)
-
-    def mesh(first: int, end: int) -> Mesh:
-        """Objects from the first to before the end."""
-        a, b = (0 if k == 0 else int(workload.vertex_end[k - 1]) for k in (first, end))
-        p, q = (0 if k == 0 else int(triangle_end[k - 1]) for k in (first, end))
-        if p == q:  # no triangle: use a degenerate one
-            vertex = vertex_ego_m[a:b] if b > a else np.zeros((1, 3), np.float32)
-            return Mesh(vertex, np.zeros((1, 3), np.int32), np.zeros(vertex.shape, np.uint8))
-        return Mesh(vertex_ego_m[a:b], workload.triangle[p:q] - np.int32(a), grey[a:b])
-
-    count, object_count = workload.vehicle_count, len(workload.triangle_count)
-    box = Box(np.zeros(3), np.ones(3), 0.0)
-    vehicles = tuple(Vehicle(k + 1, "vehicle", mesh(k, k + 1), box) for k in range(count))
-    environment, ego = mesh(count, object_count), mesh(0, 0)
-    packed = DeviceScene.pack(Scene(workload.name, environment, ego, vehicles, BLACK_SKY), device=device)
-
-    # the environment's triangles get the numbers of their objects, and all vertices their colours
-    meshes = [environment, ego, *(vehicle.mesh for vehicle in vehicles)]
-    source_object = np.repeat(
-        [ENVIRONMENT, ENVIRONMENT + 1, *range(FIRST_VEHICLE, FIRST_VEHICLE + count)],
-        [len(each.triangle) for each in meshes],
-    )
-    others = workload.triangle_object[workload.triangle_object >= count]
-    source_object[: len(others)] = others + FIRST_VEHICLE
-    packed.triangles.triangle_object = wp.array(
-        source_object[packed.source_triangle].astype(np.int32), dtype=wp.int32, device=device
-    )
-    layer = np.full(FIRST_VEHICLE + object_count, -1, np.int32)
-    layer[FIRST_VEHICLE : FIRST_VEHICLE + count] = np.arange(count)
-    packed.triangles.object_layer = wp.array(layer, dtype=wp.int32, device=device)
-    return dataclasses.replace(packed, vertex_rgb=wp.array(_rgb(workload, meshes), dtype=wp.vec3, device=device))
-
-
-def _rgb(workload: Workload, meshes: Sequence[Mesh]) -> np.ndarray:
-    """Colours in the order of the packed vertices: environment, ego, vehicles; float32 [vertex, 3]."""
-    ends = np.r_[0, workload.vertex_end]
+    meshes, colours = [], []
+    for k, (a, p) in enumerate(zip(np.r_[0, workload.vertex_end[:-1]], np.r_[0, triangle_end[:-1]], strict=True)):
+        vertex, rgb = vertex_ego_m[a : workload.vertex_end[k]], workload.vertex_rgb[a : workload.vertex_end[k]]
+        triangle = workload.triangle[p : triangle_end[k]] - np.int32(a)
+        if len(vertex) == 0:
+            vertex, rgb = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.float32)
+        if len(triangle) == 0:  # one that covers nothing stands in
+            triangle = np.zeros((1, 3), np.int32)
+        meshes.append(Mesh(vertex, triangle, np.zeros(vertex.shape, np.uint8)))
+        colours.append(rgb)
     count = workload.vehicle_count
-    parts = [workload.vertex_rgb[ends[count] :], workload.vertex_rgb[:0]]
-    parts += [workload.vertex_rgb[ends[k] : ends[k + 1]] for k in range(count)]
-    padded = [  # the degenerate triangle adds a vertex
-        np.r_[part, np.zeros((len(mesh.vertex_m) - len(part), 3), np.float32)]
-        for part, mesh in zip(parts, meshes, strict=True)
-    ]
-    return np.concatenate(padded)
+    scene = Scene({str(k): mesh for k, mesh in enumerate(meshes[:count])}, occluders=meshes[count:], device=device)
+    scene.vertex_rgb = wp.array(np.concatenate(colours[count:] + colours[:count]), dtype=wp.vec3, device=device)
+    return scene
+
+
+def workload_objects(object_id: np.ndarray, vehicle_count: int) -> np.ndarray:
+    """The rasteriser's ids as numbers of the workload's objects, -1 where none is."""
+    return np.where(object_id < -1, vehicle_count - 2 - object_id, object_id)
 
 
 class _Fields:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from warpav.optimisation.losses.angular_coverage import AngularCoverage
-    from warpav.optimisation.losses.detected_area import DetectedArea, ObjectVisibility, Reference
+    from warpav.optimisation.losses.detected_area import DetectedArea, ObjectVisibility
     from warpav.optimisation.losses.detector_gradient import DetectorGradient
     from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
     from warpav.optimisation.losses.in_frame_rotation import InFrameRotation
     from warpav.optimisation.losses.loss import DeviceLoss, HostLoss, Loss, LossSchedule, Needs
+    from warpav.optimisation.losses.options import Reference
     from warpav.optimisation.losses.surface_blockage import SurfaceBlockage
     from warpav.optimisation.losses.user_loss import Objects, UserLoss
 
@@ -46,7 +47,7 @@ _MODULE_OF = {
     "Needs": "loss",
     "ObjectVisibility": "detected_area",
     "Objects": "user_loss",
-    "Reference": "detected_area",
+    "Reference": "options",
     "SurfaceBlockage": "surface_blockage",
     "UserLoss": "user_loss",
 }

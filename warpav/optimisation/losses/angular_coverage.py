@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpav.optimisation.losses.loss import DeviceLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
 
@@ -31,7 +31,7 @@ class AngularCoverage(DeviceLoss):
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
         """As in `DeviceLoss`."""
-        device, mount_pose = scene.renderer.device, scene.views.mount_pose
+        device, mount_pose = scene.frame.device, scene.views.mount_pose
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         next_camera = wp.zeros(scene.camera_count, dtype=wp.int32, device=device)
         next_turns = wp.zeros(scene.camera_count, dtype=wp.int32, device=device)

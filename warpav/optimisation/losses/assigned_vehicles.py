@@ -16,7 +16,7 @@ class AssignedVehicleLoss(DeviceLoss):
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
         """As in `DeviceLoss`."""
-        device = scene.renderer.device
+        device = scene.frame.device
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         if scene.assigned_count == 0:
             return loss

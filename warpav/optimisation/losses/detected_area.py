@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import warp as wp
 
 from warpav.optimisation.losses.assigned_vehicles import AssignedVehicleLoss
 from warpav.optimisation.losses.loss import Detections, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions, Reference
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-from warpav.raster.renderer import AMODAL_AREA, VISIBLE_AREA
 from warpav_kernels.placement import placement_losses
-
-
-class Reference(Enum):
-    """What a vehicle's detected area is compared with, over all directions of its camera."""
-
-    NON_OCCLUDED = VISIBLE_AREA  # Eq. 14 as printed: hiding a vehicle costs nothing, both areas shrink together
-    ALONE = AMODAL_AREA  # the vehicle alone: being hidden costs as much as being missed
 
 
 @dataclass(frozen=True)
@@ -61,7 +52,7 @@ class DetectedArea(AssignedVehicleLoss):
                 self.epsilon,
             ],
             outputs=[vehicle_loss],
-            device=scene.renderer.device,
+            device=scene.frame.device,
         )
 
 
@@ -101,5 +92,5 @@ class ObjectVisibility(AssignedVehicleLoss):
                 self.min_visible_area,
             ],
             outputs=[vehicle_loss],
-            device=scene.renderer.device,
+            device=scene.frame.device,
         )

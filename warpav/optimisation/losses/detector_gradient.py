@@ -10,9 +10,10 @@ import warp as wp
 
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.losses.loss import HostLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-from warpav.raster.renderer import BOTTOM, LEFT, RIGHT, TOP
+from warpav.raster.areas import BOTTOM, LEFT, RIGHT, TOP
+from warpav.raster.poses import ViewPoses
 
 _SIDES = [LEFT, TOP, RIGHT, BOTTOM]
 # A side of the visible box that is nearer than this to that of the vehicle alone is a side of the vehicle [px].
@@ -26,7 +27,7 @@ class DetectorGradient(HostLoss):
 
     One that its camera does not see counts 1, the largest loss, and gives no gradient: there the in-frame rotation
     acts. The gradient takes two ways. The colours change as the static scene flows through the image
-    (`Renderer.rgb_on_tape`). The true box moves with its measured extents; a side where something else hides the
+    (`Frame.colours`). The true box moves with its measured extents; a side where something else hides the
     object, or where the image ends, is held: what hides it has no extent of its own, and the border does not move.
 
     Attributes:
@@ -74,18 +75,12 @@ class DetectorGradient(HostLoss):
         objects = (image_index, box_px, scene.scene.road_user_index[vehicle])
         shown_view = [scene.forward_view[k] for k in shown]
         if weight is None or tape is None:
-            result = self.detector.loss(scene.renderer.rgb(scene.scene, shown_view), *objects)
+            result = self.detector.loss(scene.frame.colours(views=shown_view), *objects)
             return (float(result.loss.sum()) + unseen_loss) / len(assigned), {}
 
         views, measure = scene.views, scene.measure
-        image = scene.renderer.rgb_on_tape(
-            tape,
-            scene.scene,
-            views.position_ego_m,
-            views.camera_from_ego,
-            log_zoom=views.log_zoom,
-            shown_view=shown_view,
-        )
+        poses = ViewPoses(views.position_ego_m, views.camera_from_ego, views.log_zoom)
+        image = scene.frame.colours(poses, views=shown_view)
         result = self.detector.loss(image, *objects, weight=np.full(len(vehicle), weight / len(assigned)))
         assert result.image_gradient is not None
         assert result.box_gradient is not None

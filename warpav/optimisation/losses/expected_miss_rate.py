@@ -8,9 +8,9 @@ from typing import Literal
 import warp as wp
 
 from warpav.optimisation.losses.loss import Detections, DeviceLoss, LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-from warpav.raster.device_scene import DeviceScene
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.placement import expected_misses
 
 
@@ -46,7 +46,7 @@ class ExpectedMissRate(DeviceLoss):
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
         """Expected number of missed objects, as in `DeviceLoss`."""
-        device = scene.renderer.device
+        device = scene.frame.device
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         object_count = scene.scene.vehicle_count
         if object_count == 0:

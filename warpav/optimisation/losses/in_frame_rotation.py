@@ -8,7 +8,7 @@ import warp as wp
 
 from warpav.optimisation.losses.assigned_vehicles import AssignedVehicleLoss
 from warpav.optimisation.losses.loss import LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
 
@@ -36,7 +36,7 @@ class InFrameRotation(AssignedVehicleLoss):
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
         """As in `AssignedVehicleLoss`."""
-        mount, views, device = scene.mount, scene.views, scene.renderer.device
+        mount, views, device = scene.mount, scene.views, scene.frame.device
         vehicle_count = scene.scene.vehicle_count
         bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
         sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)

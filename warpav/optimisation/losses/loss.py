@@ -12,7 +12,7 @@ import warp as wp
 
 if TYPE_CHECKING:
     from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-    from warpav.raster.device_scene import DeviceScene
+    from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True)

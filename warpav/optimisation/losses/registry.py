@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, NamedTuple
-
-from warpav.core.errors import InputError
-
-if TYPE_CHECKING:
-    from warpav.detection.differentiable import DifferentiableDetector
-    from warpav.optimisation.losses.detected_area import Reference
-    from warpav.optimisation.losses.loss import Loss
-    from warpav.optimisation.settings import LossSettings
+from typing import NamedTuple
 
 
 class Registered(NamedTuple):
@@ -51,35 +42,3 @@ LOSSES = {
     ),
 }
 """By name, in the order in which they are added up."""
-
-
-class LossOptions(NamedTuple):
-    """What losses are made from.
-
-    Attributes:
-        settings: Their parameters.
-        reference: What the detected area is compared with.
-        differentiable_detector: The network of the loss ``detector_gradient``.
-    """
-
-    settings: LossSettings
-    reference: Reference
-    differentiable_detector: DifferentiableDetector | None = None
-
-
-def losses_of(options: LossOptions) -> list[tuple[float, Loss]]:
-    """The objective of a configuration: every loss of weight above 0, with its weight.
-
-    Raises:
-        InputError: A loss needs something that is not there.
-    """
-    found: list[tuple[float, Loss]] = []
-    for name, weight in options.settings.weights.items():
-        if weight == 0.0:
-            continue
-        module, _, kind = LOSSES[name].where.partition(":")
-        try:
-            found.append((weight, getattr(importlib.import_module(f"{__package__}.{module}"), kind).of(options)))
-        except ValueError as error:
-            raise InputError(f"losses.{name}: {error}") from None
-    return found

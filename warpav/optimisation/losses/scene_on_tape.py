@@ -11,8 +11,9 @@ import warp as wp
 from warpav.detection.probability import Appearance, DetectionProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.settings import LossSettings
-from warpav.raster.device_scene import DeviceScene
-from warpav.raster.renderer import Measures, Renderer
+from warpav.raster.areas import Measures
+from warpav.raster.frame import Frame
+from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.placement import expected_misses, placement_losses
 
 
@@ -43,7 +44,7 @@ class SceneOnTape:
 
     Attributes:
         mount: Knows the rotational additions and the lens.
-        renderer: Has rendered ``scene`` from ``views`` last.
+        frame: ``scene`` from ``views``.
         scene: The scene.
         views: The views; gradients flow to their poses and to the mount poses.
         measures: Of this render.
@@ -60,7 +61,7 @@ class SceneOnTape:
     """
 
     mount: CameraMount
-    renderer: Renderer
+    frame: Frame
     scene: DeviceScene
     views: PlacedViews
     measures: Measures
@@ -83,7 +84,7 @@ class SceneOnTape:
     @property
     def rotation_count(self) -> int:
         """Views of every camera."""
-        return self.renderer.view_count // self.camera_count
+        return self.frame.view_count // self.camera_count
 
     @cached_property
     def assigned_count(self) -> int:
@@ -98,13 +99,13 @@ class SceneOnTape:
     def area_around(self, measure: int) -> wp.array:
         """Area of every vehicle over all directions of its camera [px^2], by one of the measures, float [vehicle]."""
         if measure not in self._area_around:
-            around = wp.zeros(self.scene.vehicle_count, dtype=float, device=self.renderer.device, requires_grad=True)
+            around = wp.zeros(self.scene.vehicle_count, dtype=float, device=self.frame.device, requires_grad=True)
             wp.launch(
                 placement_losses.sum_area_around_kernel,
                 dim=around.shape,
                 inputs=[self.measure, self.assigned_on_device, self.rotation_count, measure],
                 outputs=[around],
-                device=self.renderer.device,
+                device=self.frame.device,
             )
             self._area_around[measure] = around
         return self._area_around[measure]
@@ -112,7 +113,7 @@ class SceneOnTape:
     @cached_property
     def unblocked(self) -> Measures:
         """Area of every vehicle outside the ego vehicle's silhouette, in every view; not on the tape."""
-        return self.renderer.unblocked_area(self.scene)
+        return self.frame.unblocked_area()
 
     @cached_property
     def unblocked_area(self) -> wp.array:
@@ -126,20 +127,19 @@ class SceneOnTape:
         Where each camera has its panorama, what it would find if it turned is blended in by ``panorama_share``.
         """
         assert self.camera_probability is not None
-        device, rotation_count = self.renderer.device, self.rotation_count
+        device, rotation_count = self.frame.device, self.rotation_count
         has_panorama = rotation_count > 1
         appearance = Appearance.of(
-            self.renderer, self.scene, measures=self.measures, image=None if has_panorama else self.image
+            self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
         )
         in_window = visible = window_rad = None
         if has_panorama:
-            in_window = self.renderer.window_area(
-                self.scene,
+            in_window = self.frame.window_area(
                 self.mount.windows(self.views, requires_grad=False),
                 softness_rad=self.camera_probability.window_softness_rad,
                 visible=True,
             )
-            visible = self.renderer.window_area(self.scene, visible=True)
+            visible = self.frame.window_area(visible=True)
             window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
         probability = self._probability_of_views(appearance)
         shape = self.detected.shape
@@ -186,7 +186,7 @@ class SceneOnTape:
             dim=share.shape,
             inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
             outputs=[share],
-            device=self.renderer.device,
+            device=self.frame.device,
         )
         return share
 

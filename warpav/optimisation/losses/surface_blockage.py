@@ -8,7 +8,7 @@ import warp as wp
 
 from warpav.optimisation.losses.assigned_vehicles import AssignedVehicleLoss
 from warpav.optimisation.losses.loss import LossSchedule, Needs
-from warpav.optimisation.losses.registry import LossOptions
+from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
 
@@ -36,7 +36,7 @@ class SurfaceBlockage(AssignedVehicleLoss):
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
         """As in `AssignedVehicleLoss`."""
-        device, vehicle_count = scene.renderer.device, scene.scene.vehicle_count
+        device, vehicle_count = scene.frame.device, scene.scene.vehicle_count
         clearest_camera = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
         wp.launch(
             placement_losses.find_clearest_cameras_kernel,

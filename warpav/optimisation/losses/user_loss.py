@@ -11,7 +11,7 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav.optimisation.losses.loss import HostLoss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-from warpav.raster.device_scene import DeviceScene
+from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ with ``method: thesis`` as in ``thesis``.
 
 from warpav.runs.config.explain import COMMAND_LINE, DescribedOption, described_options, option_values
 from warpav.runs.config.load import (
+    Config,
     changed_config,
     dump_config,
     flow_text,
@@ -24,7 +25,6 @@ from warpav.runs.config.schema import (
     START_FILE,
     BaselineConfig,
     CameraConfig,
-    Config,
     DetectorConfig,
     RigConfig,
     RunConfig,

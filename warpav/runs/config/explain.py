@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
-from warpav.runs.config.schema import Config
+from warpav.runs.config.schema import ConfigTree
 
 COMMAND_LINE = "command line"
 
@@ -35,7 +35,7 @@ def explain(
     override_of: Mapping[Location, str],
 ) -> str:
     """One line about one mistake that the validation found."""
-    section: type[Section] = Config
+    section: type[Section] = ConfigTree
     field: FieldInfo | None = None
     location: Location = ()
     for part in found["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
@@ -100,7 +100,7 @@ def place_of(
 def _unknown_option(section: type[Section], location: Location) -> str:
     names = list(section.model_fields)
     unknown = location[-1]
-    elsewhere = [".".join(name) for name in option_locations(Config) if name[-1] == unknown]
+    elsewhere = [".".join(name) for name in option_locations(ConfigTree) if name[-1] == unknown]
     near = difflib.get_close_matches(unknown, names, 1, 0.5)
     hint = elsewhere[0] if elsewhere else ".".join((*location[:-1], near[0])) if near else ""
     return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
@@ -147,11 +147,12 @@ def _number(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def option_values(config: Config) -> dict[str, object]:
+def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
     tree = config.model_dump(mode="json")
     return {
-        ".".join(location): functools.reduce(operator.getitem, location, tree) for location in option_locations(Config)
+        ".".join(location): functools.reduce(operator.getitem, location, tree)
+        for location in option_locations(ConfigTree)
     }
 
 
@@ -178,7 +179,7 @@ class DescribedOption:
 
 def described_options() -> Iterator[DescribedOption]:
     """Every option with what is known of it, in the order of the tree, what stands at the top first."""
-    default_of = option_values(Config())
+    default_of = option_values(ConfigTree())
 
     def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
         inner = {name: section_of(field.annotation) for name, field in section.model_fields.items()}
@@ -196,7 +197,7 @@ def described_options() -> Iterator[DescribedOption]:
             if below is not None:
                 yield from walk(below, f"{prefix}{name}.")
 
-    return walk(Config, "")
+    return walk(ConfigTree, "")
 
 
 def option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:

@@ -10,7 +10,7 @@ import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from pydantic import ValidationError
@@ -19,8 +19,38 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, parse_yaml, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
-from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, Config, merged
+from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
+
+if TYPE_CHECKING:
+    from warpav import Placement
+
+
+class Config(ConfigTree):
+    """Every option of warpav; what is left out is as in ``quick``, or with ``method: thesis`` as in ``thesis``."""
+
+    @classmethod
+    def load(cls, path: str | Path | None = None, *overrides: str) -> Config:
+        """The configuration of a YAML file or a shipped name, such as ``quick``, with ``key=value`` overrides.
+
+        Args:
+            path: The file or the name; None: the defaults, which are those of ``quick``.
+            overrides: Such as ``"rig.cameras=6"``; the value is read as YAML.
+
+        Raises:
+            InputError: Anything is wrong; one line a mistake.
+        """
+        return load_config(path, overrides, origin="override")
+
+    def placement(self) -> Placement:
+        """The placement that it describes; scenes and detector are loaded when they are first needed.
+
+        Raises:
+            InputError: The rig of ``rig.start`` cannot be used.
+        """
+        import warpav  # the face of the package, since what makes placements stands above
+
+        return warpav.Placement.from_config(self)
 
 
 def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BeforeValidator,
@@ -34,9 +34,6 @@ from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.rig.presets import preset_names
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS
-
-if TYPE_CHECKING:
-    from warpav.runs.placement import Placement
 
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""
@@ -514,8 +511,8 @@ def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
     result = dict(below)
     for name, value in above.items():
         under = result.get(name)
-        is_section = isinstance(under, Mapping) and isinstance(value, Mapping)
-        result[name] = merged(under, value) if is_section else value
+        both = isinstance(under, Mapping) and isinstance(value, Mapping)
+        result[name] = merged(dict(under or {}), value) if both else value
     return result
 
 
@@ -525,7 +522,7 @@ def _add_extends(schema: dict[str, Any]) -> None:
     schema["properties"][EXTENDS] = {"type": "string", "description": text}
 
 
-class Config(Section):
+class ConfigTree(Section):
     """Everything that a run of warpav can be told.
 
     What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
@@ -560,31 +557,6 @@ class Config(Section):
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
     executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
 
-    @classmethod
-    def load(cls, path: str | Path | None = None, *overrides: str) -> Config:
-        """The configuration of a YAML file or a shipped name, such as ``quick``, with ``key=value`` overrides.
-
-        Args:
-            path: The file or the name; None: the defaults, which are those of ``quick``.
-            overrides: Such as ``"rig.cameras=6"``; the value is read as YAML.
-
-        Raises:
-            InputError: Anything is wrong; one line a mistake.
-        """
-        from warpav.runs.config.load import load_config
-
-        return load_config(path, overrides, origin="override")
-
-    def placement(self) -> Placement:
-        """The placement that it describes; scenes and detector are loaded when they are first needed.
-
-        Raises:
-            InputError: The rig of ``rig.start`` cannot be used.
-        """
-        from warpav.runs.build import build
-
-        return build(self)
-
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, data: object) -> object:
@@ -594,13 +566,13 @@ class Config(Section):
         if not isinstance(method, str) or method not in METHOD_LOSSES:
             return data  # refused in a moment, with its place
         if isinstance(data.get("losses"), dict):
-            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}  # pyright: ignore[reportCallIssue]
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
 
     @model_validator(mode="after")
-    def _check(self) -> Config:
+    def _check(self) -> ConfigTree:
         scene_count = len(self.scenes.train_seeds)
         if self.run.batch_size > scene_count:
             mistake(

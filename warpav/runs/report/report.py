@@ -267,7 +267,9 @@ def _plots(run: RunContent) -> dict[str, list[PageImage]]:
         caption = "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers"
         found["metrics"].append(_plot("differences", caption, differences(rows, evaluation.first)))
     for by, title in (("distance_m", "Recall by distance"), ("sector", "Recall by sector")):
-        tables = {name: arm.recall_by[by] for name, arm in evaluation.arms.items() if by in (arm.recall_by or {})}
+        tables = {
+            name: arm.recall_by[by] for name, arm in evaluation.arms.items() if arm.recall_by and by in arm.recall_by
+        }
         if len(tables) < len(evaluation.arms):
             continue
         svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
@@ -303,12 +305,13 @@ def _convergence(events: Sequence[Event], min_distance_m: float | None) -> dict[
 
 def _differences(evaluation: EvaluationRecord, metrics: Mapping[str, str]) -> list[MetricDifference]:
     """Differences with an interval, of metrics by their names and what they are called."""
-    return [
-        MetricDifference(heading, name, found[metric].mean, found[metric].low, found[metric].high)
-        for metric, heading in metrics.items()
-        for name, found in evaluation.paired.items()
-        if metric in found and found[metric].low is not None
-    ]
+    rows = []
+    for metric, heading in metrics.items():
+        for name, found in evaluation.paired.items():
+            each = found.get(metric)
+            if each is not None and each.mean is not None and each.low is not None and each.high is not None:
+                rows.append(MetricDifference(heading, name, each.mean, each.low, each.high))
+    return rows
 
 
 def _plot(name: str, caption: str, svg: str) -> PageImage:

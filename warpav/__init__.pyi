@@ -1,0 +1,55 @@
+"""Types of the public names, for editors and type checkers; ``__init__.py`` imports them when they are first used."""
+
+from typing import Final
+
+from warpav.core.errors import InputError
+from warpav.core.progress import Progress
+from warpav.detection.detector import Detections, Detector
+from warpav.evaluation.rig_evaluation import RigEvaluation
+from warpav.optimisation import losses
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
+from warpav.rig.formats.convert import export_rig, import_rig
+from warpav.rig.presets import preset_rig as preset
+from warpav.rig.rig import Rig, read_rig, write_rig
+from warpav.rig.rig import RigCamera as Camera
+from warpav.runs.config import Config
+from warpav.runs.evaluate import evaluate
+from warpav.runs.optimise import optimise
+from warpav.runs.placement import Placement
+from warpav.runs.result import Result
+from warpav.runs.run_folder import RunFolder, read_run
+from warpav.scene.collection import read_scenes, town
+from warpav.scene.scene import Scene
+from warpav.view import plot
+
+__version__: Final[str]
+
+__all__ = [
+    "Camera",
+    "CameraModel",
+    "Config",
+    "Detections",
+    "Detector",
+    "InputError",
+    "Mesh",
+    "Placement",
+    "Progress",
+    "Result",
+    "Rig",
+    "RigEvaluation",
+    "RunFolder",
+    "Scene",
+    "evaluate",
+    "export_rig",
+    "import_rig",
+    "losses",
+    "optimise",
+    "plot",
+    "preset",
+    "read_rig",
+    "read_run",
+    "read_scenes",
+    "town",
+    "write_rig",
+]

@@ -1,0 +1,334 @@
+"""What a renderer keeps on its device from render to render: views, keys, the atlas of layers, and how launches run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
+from warpav.raster.scene import Scene
+from warpav_kernels.raster import layers, lens, measure, outline, trace, view
+
+LENS_KINDS = {
+    Lens.PINHOLE: int(lens.PINHOLE),
+    Lens.BROWN_CONRADY: int(lens.BROWN_CONRADY),
+    Lens.FISHEYE: int(lens.FISHEYE),
+    Lens.PANORAMA: int(lens.PANORAMA),
+}
+GUARD = int(view.GUARD)
+
+# How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
+CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
+CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
+CUDA_SUM_LANES = 16  # of them are summed first
+CUDA_ROW_LANES = 128  # share one row of an image
+FLOW_LANES, CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads that share the flow of one image
+CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
+CUDA_STRIPS = 1 << 18  # room in their queue
+
+# Warp's arrays have strides of 32 bits, in bytes; see `Buffers.reserve_samples`.
+MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
+MAX_VIEW_SAMPLES = 2**27
+
+WIDE_RAD = 50.0
+"""Half the size of a window that holds all directions, whatever its softness."""
+
+
+class Content(Enum):
+    """What a render holds."""
+
+    ALL = "all"  # images, and every object alone
+    IMAGES = "images"  # depth, ids and colours only
+    OBJECTS = "objects"  # every object alone only: nothing is hidden, and there are no images
+
+
+@dataclass(frozen=True, eq=False)
+class RenderState:
+    """What one render has left in the buffers; equal only to itself.
+
+    Attributes:
+        scene: The scene.
+        content: What of it.
+        rectangle: Samples of every layer, vec4i [view, layer].
+        offset: Their places in the atlas, int32 [view, layer].
+    """
+
+    scene: Scene
+    content: Content
+    rectangle: wp.array
+    offset: wp.array
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Threads that renderers share."""
+    return ThreadPoolExecutor(count, thread_name_prefix="raster")
+
+
+class Buffers:
+    """The buffers of a fixed number of views of equal size.
+
+    Attributes:
+        device: Where they are.
+        view_count: Number of views.
+        width_px: Width of the images.
+        height_px: Height of the images.
+        supersampling: Samples per pixel along each axis.
+        width: Samples of a row of the grid, with its guard band.
+        height: Rows of samples of the grid.
+        thread_count: Threads over views on the CPU.
+        view: The views of the last render, as the kernels take them.
+        position_world_m: Their centres, vec3 [view].
+        camera_from_world: Their rotations, mat33 [view].
+        log_focal: Logarithms of their focal lengths over the lenses', float [view].
+        key: Nearest surface of every sample, int64 [view, row, column]; empty until a render asks for images.
+        layers: The atlas (struct of the kernels).
+        hiding: What hides the objects (struct of the kernels).
+        foreground_hiding: What the foreground's silhouette alone hides.
+        strip: Queue of the large triangles' parts; empty on the CPU.
+        strip_count: Their number, int32 [1].
+        ones: A weight image of ones, float [1, row, column].
+        all_directions: Windows that hold every direction, vec4 [view].
+        traced: Numbers of the views whose lenses are no pinholes.
+        traced_view: The same on the device.
+        generation: Grows when arrays that recorded launches refer to have moved.
+        state: What the last render has left; None before the first.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[CameraModel],
+        *,
+        supersampling: int,
+        device: str,
+        thread_count: int | None,
+        has_foreground: bool,
+    ) -> None:
+        """Room for the given views, arguments as in `Renderer`."""
+        if not models or len({(model.width_px, model.height_px) for model in models}) != 1:
+            raise InputError("models: a renderer needs at least one view, and all views need the same size")
+        if supersampling < 1 or supersampling != int(supersampling):
+            raise InputError(f"supersampling must be a whole number of at least 1, got {supersampling}")
+        self.device = wp.get_device(device)
+        self.view_count = len(models)
+        self.width_px, self.height_px = models[0].width_px, models[0].height_px
+        self.supersampling = int(supersampling)
+        self.width = self.width_px * self.supersampling + 2 * GUARD
+        self.height = self.height_px * self.supersampling + 2 * GUARD
+        if self.width * self.height > MAX_VIEW_SAMPLES:
+            raise InputError(
+                f"{self.width_px} x {self.height_px} pixels with supersampling {supersampling} are more than "
+                f"{MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
+            )
+        self._has_foreground = has_foreground
+        self.ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
+        self.all_directions = wp.full(
+            self.view_count, wp.vec4(0.0, 0.0, WIDE_RAD, WIDE_RAD), dtype=wp.vec4, device=self.device
+        )
+        self._intrinsics_px = self.zeros(self.view_count, wp.vec4)
+        self._near_m = self.zeros(self.view_count, float)
+        self._lens = self.zeros(self.view_count, lens.Lens)
+        self._models: list[CameraModel] = []
+        self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
+        self._shown: dict[tuple[int, ...], wp.array] = {}
+        self.traced: list[int] = []
+        self.generation = 0
+        self.set_lenses(models)
+        self.view = self.zeros(self.view_count, view.View)
+        self.position_world_m = self.zeros(self.view_count, wp.vec3)
+        self.camera_from_world = self.zeros(self.view_count, wp.mat33)
+        self.log_focal = self.zeros(self.view_count, float)
+        self.key = self.zeros((0, 0, 0), wp.int64)
+        self._sample_count = self.zeros(1, wp.int64)
+        self._needed_samples = self.zeros(1, wp.int64)
+        self.strip = self.zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
+        self.strip_count = self.zeros(1, wp.int32)
+        self.layers = layers.Layers()
+        self.hiding, self.foreground_hiding = outline.Hiding(), outline.Hiding()
+        self.reserve_samples(0)
+        self._state: RenderState | None = None
+        self.lanes = (1, 1) if self.device.is_cpu else CUDA_MEASURE_LANES
+        self.cluster_lanes = 1 if self.device.is_cpu else CUDA_CLUSTER_LANES
+        self.row_lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
+        self.flow_lanes = FLOW_LANES if self.device.is_cpu else CUDA_FLOW_LANES
+        self.thread_count = 1
+        if self.device.is_cpu:
+            self.thread_count = thread_count or min(available_cores(), 8)
+        self._threads = _threads(self.thread_count) if self.thread_count > 1 and self.view_count > 1 else None
+
+    def zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
+        """A fresh array of zeros."""
+        return wp.zeros(shape, dtype=dtype, device=self.device)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
+        """A buffer for one purpose and shape, the same from call to call; its contents are old."""
+        key = (name, shape)
+        if key not in self._kept:
+            self._kept[key] = self.zeros(shape, dtype)
+        return self._kept[key]
+
+    def image(self, count: int, dtype: object, into: wp.array | None) -> wp.array:
+        """A fresh array of images, or ``into`` if that has their shape."""
+        shape = (count, self.height_px, self.width_px)
+        if into is not None and into.shape != shape:
+            raise InputError(f"into: expected images of shape {shape}, got {into.shape}")
+        return self.zeros(shape, dtype) if into is None else into
+
+    def shown_views(self, shown_view: Sequence[int] | None) -> wp.array:
+        """Views by number (None: all) on the device, the same array from call to call."""
+        shown = tuple(range(self.view_count)) if shown_view is None else tuple(shown_view)
+        if any(not 0 <= v < self.view_count for v in shown):
+            raise InputError(f"views must be 0..{self.view_count - 1}, got {list(shown)}")
+        if shown not in self._shown:
+            self._shown[shown] = wp.array(shown, dtype=wp.int32, device=self.device)
+        return self._shown[shown]
+
+    def launch(self, kernel: Callable, dim: int | tuple[int, ...], *, inputs: list, outputs: list) -> None:
+        """Launch a kernel that is never taped."""
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, record_tape=False)
+
+    def over_views(self, count: int, launch: Callable[[int, int], object]) -> None:
+        """Call ``launch(first, count)`` for chunks of views: all at once on a GPU, spread over threads on the CPU.
+
+        Every view's outputs are its own, so threads never write the same element (CPU atomics are not atomic).
+        """
+        if self._threads is None:
+            launch(0, count)
+            return
+        chunk = -(-count // (2 * self.thread_count))
+        firsts = range(0, count, chunk)
+        for _ in self._threads.map(lambda first: launch(first, min(chunk, count - first)), firsts):
+            pass
+
+    def set_lenses(self, models: Sequence[CameraModel]) -> None:
+        """See `Renderer.set_lenses`."""
+        size = (self.width_px, self.height_px)
+        if len(models) != self.view_count or any((model.width_px, model.height_px) != size for model in models):
+            raise InputError(f"models: expected {self.view_count} camera models of {size[0]} x {size[1]} pixels")
+        if list(models) == self._models:
+            return
+        self._models = list(models)
+        intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
+        self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
+        self._near_m.assign(np.array([model.near_m for model in models], np.float32))
+        wp.copy(self._lens, wp.array([_lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
+        traced = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
+        if traced != self.traced:
+            wp.load_module(trace, device=self.device)  # takes seconds to compile, so only where it is needed
+            self.traced = traced
+            self.traced_view = wp.array(traced, dtype=wp.int32, device=self.device)
+            self.generation += 1
+
+    def place_views(self, position_world_m: wp.array, camera_from_world: wp.array, log_focal: wp.array | None) -> None:
+        """Set the poses of the views, and their focal lengths."""
+        given = {"position_world_m": position_world_m, "camera_from_world": camera_from_world, "log_focal": log_focal}
+        for name, array in given.items():
+            if array is None:
+                continue
+            if array.shape != (self.view_count,):
+                raise InputError(f"{name} must be one for each of {self.view_count} views, got {array.shape}")
+            if array.device != self.device:
+                raise InputError(
+                    f"{name}: expected an array on {self.device}, the renderer's device, got {array.device}"
+                )
+        wp.copy(self.position_world_m, position_world_m)
+        wp.copy(self.camera_from_world, camera_from_world)
+        if log_focal is None:
+            self.log_focal.zero_()
+        else:
+            wp.copy(self.log_focal, log_focal)
+        self.launch(
+            view.place_views_kernel,
+            self.view_count,
+            inputs=[
+                self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self._lens,
+                self.log_focal, self.supersampling,
+            ],
+            outputs=[self.view],
+        )  # fmt: skip
+
+    def reserve_samples(self, sample_count: int) -> None:
+        """Atlas with room for a number of samples, and a quarter more."""
+        room = sample_count + sample_count // 4
+        self.layers.inverse_depth_bits = self.zeros(room, wp.int32)
+        self.layers.crossing_key = self.zeros((4, room), wp.int64)
+        for hiding, size in ((self.hiding, room), (self.foreground_hiding, room if self._has_foreground else 0)):
+            hiding.bits = self.zeros(size, wp.int32)
+            hiding.source = self.zeros(size, wp.int32)
+        self._capacity = room
+        self.generation += 1
+
+    def place_layers(self, scene: Scene, layer_count: int) -> None:
+        """Rectangles and places of the first layers; the atlas grows where it is too small."""
+        shape = (self.view_count, layer_count)
+        self.layers.rectangle = self.kept("rectangle", shape, wp.vec4i)
+        self.layers.offset = self.kept("offset", shape, wp.int32)
+        for _ in range(2):
+            self._sample_count.zero_()
+            self.launch(
+                layers.place_layers_kernel,
+                shape,
+                inputs=[self.view, scene.layer_bounds_world_m, self.width, self.height, self._capacity],
+                outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self._needed_samples],
+            )
+            # a recording cannot be asked; see `grew`
+            if self.device.is_capturing or not self.grew():
+                return
+
+    def grew(self) -> bool:
+        """See `Renderer.grew`."""
+        needed = int(self._needed_samples.numpy()[0])
+        if needed <= self._capacity:
+            return False
+        limit = MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more
+        if needed > limit:
+            raise InputError(
+                f"the silhouettes in {self.view_count} views of {self.width} x {self.height} samples need {needed} "
+                f"samples, more than {limit}; render fewer views"
+            )
+        self.reserve_samples(needed)
+        return True
+
+    @property
+    def state(self) -> RenderState | None:
+        """What the last render has left in the buffers; None before the first."""
+        return self._state
+
+    @state.setter
+    def state(self, state: RenderState | None) -> None:
+        self._state = state
+        if state is not None:
+            self.layers.rectangle, self.layers.offset = state.rectangle, state.offset
+
+    def grouped(self, derivative: wp.array) -> wp.array:
+        """Sums over groups of neighbouring lanes; the same array where there are few."""
+        *sums, lanes = derivative.shape
+        if lanes <= CUDA_SUM_LANES:
+            return derivative
+        groups = self.kept("group derivative", (*sums, lanes // CUDA_SUM_LANES), measure.BoundaryDerivative)
+        self.launch(measure.sum_lanes_kernel, groups.shape, inputs=[derivative, CUDA_SUM_LANES], outputs=[groups])
+        return groups
+
+
+def _lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
+    """The model's lens as the kernels take it."""
+    result = lens.Lens()
+    result.kind = LENS_KINDS[model.lens]
+    result.limit, result.edge = model.shape.limit, model.shape.edge
+    result.distortion = lens.vec8(*model.shape.coefficients)
+    return result

@@ -1,0 +1,163 @@
+"""Decide: which surface every sample sees, what every object covers alone, and what hides it. Nothing is taped."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+import warp as wp
+
+from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, Buffers, Content, RenderState
+from warpav.raster.scene import Scene
+from warpav_kernels.raster import hide, rasterise, trace
+
+
+class Occlusion(Enum):
+    """What hides an object."""
+
+    EXACT = "exact"  # whatever surface is nearest in the joint render
+    PAIRWISE = "pairwise"  # the thesis: nearer objects by median depth, and the foreground
+
+
+def decide(
+    buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusion, *, foreground_layer: bool
+) -> RenderState:
+    """Fill the buffers from the views that were placed last.
+
+    Args:
+        buffers: To be filled.
+        scene: On their device.
+        content: What is wanted of the render.
+        occlusion: What hides an object.
+        foreground_layer: Whether the foreground's silhouette is wanted even where the occlusion does without.
+
+    Returns:
+        What the buffers hold now.
+    """
+    # the foreground is the last layer; exact occlusion does not need its silhouette
+    layer_count = scene.object_count
+    if content is Content.IMAGES:
+        layer_count = 0
+    elif content is Content.ALL and (occlusion is Occlusion.PAIRWISE or foreground_layer):
+        layer_count = scene.layer_count
+    buffers.place_layers(scene, layer_count)
+    state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
+    has_key = content is not Content.OBJECTS
+    if has_key:
+        if buffers.key.size == 0:
+            buffers.key = buffers.zeros((buffers.view_count, buffers.height, buffers.width), wp.int64)
+        buffers.key.zero_()
+    buffers.layers.inverse_depth_bits.zero_()
+    buffers.layers.crossing_key.zero_()
+    buffers.hiding.bits.zero_()
+    buffers.strip_count.zero_()
+    sizes = [layer_count, buffers.width, buffers.height]
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            rasterise.scatter_triangles_kernel,
+            (count, scene.cluster_count, buffers.cluster_lanes),
+            inputs=[buffers.view, scene.triangles, *sizes, first, int(has_key), buffers.cluster_lanes],
+            outputs=[buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
+        ),
+    )
+    if buffers.strip.size:
+        buffers.launch(
+            rasterise.fill_strips_kernel,
+            (CUDA_STRIP_GROUPS, CUDA_STRIP_LANES),
+            inputs=[
+                buffers.view, scene.triangles, *sizes, int(has_key), buffers.strip, buffers.strip_count,
+                CUDA_STRIP_GROUPS, CUDA_STRIP_LANES,
+            ],
+            outputs=[buffers.key, buffers.layers],
+        )  # fmt: skip
+    if buffers.traced:
+        _trace(buffers, scene, layer_count, has_key=has_key)
+    if scene.object_count and content is Content.ALL:
+        _hide(buffers, scene, occlusion)
+    return state
+
+
+def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+    """Fill the buffers of the views whose lenses are no pinholes, by ray queries."""
+    mesh, traced, count = scene.mesh.id, buffers.traced_view, len(buffers.traced)
+    if has_key:
+        buffers.over_views(
+            count,
+            lambda first, count: buffers.launch(
+                trace.trace_keys_kernel,
+                (count, buffers.height, buffers.width),
+                inputs=[buffers.view, mesh, traced, first],
+                outputs=[buffers.key],
+            ),
+        )
+    if layer_count == 0:
+        return
+    rows, columns = buffers.lanes
+
+    def launch(first: int, count: int) -> None:
+        dim = (count, layer_count, rows * columns)
+        buffers.launch(
+            trace.trace_layers_kernel,
+            dim,
+            inputs=[
+                buffers.view, scene.triangles, mesh, scene.layer_body, traced, buffers.key, int(has_key), first,
+                rows, columns,
+            ],
+            outputs=[buffers.layers],
+        )  # fmt: skip
+        buffers.launch(
+            trace.trace_crossings_kernel,
+            dim,
+            inputs=[buffers.view, mesh, scene.layer_body, traced, first, rows, columns],
+            outputs=[buffers.layers],
+        )
+
+    buffers.over_views(count, launch)
+
+
+def _hide(buffers: Buffers, scene: Scene, occlusion: Occlusion) -> None:
+    if occlusion is Occlusion.EXACT:
+        rows, columns = buffers.lanes
+        buffers.over_views(
+            buffers.view_count,
+            lambda first, count: buffers.launch(
+                hide.hide_by_nearest_surface_kernel,
+                (count, scene.object_count, rows * columns),
+                inputs=[buffers.key, scene.triangles, scene.layer_body, buffers.layers, first, rows, columns],
+                outputs=[buffers.hiding.bits, buffers.hiding.source],
+            ),
+        )
+        return
+    is_hidden_by = buffers.kept("order", (buffers.view_count, scene.object_count, scene.object_count), wp.int32)
+    is_hidden_by.zero_()
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            hide.order_overlapping_layers_kernel,
+            (count, scene.object_count, scene.object_count),
+            inputs=[buffers.layers, scene.object_count, first],
+            outputs=[is_hidden_by],
+        ),
+    )
+    _hide_by_layers(buffers, scene, is_hidden_by, buffers.hiding)
+
+
+def hide_by_foreground(buffers: Buffers, scene: Scene) -> None:
+    """Hide the objects by the foreground's silhouette alone, in ``buffers.foreground_hiding``."""
+    buffers.foreground_hiding.bits.zero_()
+    nobody = buffers.kept("no order", (buffers.view_count, scene.object_count, scene.object_count), wp.int32)
+    _hide_by_layers(buffers, scene, nobody, buffers.foreground_hiding)
+
+
+def _hide_by_layers(buffers: Buffers, scene: Scene, is_hidden_by: wp.array, hiding: Any) -> None:  # noqa: ANN401 (a struct)
+    """Hide objects by the silhouettes of the objects that ``is_hidden_by`` names, and of the foreground."""
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            hide.hide_by_ordered_layers_kernel,
+            (count, scene.object_count),
+            inputs=[buffers.layers, is_hidden_by, scene.foreground_layer, first],
+            outputs=[hiding.bits, hiding.source],
+        ),
+    )

@@ -1,0 +1,188 @@
+"""Images of a render: colours, depths, ids and silhouettes, and what a gradient to them says about the views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.raster.areas import checked_weight, measure_weighted
+from warpav.raster.buffers import GUARD, Buffers
+from warpav.raster.poses import ViewPoses
+from warpav.raster.scene import Scene
+from warpav_kernels.raster import image_flow, linearise, measure, shade
+
+
+def draw_colours(buffers: Buffers, scene: Scene, shown: wp.array, into: wp.array | None) -> wp.array:
+    """Colours 0..1 of the shown views, vec3 [image, row, column]."""
+    image = buffers.image(len(shown), wp.vec3, into)
+    buffers.over_views(
+        len(shown),
+        lambda first, count: buffers.launch(
+            shade.resolve_rgb_kernel,
+            (count, buffers.height_px, buffers.row_lanes),
+            inputs=[
+                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown,
+                buffers.supersampling, first, buffers.row_lanes,
+            ],
+            outputs=[image],
+        ),
+    )  # fmt: skip
+    return image
+
+
+def draw_depths(
+    buffers: Buffers, scene: Scene, background_m: float, into: tuple[wp.array, wp.array] | None
+) -> tuple[wp.array, wp.array]:
+    """Depths [m] and ids, [view, row, column]."""
+    depth_m = buffers.image(buffers.view_count, float, into[0] if into else None)
+    object_id = buffers.image(buffers.view_count, wp.int32, into[1] if into else None)
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            shade.resolve_depth_kernel,
+            (count, buffers.height_px, buffers.row_lanes),
+            inputs=[
+                buffers.key, scene.triangles, background_m, scene.occluder_count, buffers.supersampling, first,
+                buffers.row_lanes,
+            ],
+            outputs=[depth_m, object_id],
+        ),
+    )  # fmt: skip
+    return depth_m, object_id
+
+
+def draw_silhouettes(buffers: Buffers, scene: Scene, kind: int) -> wp.array:
+    """Share of every pixel that each object covers, float [view, object, row, column]."""
+    silhouette = buffers.zeros((buffers.view_count, scene.object_count, buffers.height_px, buffers.width_px), float)
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            shade.resolve_silhouettes_kernel,
+            (count, scene.object_count, buffers.row_lanes),
+            inputs=[buffers.layers, buffers.hiding, kind, buffers.supersampling, first, buffers.row_lanes],
+            outputs=[silhouette],
+        ),
+    )
+    return silhouette
+
+
+def flow_of_colours(buffers: Buffers, scene: Scene, image: wp.array, shown: wp.array, into: list[wp.array]) -> None:
+    """Add what the gradient to a colour image says about the views to the gradients of their parts."""
+    lanes = buffers.flow_lanes
+
+    def launch(first: int, count: int, derivative: wp.array) -> None:
+        buffers.launch(
+            image_flow.flow_colours_kernel,
+            (count, math.prod(lanes)),
+            inputs=[
+                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown, image.grad,
+                buffers.supersampling, first, *lanes,
+            ],
+            outputs=[derivative],
+        )  # fmt: skip
+
+    _add_flow(buffers, shown, launch, into)
+
+
+def flow_of_depths(buffers: Buffers, depth_m: wp.array, background_m: float, into: list[wp.array]) -> None:
+    """Add what the gradient to a depth image says about the views to the gradients of their parts."""
+    lanes = buffers.flow_lanes
+
+    def launch(first: int, count: int, derivative: wp.array) -> None:
+        buffers.launch(
+            image_flow.flow_depths_kernel,
+            (count, math.prod(lanes)),
+            inputs=[buffers.view, buffers.key, depth_m.grad, background_m, buffers.supersampling, first, *lanes],
+            outputs=[derivative],
+        )
+
+    _add_flow(buffers, buffers.shown_views(None), launch, into)
+
+
+def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, kind: int, into: list[wp.array]) -> None:
+    """Add what the gradient to the silhouettes says about the views to the gradients of their parts.
+
+    A sum of weights times silhouettes is a weighted area.
+    """
+    weight = checked_weight(buffers, scene, silhouette.grad)
+    measures = measure_weighted(buffers, scene, weight, kind=kind, hiding=buffers.hiding, into=None)
+    buffers.launch(
+        linearise.add_pose_gradient_kernel,
+        buffers.view_count,
+        inputs=[
+            buffers.camera_from_world, measures.jac_translation, measures.jac_rotation, measures.jac_log_focal,
+        ],
+        outputs=into,
+    )  # fmt: skip
+
+
+def _add_flow(
+    buffers: Buffers, shown: wp.array, launch: Callable[[int, int, wp.array], None], into: list[wp.array]
+) -> None:
+    """Add what ``launch(first, count, derivative)`` finds in each image."""
+    derivative = buffers.kept(
+        "image derivative", (len(shown), 1, 1, math.prod(buffers.flow_lanes)), measure.BoundaryDerivative
+    )
+    buffers.over_views(len(shown), lambda first, count: launch(first, count, derivative))
+    buffers.launch(
+        image_flow.add_view_gradient_kernel,
+        buffers.view_count,
+        inputs=[buffers.view, shown, buffers.grouped(derivative), buffers.supersampling],
+        outputs=into,
+    )
+
+
+def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callable[[list[wp.array]], None]) -> None:
+    """Record on the active tape that ``backward(gradients)`` adds to the gradients of the poses' parts.
+
+    Parts that want no gradient get a buffer that nobody reads.
+    """
+    tape = active_tape()
+    wanted = [array for array in poses if array is not None and array.requires_grad]
+    if tape is None or not wanted:
+        return
+    gradients = [
+        array.grad
+        if array is not None and array.requires_grad
+        else buffers.kept(f"unwanted {i}", (buffers.view_count,), dtype)
+        for i, (array, dtype) in enumerate(zip(poses, (wp.vec3, wp.mat33, float), strict=True))
+    ]
+    tape.record_func(lambda: backward(gradients), [image, *wanted])
+
+
+def active_tape() -> wp.Tape | None:
+    """The tape that records now, None outside of any.
+
+    Warp records launches and copies by itself, but has no public name for where: its own ``wp.copy`` asks as is done
+    here (1.19).
+    """
+    return wp._src.context.runtime.tape
+
+
+def require_depth(background_m: float) -> None:
+    """A background that outlines move against has a depth."""
+    if not math.isfinite(background_m):
+        raise InputError(f"background_m must be finite where depths have a gradient, got {background_m}")
+
+
+def visible_masks(buffers: Buffers, scene: Scene, shown_view: list[int]) -> list[list[tuple[int, int, np.ndarray]]]:
+    """See `Frame.visible_masks`."""
+    rectangle, offset = buffers.layers.rectangle.numpy(), buffers.layers.offset.numpy()
+    visible = (buffers.layers.inverse_depth_bits.numpy() != 0) & (buffers.hiding.bits.numpy() == 0)
+    masks = []
+    for v in shown_view:
+        row_of_masks = []
+        for k in range(scene.object_count):
+            left, top, columns, rows = (int(value) for value in rectangle[v, k])
+            first = int(offset[v, k])
+            mask = visible[first : first + rows * columns].reshape(rows, columns)
+            # cut the guard band off
+            cut_left, cut_top = max(GUARD - left, 0), max(GUARD - top, 0)
+            mask = mask[cut_top : buffers.height - GUARD - top, cut_left : buffers.width - GUARD - left]
+            row_of_masks.append((left + cut_left - GUARD, top + cut_top - GUARD, mask))
+        masks.append(row_of_masks)
+    return masks

@@ -1,0 +1,219 @@
+"""Meshes packed on a device: triangles sorted into clusters, objects as layers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.core.warp_setup import load_warp
+from warpav.raster.mesh import Mesh, merge
+from warpav_kernels.raster.rasterise import Triangles
+
+CLUSTER_SIZE = 64
+
+BACKGROUND_ID = -1
+"""What ids say where nothing is hit. Object k is k, occluder j is ``-2 - j``; the foreground is the last occluder."""
+
+
+def spread_bits(value: np.ndarray) -> np.ndarray:
+    """Every bit of a 10-bit number moved to three times its place, for Morton codes; uint64, same shape."""
+    value = value.astype(np.uint64)
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value
+
+
+def morton_order(centre_m: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Order that sorts triangles by body and, within a body, along a Morton curve; int64 [triangle]."""
+    low, high = centre_m.min(axis=0), centre_m.max(axis=0)
+    cell = ((centre_m - low) / np.maximum(high - low, 1e-9) * 1023.0).astype(np.uint64)
+    code = (
+        spread_bits(cell[:, 0]) | (spread_bits(cell[:, 1]) << np.uint64(1)) | (spread_bits(cell[:, 2]) << np.uint64(2))
+    )
+    return np.lexsort((code, body))
+
+
+def planes(corner_m: np.ndarray) -> np.ndarray:
+    """Unit normals and their products with a point of the plane [m], float32 [triangle, 4].
+
+    ``corner_m`` is [triangle, corner, axis].
+    """
+    corner_m = corner_m.astype(np.float64)
+    normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return np.c_[normal, np.einsum("ij,ij->i", normal, corner_m[:, 0])].astype(np.float32)
+
+
+def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Triangles across the sides (0, 1), (1, 2) and (2, 0) of the wanted ones, int32 [triangle, 3].
+
+    -1 where a triangle is not wanted, and where a side has no neighbour, several, or one of the other winding.
+    Vertices at one place count as one.
+    """
+    result = np.full((len(triangle), 3), -1, np.int32)
+    row = np.flatnonzero(wanted)
+    if len(row) == 0:
+        return result
+    coordinates = np.ascontiguousarray(vertex_m, np.float32) + np.float32(0.0)  # no negative zeros
+    _, place = np.unique(coordinates.view(np.dtype((np.void, 12))).ravel(), return_inverse=True)
+    start = place[triangle[row]].astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    side = (np.minimum(start, end) * len(vertex_m) + np.maximum(start, end)).ravel()
+    order = np.argsort(side, kind="stable")
+    first = np.flatnonzero(np.diff(side[order], prepend=-1))
+    first = first[np.diff(first, append=len(side)) == 2]
+    a, b = order[first], order[first + 1]
+    is_one_winding = start.ravel()[a] == end.ravel()[b]
+    a, b = a[is_one_winding], b[is_one_winding]
+    result[row[a // 3], a % 3] = row[b // 3]
+    result[row[b // 3], b % 3] = row[a // 3]
+    return result
+
+
+class Scene:
+    """Triangle meshes on a device, in one world frame. A scene does not change: for other meshes make another scene.
+
+    Objects have names, and are measured one by one. Occluders hide objects and have colours and depths, but are not
+    measured.
+
+    Attributes:
+        device: Where it is.
+        object_names: Names of the objects, in order.
+        object_count: Number of objects.
+        occluder_count: Number of occluders; the foreground is the last of them.
+        foreground_layer: Layer of the foreground; -1 where there is none.
+        layer_count: Number of layers: the objects, and the foreground where there is one.
+        triangles: Sorted triangles and their clusters (struct of the kernels).
+        layer_body: Body of every layer, int32 [layer]; bodies are the occluders in order, then the objects.
+        layer_bounds_world_m: Lowest and highest corner of every layer's body [m], vec3 [layer, 2].
+        vertex_rgb: Vertex colours 0..1, vec3 [vertex], in the order of the bodies.
+        background_rgb: Colours 0..1 of the background at and below the horizon, and overhead (along world z), vec3.
+        cluster_count: Number of clusters.
+        triangle_count: Number of triangles.
+        source_triangle: Place of every sorted triangle in the bodies' triangles, one body behind the other, [triangle].
+    """
+
+    def __init__(
+        self,
+        objects: Mapping[str, Mesh] | None = None,
+        occluders: Sequence[Mesh] = (),
+        *,
+        foreground: Mesh | None = None,
+        background_rgb: object = (0, 0, 0),
+        device: str | wp.Device | None = "cpu",
+    ) -> None:
+        """Pack the meshes. Triangles are sorted; vertices keep their order.
+
+        Args:
+            objects: Meshes to measure, by name.
+            occluders: Meshes that hide them.
+            foreground: One more occluder, whose own silhouette `Frame.unblocked_area` and the pairwise occlusion use:
+                it counts as nearest everywhere there. For example the body that carries the cameras.
+            background_rgb: sRGB colour 0..255 where nothing is hit, [3]; or two, at the horizon and overhead, [2, 3].
+            device: Warp device.
+
+        Raises:
+            InputError: There is no mesh at all, a mesh cannot be drawn (see `Mesh.check`), a colour is out of range, or
+                there are too many vertices or triangles.
+            TypeError: Something else than meshes.
+        """
+        load_warp()
+        if not isinstance(objects, Mapping | None):
+            raise TypeError(f"objects: expected meshes by name, such as {{'cube': mesh}}, got {type(objects).__name__}")
+        if isinstance(occluders, Mesh):
+            raise TypeError("occluders: expected a list of meshes, got one mesh; write occluders=[mesh]")
+        objects = dict(objects or {})
+        occluders = [*occluders, *([foreground] if foreground is not None else [])]
+        named = {f"occluders[{j}]": mesh for j, mesh in enumerate(occluders)}
+        named |= {f"objects[{name!r}]": mesh for name, mesh in objects.items()}
+        if not named:
+            raise InputError("objects, occluders: expected at least one mesh, got none")
+        for name, mesh in named.items():
+            if not isinstance(mesh, Mesh):
+                raise TypeError(f"{name}: expected a raster.Mesh, got {type(mesh).__name__}")
+            mesh.check(name)
+        self.device = _device(device)
+        self.object_names = tuple(objects)
+        self.object_count, self.occluder_count = len(objects), len(occluders)
+        self.foreground_layer = -1 if foreground is None else self.object_count
+        self.layer_count = self.object_count + (foreground is not None)
+        self.background_rgb = _background(background_rgb)
+        self._pack(list(named.values()))
+
+    def _pack(self, meshes: list[Mesh]) -> None:
+        whole = merge(meshes)
+        body = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
+        order = morton_order(whole.vertex_m[whole.triangle].mean(axis=1), body)
+        triangle, body = whole.triangle[order], body[order].astype(np.int32)
+
+        # cut every body's run of triangles into clusters
+        run_first = np.searchsorted(body, np.arange(len(meshes)))
+        run_end = np.searchsorted(body, np.arange(len(meshes)), side="right")
+        first = np.concatenate([np.arange(a, b, CLUSTER_SIZE) for a, b in zip(run_first, run_end, strict=True)])
+        count = np.diff(np.append(first, len(triangle)))
+        corner_m = whole.vertex_m[triangle].reshape(-1, 3)
+        low = np.minimum.reduceat(corner_m, 3 * first, axis=0)
+        high = np.maximum.reduceat(corner_m, 3 * first, axis=0)
+        centre = 0.5 * (low + high)
+        reach = np.linalg.norm(corner_m - np.repeat(centre, 3 * count, axis=0), axis=1)
+        radius = np.maximum.reduceat(reach, 3 * first) * (1.0 + 1e-5)
+
+        layer_body = np.array([*range(self.occluder_count, len(meshes)), self.occluder_count - 1], np.int32)
+        layer_body = layer_body[: self.layer_count]
+        layer_of_body = np.full(len(meshes), -1, np.int32)
+        layer_of_body[layer_body] = np.arange(len(layer_body))
+        bounds_m = np.array([meshes[i].bounds_m() for i in layer_body], np.float32).reshape(-1, 2, 3)
+
+        def put(array: np.ndarray, dtype: object) -> wp.array:
+            return wp.array(array, dtype=dtype, device=self.device)
+
+        triangles = Triangles()
+        triangles.vertex_world_m = put(whole.vertex_m, wp.vec3)
+        triangles.triangle = put(triangle, wp.vec3i)
+        triangles.triangle_body = put(body, wp.int32)
+        triangles.triangle_plane = put(planes(corner_m.reshape(-1, 3, 3)), wp.vec4)
+        triangles.neighbour = put(neighbours(whole.vertex_m, triangle, layer_of_body[body] >= 0), wp.vec3i)
+        triangles.body_layer = put(layer_of_body, wp.int32)
+        triangles.cluster_first = put(first.astype(np.int32), wp.int32)
+        triangles.cluster_count = put(count.astype(np.int32), wp.int32)
+        triangles.cluster_layer = put(layer_of_body[body[first]], wp.int32)
+        triangles.cluster_sphere_world_m = put(np.c_[centre, radius].astype(np.float32), wp.vec4)
+        self.triangles: Any = triangles  # the struct is no type to a checker
+        self.layer_body = put(layer_body, wp.int32)
+        self.layer_bounds_world_m = put(bounds_m, wp.vec3)
+        self.vertex_rgb = put(whole.vertex_rgb.astype(np.float32) / 255.0, wp.vec3)
+        self.cluster_count, self.triangle_count = len(first), len(triangle)
+        self.source_triangle = order
+
+    @cached_property
+    def mesh(self) -> wp.Mesh:
+        """The triangles for ray queries, in their order, grouped by body; built when it is first asked for."""
+        return wp.Mesh(
+            self.triangles.vertex_world_m,
+            wp.array(self.triangles.triangle.numpy().ravel(), dtype=wp.int32, device=self.device),
+            groups=self.triangles.triangle_body,
+        )
+
+
+def _device(device: str | wp.Device | None) -> wp.Device:
+    try:
+        return wp.get_device(device)
+    except Exception as error:
+        raise InputError(
+            f"device: expected a Warp device such as 'cpu' or 'cuda:0', got {device!r} ({error})"
+        ) from None
+
+
+def _background(background_rgb: object) -> tuple[wp.vec3, wp.vec3]:
+    colour = np.asarray(background_rgb)
+    if colour.shape not in ((3,), (2, 3)) or not np.issubdtype(colour.dtype, np.number):
+        raise InputError(f"background_rgb: expected one colour [3] or two [2, 3], got {background_rgb!r}")
+    if not ((colour >= 0) & (colour <= 255)).all():
+        raise InputError(f"background_rgb: expected colours 0..255, got {colour.tolist()}")
+    horizon, zenith = np.broadcast_to(colour, (2, 3)) / 255.0
+    return wp.vec3(*horizon), wp.vec3(*zenith)

@@ -1,0 +1,120 @@
+"""A traffic scene on a device: its meshes as the rasteriser takes them, and what they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from warpav.raster.scene import Scene as RasterScene
+from warpav.scene.scene import ROAD_USERS, Scene
+
+# What images of object indices say, see `object_index_of`.
+ENVIRONMENT = 0
+EGO = 1
+FIRST_VEHICLE = 2
+
+
+def object_index_of(object_id: np.ndarray) -> np.ndarray:
+    """The rasteriser's ids of a `DeviceScene` as indices of a traffic scene, int32 of the same shape.
+
+    Nothing is -1, the environment 0, the ego vehicle 1, and vehicle k of the scene 2 + k.
+    """
+    nothing_or_vehicle = np.where(object_id < 0, -1, object_id + FIRST_VEHICLE)
+    return np.where(object_id < -1, -2 - object_id, nothing_or_vehicle).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class UprightBoxes:
+    """Boxes with a vertical axis, one for every layer of a scene, on its device.
+
+    Attributes:
+        centre_ego_m: Middles [m], vec3 [layer].
+        half_size_m: Half of length, width and height [m], vec3 [layer].
+        along: Unit vectors along the length in ego x and y, vec2 [layer].
+    """
+
+    centre_ego_m: wp.array
+    half_size_m: wp.array
+    along: wp.array
+
+
+@dataclass(frozen=True)
+class DeviceScene:
+    """A traffic scene on a device.
+
+    To the rasteriser its vehicles are the objects, the environment is an occluder, and the ego vehicle the foreground;
+    its world frame is the ego frame. Road users among the scene's others are part of the environment.
+
+    Attributes:
+        name: The scene's name.
+        raster: The meshes: vehicle k is object k, the environment occluder 0, the ego vehicle occluder 1.
+        category: What every vehicle is, [vehicle].
+        road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
+        from_ego_m: Middle of every vehicle's box as seen from the middle of the ego vehicle: forward and left [m],
+            float64 [vehicle, 2].
+    """
+
+    name: str
+    raster: RasterScene
+    category: tuple[str, ...]
+    road_user_index: np.ndarray
+    from_ego_m: np.ndarray
+
+    @property
+    def vehicle_count(self) -> int:
+        """Number of vehicles, at least 0."""
+        return self.raster.object_count
+
+    @cached_property
+    def upright_box(self) -> UprightBoxes:
+        """The least upright box around every vehicle, and around the ego vehicle; found when it is first asked for."""
+        import cv2
+
+        triangles, device = self.raster.triangles, self.raster.device
+        vertex_ego_m = triangles.vertex_world_m.numpy()
+        triangle, body = triangles.triangle.numpy(), triangles.triangle_body.numpy()
+        centre, half_size, along = [], [], []
+        for index in self.raster.layer_body.numpy():
+            point_m = vertex_ego_m[np.unique(triangle[body == index])]
+            middle_xy, (length, width), turn_deg = cv2.minAreaRect(np.ascontiguousarray(point_m[:, :2]))
+            low_m, high_m = point_m[:, 2].min(), point_m[:, 2].max()
+            centre.append([*middle_xy, 0.5 * (low_m + high_m)])
+            half_size.append([0.5 * length, 0.5 * width, 0.5 * (high_m - low_m)])
+            along.append([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
+        return UprightBoxes(
+            wp.array(np.reshape(centre, (-1, 3)), dtype=wp.vec3, device=device),
+            wp.array(np.reshape(half_size, (-1, 3)), dtype=wp.vec3, device=device),
+            wp.array(np.reshape(along, (-1, 2)), dtype=wp.vec2, device=device),
+        )
+
+    @classmethod
+    def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
+        """The scene on ``device``.
+
+        Raises:
+            InputError: A mesh cannot be drawn (see `Mesh.check`), or there are too many vertices or triangles.
+        """
+        for other in scene.others:
+            other.mesh.check(f"{scene.name}: {other.category} {other.instance_id}")
+        environment = scene.surroundings()
+        environment.check(f"{scene.name}: environment")
+        scene.ego.check(f"{scene.name}: ego")
+        for vehicle in scene.vehicles:
+            vehicle.mesh.check(f"{scene.name}: vehicle {vehicle.instance_id}")
+        return cls(
+            name=scene.name,
+            raster=RasterScene(
+                {str(k): vehicle.mesh for k, vehicle in enumerate(scene.vehicles)},
+                occluders=[environment],
+                foreground=scene.ego,
+                background_rgb=np.stack([scene.sky.horizon_rgb, scene.sky.zenith_rgb]),
+                device=device,
+            ),
+            category=tuple(vehicle.category for vehicle in scene.vehicles),
+            road_user_index=np.array([ROAD_USERS.index(user.road_user) for user in scene.vehicles], np.int32),
+            from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
+            - scene.ego.bounds_m()[:, :2].mean(axis=0),
+        )
