@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import warpav as wa
+from warpav.cli.app import main
 from warpav.detection.detector import Detections
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
+from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import ego_vehicle
 
 SMALL = [
@@ -295,3 +297,17 @@ def test_the_kernels_that_are_compiled_ahead_exist():
     from warpav.runs.scene_set import OBJECTIVE_KERNELS
 
     assert [name for name in OBJECTIVE_KERNELS if importlib.util.find_spec(name) is None] == []
+
+
+def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(config, tmp_path, capsys):
+    folder = RunFolder.create(
+        config.model_copy(update={"run": config.run.model_copy(update={"out": tmp_path / "run"})}),
+        name="run",
+        own_detector="LowerHalf",
+    )
+    folder.write_rig("best", wa.preset("nuscenes"))
+    assert main(["evaluate", str(folder.path)]) == 2
+    error = capsys.readouterr().err
+    assert "detector.model: expected the ONNX file of the run's detector" in error
+    assert "LowerHalf" in error
+    assert "rig_best.yaml" in error
