@@ -306,7 +306,7 @@ def examine(
     if open_edges:
         hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
     if flat:
-        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` leaves them out")
+        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` removes them")
     if len(mesh.triangle) > MANY_TRIANGLES:
         hints.append(
             f"{len(mesh.triangle)} triangles slow every render, and about 10 000 are sufficient; decimate the mesh, "
@@ -390,7 +390,7 @@ def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> lis
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
         return [
             VehicleProblem(
-                f"{text}, a length in no usual unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
+                f"{text}, implausible in any common unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
             )
         ]
     with_scale = " with this `scale`" if is_stated else ""
@@ -413,7 +413,7 @@ def _axis_findings(
     if has_axes and not is_upside_down:
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
-                "the cabin stands nearer to what is read as the front, as in pickups and lorries, or in vehicles that "
+                "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
                 f"face backwards: if the picture shows one of these, add `forward` {forward}"
             ]
         return [], []
@@ -452,7 +452,7 @@ def _place_findings(
         target_m = np.array([low[0] + rear_axle_m, middle_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
-            problems.append(VehicleProblem("origin: it is not below the rear axle as `rear_axle` states it", {}))
+            problems.append(VehicleProblem("origin: expected below the rear axle as stated by `rear_axle`", {}))
         return shift_m, problems, hints
     is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
     if is_declared and is_inside:
@@ -460,15 +460,15 @@ def _place_findings(
     if wheels is None:
         if is_inside:
             hints.append(
-                "no wheels are to be seen, so whether the origin lies below the rear axle cannot be told; "
+                "no wheels found, so the origin below the rear axle cannot be verified; "
                 "`rear_axle` 0.9 would put it 0.9 m before the rear end"
             )
         else:
             problems.append(
                 VehicleProblem(
                     "origin: expected it below the vehicle, got "
-                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels to be seen; "
-                    "`rear_axle` says how far before the rear end the rear axle is",
+                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels found; "
+                    "`rear_axle` gives the distance of the rear axle from the rear end",
                     {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
                 )
             )
@@ -484,7 +484,7 @@ def _place_findings(
             )
         )
     if len(wheels.axle_m) > 2:
-        hints.append(f"{len(wheels.axle_m)} axles: the last one counts as the rear axle, unless `rear_axle` says else")
+        hints.append(f"{len(wheels.axle_m)} axles: the rearmost one counts as the rear axle; `rear_axle` overrides it")
     return shift_m, problems, hints
 
 

@@ -261,7 +261,7 @@ def mirrored_file(folder):
 def test_a_mirrored_rig_is_refused_with_the_dialect_to_try(tmp_path):
     file = mirrored_file(tmp_path)
     text = refusal(file, "carla-ros-bridge")
-    assert "camera 'front_left': expected it on the left (y > 0) and looking there, got y = -0.500 m" in text
+    assert "camera 'front_left': expected it on the left (y > 0) and pointing there, got y = -0.500 m" in text
     assert "`format_name` carla-python" in text
     assert "`accept_mirrored`" in text
     rig, notes = import_rig_with_notes(file, "carla-ros-bridge", ImportOptions(accept_mirrored=True))
@@ -321,7 +321,7 @@ def test_exports_replace_nothing_unless_told(tmp_path):
     for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
         with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; choose another path$"):
             export_rig_with_notes(plain_rig("a"), "autoware", target, overwrite=True)
-    with pytest.raises(InputError, match="expected a place to write to, got"):
+    with pytest.raises(InputError, match="expected a writable path, got"):
         export_rig_with_notes(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
     with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
         export_rig_with_notes(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")

@@ -171,7 +171,7 @@ def test_what_is_left_out_is_said(tmp_path):
     )
     rig = Rig.create([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
     with pytest.raises(
-        InputError, match=r"camera 'front': carla-python cannot hold the lens's distortion; `approximate`"
+        InputError, match=r"camera 'front': carla-python cannot represent the lens's distortion; `approximate`"
     ):
         export_rig_with_notes(rig, "carla-python", tmp_path / "a.json")
     _, notes = export_rig_with_notes(rig, "carla-python", tmp_path / "a.json", approximate=True)
@@ -182,7 +182,7 @@ def test_what_is_left_out_is_said(tmp_path):
     assert back.model.intrinsics[0, 0] == pytest.approx(500.0)
     fisheye = Rig.create([RigCamera("f", np.zeros(3), 0.0, 0.0, 0.0, CameraModel(640, 480, 3.3, lens="fisheye"))])
     for name in ("carla-python", "nuscenes", "kitti"):
-        with pytest.raises(InputError, match=rf"camera 'f': {name} cannot hold a fisheye lens; choose another format"):
+        with pytest.raises(InputError, match=rf"camera 'f': {name} cannot represent a fisheye lens; choose another"):
             export_rig_with_notes(fisheye, name, tmp_path / "b", approximate=True)
 
 

@@ -214,7 +214,7 @@ def export_rig(
         target: File or folder, as the format has it; folders are made.
         origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
         origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
-        approximate: Leave out what the format cannot hold, instead of rejecting the rig.
+        approximate: Drop what the format cannot represent instead of raising an error.
         overwrite: Replace existing files.
 
     Raises:
@@ -295,7 +295,7 @@ def content_of(
     """The files that hold a rig, unwritten.
 
     Raises:
-        InputError: The format cannot hold it.
+        InputError: The format cannot represent it.
     """
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)

@@ -150,7 +150,7 @@ class Losses:
         """
         if not self.are_allowed:
             raise InputError(
-                f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; `approximate` leaves it out"
+                f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; `approximate` drops it"
             )
         self.notes.append(f"camera {camera_name!r}: {thing} is dropped")
 
