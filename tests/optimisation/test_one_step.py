@@ -12,9 +12,9 @@ from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LossSettings
+from warpav.raster.buffers import Buffers
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
-from warpav.raster.buffers import Buffers
 from warpav_kernels.placement import mount_pose
 
 
