@@ -1,8 +1,11 @@
 """The public names of ``import warpav as wa``, and the program of ten lines that its page prints."""
 
+import ast
+import importlib
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -53,14 +56,13 @@ def test_every_public_name_is_there_and_nothing_else():
 
 
 def test_editors_know_the_same_names():
-    """What is imported for type checkers is what `__getattr__` gives."""
-    import ast
-    from pathlib import Path
-
-    tree = ast.parse(Path(wa.__file__).read_text())
-    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
-    typed = {alias.asname or alias.name for node in block.body for alias in node.names}
-    assert typed == set(wa.__all__)
+    """What the stub imports is what `__getattr__` gives."""
+    tree = ast.parse(Path(wa.__file__).with_suffix(".pyi").read_text())
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module != "typing"]
+    typed = {alias.asname or alias.name: (node.module, alias.name) for node in imports for alias in node.names}
+    assert typed.keys() == set(wa.__all__)
+    for name, (module, attribute) in typed.items():
+        assert getattr(importlib.import_module(module), attribute) is getattr(wa, name)
 
 
 @needs_opengl

@@ -20,7 +20,6 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["import
 [LAYERS] = [each for each in CONTRACTS if each["type"] == "layers"]
 FLOOR = {f"warpav.{name.strip()}": k for k, layer in enumerate(LAYERS["layers"]) for name in layer.split("|")}
 EXEMPT = {tuple(line.split(" -> ")) for line in LAYERS["ignore_imports"]}
-DEVICE_SCENE = "warpav.scene.device_scene -> warpav.scene.scene"
 
 
 @pytest.fixture(scope="module")
@@ -75,16 +74,10 @@ def test_arrows_between_rooms_are_few_and_point_downwards(imports):
     assert len(arrows_of(imports)) <= MOST_ARROWS
 
 
-def unfinished(names, done):
-    """Parameters, those that are not yet as they should be marked as such."""
-    waiting = pytest.mark.xfail(strict=True, reason="not put right yet")
-    return [pytest.param(name, marks=[] if name in done else waiting) for name in names]
-
-
 ROOMS = sorted(path.parent.name for path in (ROOT / "warpav").glob("*/__init__.py"))
 
 
-@pytest.mark.parametrize("name", unfinished(ROOMS, {*ROOMS} - {"view"}))
+@pytest.mark.parametrize("name", ROOMS)
 def test_no_modules_of_a_room_import_one_another(imports, name):
     inside = {
         one: {other for other in others if room(other) == room(one) and (one, other) not in EXEMPT}
@@ -95,7 +88,7 @@ def test_no_modules_of_a_room_import_one_another(imports, name):
     assert circle_in(inside) == []
 
 
-@pytest.mark.parametrize("line", unfinished(LAYERS["ignore_imports"], {*LAYERS["ignore_imports"]} - {DEVICE_SCENE}))
+@pytest.mark.parametrize("line", LAYERS["ignore_imports"])
 def test_only_thin_methods_are_exempt(graph, line):
     """An exempt import stands in a method that draws, or is there for annotations alone."""
     one, other = line.split(" -> ")

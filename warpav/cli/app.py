@@ -32,11 +32,11 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
+for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app, vehicle_app):
+    app.command(_group)
 app.command(optimise, alias="optimize")
 for _verb in (evaluate, render, inspect, report, doctor, bench):
     app.command(_verb)
-for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app, vehicle_app):
-    app.command(_group)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

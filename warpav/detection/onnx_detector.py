@@ -7,6 +7,7 @@ was trained and its accuracy: see ``models/MODEL_CARD.md``.
 from __future__ import annotations
 
 import difflib
+import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -143,6 +144,23 @@ class OnnxDetector:
             )
         self._input_px = input_px
         self._classes = self._sort_labels(classes or {}, targets)
+
+    def __repr__(self) -> str:
+        return f"OnnxDetector({self._path.name}, {self.family.name}, {', '.join(self.road_users)})"
+
+    def _repr_html_(self) -> str:
+        """What Jupyter shows: the file, how it is read, and which labels count."""
+        rows = {
+            "file": self._path.name,
+            "layout": self.family.name,
+            **{user: ", ".join(labels) for user, labels in self.road_users.items()},
+            "least confidence": f"{self._confidence_min:g}",
+            "runs on": ", ".join(self.providers_used),
+        }
+        cells = "".join(
+            f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items()
+        )
+        return f"<table><caption>Detector</caption><tbody>{cells}</tbody></table>"
 
     @property
     def names(self) -> tuple[str, ...]:

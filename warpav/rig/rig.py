@@ -71,7 +71,7 @@ class RigCamera:
         return transform
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig:
     """The cameras of a vehicle.
 
@@ -108,6 +108,16 @@ class Rig:
                     f"(first as cameras[{first}])"
                 )
         return cls(checked)
+
+    def __repr__(self) -> str:
+        return f"Rig({', '.join(camera.name for camera in self.cameras)})"
+
+    def __str__(self) -> str:
+        """The cameras as a table of plain text."""
+        rows = [["camera", *_TABLE_COLUMNS], *([camera.name, *_table_row(camera)] for camera in self.cameras)]
+        width = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(text.rjust(width[k]) for k, text in enumerate(row) if k) for row in rows]
+        return "\n".join(f"{row[0].ljust(width[0])}  {line}" for row, line in zip(rows, lines, strict=True))
 
     def _repr_html_(self) -> str:
         """What Jupyter shows: the cameras as a table."""

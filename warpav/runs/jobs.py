@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.devices import device_name
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.optimisation.history import IterationRecord
@@ -86,6 +86,13 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, progress
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise ArgumentError(
             "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
+        )
+    own_detector = RunFolder.open(source).environment().get("own_detector") if is_run_folder(source) else None
+    if own_detector and config.detector.model == "builtin":
+        raise OptionError(
+            "detector.model",
+            f"expected the ONNX file of the run's detector, as {source} was optimised with an object of class "
+            f"{own_detector}, got 'builtin'; to evaluate with the shipped one, give {source}/rig_best.yaml",
         )
     placement = Placement.from_config(config).prepare(progress)
     rig = find_rig(source, config, placement.ego)

@@ -253,6 +253,12 @@ class Placement:
         return self._parts
 
     @property
+    def own_detector(self) -> str | None:
+        """Class of the detector where that is an object; None where a configuration describes it."""
+        networks = self._parts.networks
+        return type(networks.detector).__name__ if self._parts.has_own_detector and networks else None
+
+    @property
     def own_scenes(self) -> tuple[list[Scene], list[Scene]] | None:
         """Scenes of training and of validation that were given as objects; None where a configuration gives them."""
         return self._own

@@ -123,7 +123,8 @@ class Result:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
         The result is compared with its start, the rig around the highest point and the best of some random rigs.
-        Scenes that are objects are written into the folder; a detector that is an object is not.
+        Scenes that are objects are written into the folder. Of a detector that is an object ``env.json`` keeps the
+        class alone, so ``warpav evaluate`` asks for its ONNX file.
 
         Args:
             folder: A folder that does not exist yet, or an empty one.
@@ -150,6 +151,7 @@ class Result:
                 device=device_name(config.device),
                 start=placement.start_rig,
                 freeze=placement.parts.freeze,
+                own_detector=placement.own_detector,
             )
             written.write_rig("initial", self.start)
             for record in self.records:

@@ -68,6 +68,7 @@ class RunFolder:
         device: str = "",
         start: Rig | None = None,
         freeze: Sequence[str] = (),
+        own_detector: str | None = None,
     ) -> RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
@@ -79,6 +80,7 @@ class RunFolder:
             start: The rig that the run starts from, where it is a certain one; the folder keeps it, so that it needs no
                 file from elsewhere.
             freeze: Names of its cameras that stay as they are.
+            own_detector: Class of the detector where that is an object, which no file of the folder holds.
 
         Raises:
             InputError: ``run.out`` exists, or no folder can be made there.
@@ -103,7 +105,7 @@ class RunFolder:
             rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
             config = config.model_copy(update={"rig": rig})
         write_text(path / "config.yaml", dump_config(config))
-        write_json(path / "env.json", environment(config, device))
+        write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
         return folder
 
     @classmethod

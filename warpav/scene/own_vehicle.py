@@ -404,8 +404,8 @@ def _axis_findings(
     """Whether the shape has the axes of the ego frame under this reading."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
-            return [], ["no axis of symmetry found; check the axes in a figure (--picture)"]
-        return [], ["its shape is ambiguous; check the axes in a figure (--picture)"]
+            return [], ["no axis of symmetry found; check the axes in a figure (`picture`)"]
+        return [], ["its shape is ambiguous; check the axes in a figure (`picture`)"]
     has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
     is_upside_down = shape.is_up_sure and shape.up == "-z"
     is_backwards = shape.is_forward_sure and shape.forward == "-x"

@@ -16,7 +16,8 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 from warpav.view.opengl import load_pyvista_data
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista, mesh_to_pyvista
+from warpav.view.polydata import mesh_to_pyvista
+from warpav.view.rig_view import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista
 
 if TYPE_CHECKING:
     MultiBlock = Any

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from warpav.raster.mesh import Mesh
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import PAPER_RGB, Rgb, hex_colour
-from warpav.view.rig_view import mesh_to_pyvista
+from warpav.view.polydata import mesh_to_pyvista
 
 if TYPE_CHECKING:
     from warpav.scene.reconstruction.point_cloud import PointCloud

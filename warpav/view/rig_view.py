@@ -16,6 +16,7 @@ import numpy as np
 from warpav.view.frustum import bearing_sector_rad, frustum_points
 from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
+from warpav.view.polydata import mesh_to_pyvista
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -46,14 +47,6 @@ AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68),
 
 GRADE_MAX = 0.08
 """Streets may rise by so much for each metre away from the vehicle and still be ground."""
-
-
-def mesh_to_pyvista(mesh: Mesh) -> PolyData:
-    """The mesh as ``pyvista.PolyData``; colours are the point data ``RGB`` (uint8, shape [vertex, 3])."""
-    pyvista = load_pyvista_data()
-    surface = pyvista.PolyData.from_regular_faces(np.asarray(mesh.vertex_m), np.asarray(mesh.triangle))
-    surface.point_data["RGB"] = mesh.vertex_rgb
-    return surface
 
 
 def rig_plotter(

@@ -13,7 +13,7 @@ import numpy as np
 
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import COVERAGE_RGB, INK_RGB, OUTCOME_RGB, Rgb, camera_rgb, hex_colour
-from warpav.view.rig_view import mesh_to_pyvista
+from warpav.view.polydata import mesh_to_pyvista
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
