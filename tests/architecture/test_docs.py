@@ -1,5 +1,6 @@
 """The documentation keeps its promises: links lead somewhere, tables are whole, options, commands and code are real."""
 
+import importlib.util
 import io
 import re
 import shlex
@@ -145,6 +146,8 @@ def test_a_slip_in_a_command_would_be_found(line, wrong, tmp_path, monkeypatch):
 def test_code_prints_what_the_page_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for code, expected in blocks(page, "python"):
+        if "import torch\n" in code and importlib.util.find_spec("torch") is None:
+            continue
         with redirect_stdout(io.StringIO()) as output:
             exec(compile(code, name_of(page), "exec"), {})
         assert output.getvalue() == expected

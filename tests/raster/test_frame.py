@@ -110,6 +110,8 @@ def test_occluders_alone_are_a_scene(device):
     scene = raster.Scene(occluders=[sphere([0.0, 0.0, 5.0])], device=device)
     frame = raster.render(scene, cameras(), np.eye(4)[None])
     assert frame.areas().visible.shape == (1, 0)
+    assert frame.areas().jacobian.shape == (1, 0, 7)
+    assert frame.extents().jacobian.shape == (1, 0, 4, 7)
     assert frame.silhouettes().shape == (1, 0, 128, 128)
     np.testing.assert_array_equal(np.unique(frame.object_id.numpy()), [-2, -1])
 

@@ -104,7 +104,7 @@ class Measures:
         return self if poses is None else replace(self, value=self.on_tape(*poses))
 
 
-def part_of(array: wp.array, place: int | slice) -> wp.array:
+def part_of(array: wp.array, place: int | slice) -> Any:  # noqa: ANN401 (an array; Warp's stubs say that it may be indexed)
     """A part of the third axis, gradient included; Warp itself cannot cut arrays without objects."""
     if array.size:
         return array[:, :, place]
@@ -140,12 +140,12 @@ class Areas:
         right, y down, z forward (3) [px^2/rad], which turns the rotation R from world to camera axes into
         ``R + [s]x R``; to the logarithm of the focal lengths [px^2].
         """
-        return self.measures._jacobian(VISIBLE_AREA, 1)[:, :, 0]
+        return part_of(self.measures._jacobian(VISIBLE_AREA, 1), 0)
 
     @property
     def amodal_jacobian(self) -> wp.array:
         """Jacobian of the amodal area, float [view, object, 7]; see `jacobian`."""
-        return self.measures._jacobian(AMODAL_AREA, 1)[:, :, 0]
+        return part_of(self.measures._jacobian(AMODAL_AREA, 1), 0)
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,7 @@ def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, ki
 
     A sum of weights times silhouettes is a weighted area.
     """
+    assert silhouette.grad is not None
     weight = checked_weight(buffers, scene, silhouette.grad)
     measures = measure_weighted(buffers, scene, weight, kind=kind, hiding=buffers.hiding, into=None)
     buffers.launch(
@@ -147,7 +148,7 @@ def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callab
         return
     gradients = [
         array.grad
-        if array is not None and array.requires_grad
+        if array is not None and array.grad is not None
         else buffers.kept(f"unwanted {i}", (buffers.view_count,), dtype)
         for i, (array, dtype) in enumerate(zip(poses, (wp.vec3, wp.mat33, float), strict=True))
     ]
@@ -160,7 +161,7 @@ def active_tape() -> wp.Tape | None:
     Warp records launches and copies by itself, but has no public name for where: its own ``wp.copy`` asks as is done
     here (1.19).
     """
-    return wp._src.context.runtime.tape
+    return wp._src.context.runtime.tape  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def require_depth(background_m: float) -> None:

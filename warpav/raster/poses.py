@@ -56,8 +56,10 @@ def view_poses(
     if not device.is_capturing:
         check_rigid(matrix.numpy())
     requires_grad = matrix.requires_grad
-    position = wp.empty(view_count, dtype=wp.vec3, device=device, requires_grad=requires_grad)
-    rotation = wp.empty(view_count, dtype=wp.mat33, device=device, requires_grad=requires_grad)
+    position, rotation = (
+        wp.empty(view_count, dtype=dtype, device=device, requires_grad=requires_grad)  # pyright: ignore[reportArgumentType]
+        for dtype in (wp.vec3, wp.mat33)
+    )
     wp.launch(linearise.split_pose_kernel, dim=view_count, inputs=[matrix], outputs=[position, rotation], device=device)
     return ViewPoses(position, rotation, _focals(log_focal, view_count, device))
 

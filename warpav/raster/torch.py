@@ -172,7 +172,7 @@ class _Rendered(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *gradients: torch.Tensor) -> Any:  # noqa: ANN401 (as PyTorch has it)
+    def backward(ctx: Any, *gradients: Any) -> Any:  # noqa: ANN401  # pyright: ignore[reportIncompatibleMethodOverride]
         (gradient,) = gradients
         with _stream(gradient):
             ctx.tape.zero()
