@@ -291,14 +291,6 @@ def test_a_function_of_the_probabilities_is_a_loss(train):
     np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-3, atol=1e-2 * np.abs(expected_slopes).max())
 
 
-def test_the_kernels_that_are_compiled_ahead_exist():
-    import importlib.util
-
-    from warpav.runs.scene_set import OBJECTIVE_KERNELS
-
-    assert [name for name in OBJECTIVE_KERNELS if importlib.util.find_spec(name) is None] == []
-
-
 def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(config, tmp_path, capsys):
     folder = RunFolder.create(
         config.model_copy(update={"run": config.run.model_copy(update={"out": tmp_path / "run"})}),
