@@ -46,34 +46,7 @@ _PLACES = {
 }
 """Module and name of everything public; None for a module."""
 
-__all__ = [
-    "Camera",
-    "CameraModel",
-    "Config",
-    "Detections",
-    "Detector",
-    "InputError",
-    "Mesh",
-    "Placement",
-    "Progress",
-    "Result",
-    "Rig",
-    "RigEvaluation",
-    "RunFolder",
-    "Scene",
-    "evaluate",
-    "export_rig",
-    "import_rig",
-    "losses",
-    "optimise",
-    "plot",
-    "preset",
-    "read_rig",
-    "read_run",
-    "read_scenes",
-    "town",
-    "write_rig",
-]
+__all__ = list(_PLACES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""Style, spelling and types are tests: what is red here is red in every run."""
+"""Style, spelling and types are tests. The type checker takes a minute of one core, so it is left to full runs."""
 
 import shutil
 import subprocess
@@ -12,7 +12,7 @@ TOOLS = [
     ("ruff", "check", "."),
     ("ruff", "format", "--check", "."),
     ("typos",),
-    ("basedpyright", "--pythonpath", sys.executable),
+    pytest.param(("basedpyright", "--pythonpath", sys.executable), marks=pytest.mark.slow),
 ]
 
 

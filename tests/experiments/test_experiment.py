@@ -81,16 +81,16 @@ def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
 
 
 def test_scenes_are_loaded_once(tmp_path, scenes, monkeypatch):
-    loaded, real = [], module.load_traffic
-    monkeypatch.setattr(module, "load_traffic", lambda *given: loaded.append(1) or real(*given))
+    loaded, real = [], module.load_scene_set
+    monkeypatch.setattr(module, "load_scene_set", lambda *given: loaded.append(1) or real(*given))
     module.traffic_of_process.__init__()
     assert run(tmp_path / "run", scenes, arms=[Arm("highest", "highest"), Arm("start", "start")]).done == 3
     assert len(loaded) == 1
 
 
 def test_other_cameras_share_the_scenes(tmp_path, scenes, monkeypatch):
-    loaded, real = [], module.load_traffic
-    monkeypatch.setattr(module, "load_traffic", lambda *given: loaded.append(1) or real(*given))
+    loaded, real = [], module.load_scene_set
+    monkeypatch.setattr(module, "load_scene_set", lambda *given: loaded.append(1) or real(*given))
     module.traffic_of_process.__init__()
     narrow = Arm("narrow", "highest", ("camera.fov_deg=60", "rig.cameras=3"))
     done = run(tmp_path / "run", scenes, arms=[Arm("highest", "highest"), narrow, Arm("again", "highest")])
@@ -106,7 +106,7 @@ def test_other_cameras_share_the_scenes(tmp_path, scenes, monkeypatch):
 
 def test_the_same_command_again_does_nothing(copied, scenes, monkeypatch):
     before = {file: file.stat().st_mtime_ns for file in copied.rglob("*") if file.is_file()}
-    monkeypatch.setattr(module, "load_traffic", None)
+    monkeypatch.setattr(module, "load_scene_set", None)
     monkeypatch.setattr(module, "find_rig_of", None)
     again = run(copied, scenes)
     assert (again.failed, again.done) == ([], 0)

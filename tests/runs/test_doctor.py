@@ -64,5 +64,5 @@ def test_a_broken_opengl_is_a_warning(monkeypatch):
 
 
 def test_the_findings_need_a_folder(tmp_path):
-    with pytest.raises(InputError, match="--json: expected an existing folder"):
+    with pytest.raises(InputError, match="json: expected an existing folder"):
         doctor.examine(tmp_path / "none" / "doctor.json")

@@ -96,7 +96,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
     monkeypatch.setattr("warpav.scene.cache.town_scenes", lambda seeds: map(failing, seeds))
     assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == ["2 of 3 done; refused:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
+    assert lines[-2:] == ["2 of 3 done; rejected:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
     assert sorted(os.listdir("scenes")) == ["collection.json", "scene_0.glb", "scene_2.glb"]
     # the split is of those that are there
     assert main(["scenes", "make", "--count", "7", "--out", "scenes"]) == 2
@@ -168,7 +168,7 @@ def test_refused_captures_are_summed_up_and_the_others_are_made(captures, collec
     assert lines == [
         "reconstructing: 2",
         "scenes/scene_4.glb",
-        "1 of 2 done; refused:",
+        "1 of 2 done; rejected:",
         "captures/scene_3/images/ego_top_rgb.png: expected an image, got no such file; take or copy it again",
     ]
     assert sorted(os.listdir("scenes")) == ["collection.json", "scene_4.glb"]

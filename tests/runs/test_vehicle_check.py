@@ -112,7 +112,10 @@ def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
         (["car.ply", "--up", "x", "--forward", "x"], "command line (--forward): expected an axis across x"),
         (["car.ply", "--scale", "0"], "command line (--scale): expected a positive number, got 0.0"),
         (["car.ply", "--out", "car.obj"], "car.obj: --out: expected a name that ends in .glb"),
-        (["car.ply", "--rear-axle", "9"], "--rear-axle: expected a distance from the rear end of up to 4.70 m, got 9"),
+        (
+            ["car.ply", "--rear-axle", "9"],
+            "(--rear-axle): expected a distance from the rear end of up to 4.70 m",
+        ),
         (["car.ply", "--picture", "car.bmp"], "car.bmp: expected a name that ends in .png"),
         (["car.ply", "mount.cel_m=1"], "command line (mount.cel_m=1): mount.cel_m: expected one of cell_m"),
         (["car.ply", "--out", "none/car.glb"], "none/car.glb: cannot write the vehicle: No such file or directory"),

@@ -140,5 +140,5 @@ def test_a_seed_below_zero_fails_as_it_does_without_a_cache(tmp_path):
 
 def test_other_code_has_other_files(tmp_path, monkeypatch):
     before = scene_file(3, tmp_path)
-    monkeypatch.setattr(module, "recipe", lambda *parts, code: "another")
+    monkeypatch.setattr(module, "fingerprint", lambda *parts, code: "another")
     assert scene_file(3, tmp_path) != before

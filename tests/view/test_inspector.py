@@ -267,7 +267,7 @@ def test_a_key_that_fails_says_so_in_the_window(inspector, tmp_path, capfd):
     (tmp_path / "mine.yaml").mkdir()  # in the way of the rig
     press(inspector, "Return")
     said = "".join(inspector._numbers.input.split())
-    assert "mine.yaml:expectedaplacetowritetherigto,got:" in said
+    assert "mine.yaml:expectedawritablepathfortherig,got:" in said
     assert "Traceback" not in capfd.readouterr().err
     press(inspector, "c")
     assert "mine.yaml" not in inspector._numbers.input

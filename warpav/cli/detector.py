@@ -70,7 +70,7 @@ def detector_fit(
             again=again,
             progress=display,
         )
-    say(f"p(detected): {file}")
+    say(f"detection probability model: {file}")
 
 
 @detector_app.command(name="evaluate")

@@ -14,7 +14,7 @@ from warpav.cli.arguments import (
     say,
 )
 
-experiment_app = App(name="experiment", help="Run experiments, judge their rigs anew, write their results as a page.")
+experiment_app = App(name="experiment", help="Run experiments, rescore their rigs, write their results as a page.")
 
 
 @experiment_app.default

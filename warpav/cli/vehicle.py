@@ -38,13 +38,13 @@ def vehicle_check(
     rear_axle: Annotated[
         float | None, Parameter(help="Metres from the vehicle's rear end to its rear axle; by default its wheels tell.")
     ] = None,
-    out: Annotated[Path | None, Parameter(help="GLB to write it to, mended, for scenes.ego.")] = None,
+    out: Annotated[Path | None, Parameter(help="GLB to write the corrected vehicle to, for scenes.ego.")] = None,
     picture: Annotated[Path | None, Parameter(help="PNG to draw it into, with the places for cameras.")] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Tell whether a vehicle can carry the cameras: units, axes, ground, origin, faces, places for cameras.
 
-    Status 0: scenes.ego takes it as it is, or what --out wrote; 2: something has to be mended, and how.
+    Status 0: scenes.ego takes it as it is, or the file of --out; 2: something has to be corrected, and how.
     """
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_check import check_vehicle

@@ -34,7 +34,7 @@ def write_json(file: Path, data: object) -> None:
 
 
 def check_folder(folder: Path, option: str) -> None:
-    """Refuse a file where a folder is to be written; what ``option`` is called is told.
+    """Reject a file where a folder is to be written; the error names ``option``.
 
     Raises:
         InputError: It is a file.

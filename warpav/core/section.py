@@ -15,7 +15,7 @@ from warpav.core.yaml_file import Location
 
 
 class Section(BaseModel):
-    """Base of all sections: immutable, unknown keys refused, no silent conversions."""
+    """Base of all sections: immutable, unknown keys rejected, no silent conversions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -77,7 +77,7 @@ class Expectation:
 
 
 def mistake(text: str, *fields: str) -> NoReturn:
-    """Refuse a value with a finished text; ``fields`` are the members of the section that the text speaks of."""
+    """Reject a value with a finished text; ``fields`` are the members of the section that the text speaks of."""
     raise PydanticCustomError("mistake", "{text}", {"text": text, "fields": fields})
 
 

@@ -122,7 +122,7 @@ class Arm:
         return changed_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, render_budget: int | None) -> None:
-        """Refuse early what would fail in every run.
+        """Reject early what would fail in every run.
 
         Raises:
             InputError: A package is missing, the arm's options do not fit the rest, or the budget is too small.

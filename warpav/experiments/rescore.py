@@ -94,7 +94,7 @@ def config_file(folder: Path) -> Path:
 
 
 def check_judging(overrides: Sequence[str]) -> None:
-    """Refuse overrides that would change rigs, or nothing.
+    """Reject overrides that would change rigs, or nothing.
 
     Raises:
         InputError: One of them is not an option of the evaluation, or there is none.

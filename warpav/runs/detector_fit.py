@@ -1,4 +1,4 @@
-"""Fit p(detected) for the configured detector, camera and scenes; keep it, its scores and its figures."""
+"""Fit the detection probability model of a configuration; keep it, its scores and its figures."""
 
 from __future__ import annotations
 

@@ -52,6 +52,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         timer.end("descent")
         evaluation = write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
     except KeyboardInterrupt:
+        folder.write_checkpoint(optimisation.descent.state())
         progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
     return folder, evaluation

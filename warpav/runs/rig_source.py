@@ -25,7 +25,7 @@ def is_run_folder(source: str) -> bool:
 
 
 def check_rig_source(source: str) -> None:
-    """Refuse early what :func:`find_rig` would refuse after the scenes have been built.
+    """Reject early what :func:`find_rig` would reject after the scenes have been built.
 
     Raises:
         InputError: ``source`` means no rig.

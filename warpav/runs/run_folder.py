@@ -211,7 +211,7 @@ class RunFolder:
         return self.path / "report.html"
 
     def config(self) -> Config:
-        """The configuration of the run, validated anew."""
+        """The configuration of the run, validated again."""
         return load_config(self.path / "config.yaml")
 
     def environment(self) -> dict[str, Any]:
@@ -335,7 +335,7 @@ def read_run(path: str | Path) -> RunFolder:
 
 
 def check_new_run(config: Config) -> None:
-    """Refuse a ``run.out`` that holds something already; an empty folder is welcome.
+    """Reject a ``run.out`` that holds something already; an empty folder is welcome.
 
     Raises:
         InputError: ``run.out`` is a file, or a folder with content.

@@ -82,10 +82,10 @@ def record_scenes(
 def reconstruct_scenes(
     config: Config, captures: Path, out: Path, *, executor: ExecutorName, worker_count: int | None
 ) -> int:
-    """Make scenes of captures that are not there yet; one that cannot be used is refused, the others go on.
+    """Make scenes of captures that are not there yet; one that cannot be used is rejected, the others go on.
 
     Returns:
-        The exit status: 2 if any was refused.
+        The exit status: 2 if any was rejected.
 
     Raises:
         InputError: There are no captures, or the folder cannot be written to.
@@ -129,21 +129,21 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
 
 
 def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
-    """Tell what became of every task, and what was refused once more at the end."""
-    refused: list[str] = []
+    """Report the outcome of every task, and the rejected ones once more at the end."""
+    rejected: list[str] = []
     with RunDisplay() as display:
         for name, outcome in display.steps(title, outcomes, count=count):
             if outcome.error is not None:
-                refused.append(outcome.error)
+                rejected.append(outcome.error)
             elif outcome.result:
                 display.say(name)
             else:
                 display.say(f"{name} is there already")
-        if refused:
-            display.say(f"{count - len(refused)} of {count} done; refused:")
-            for error in refused:
+        if rejected:
+            display.say(f"{count - len(rejected)} of {count} done; rejected:")
+            for error in rejected:
                 display.say(error)
-    return 2 if refused else 0
+    return 2 if rejected else 0
 
 
 def _say_split(tasks: Sequence[SceneTask], out: Path) -> None:

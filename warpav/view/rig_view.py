@@ -575,10 +575,10 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
 
     surface = mesh_to_pyvista(Mesh(environment.vertex_m, low, environment.vertex_rgb)).clean(point_merging=False)
     surface.point_data["RGB"] = surface.point_data["RGB"].astype(np.float32)
-    for axis, normal in ((0, "x"), (1, "y")):
+    for axis in (0, 1):
+        normal = np.eye(3)[axis]
         for sign in (-1.0, 1.0):
-            origin = [0.0, 0.0, 0.0]
-            origin[axis] = middle_m[axis] + sign * HAZE_END_M
+            origin = (middle_m[axis] + sign * HAZE_END_M) * normal
             surface = surface.clip(normal, origin=origin, invert=sign > 0)
             if surface.n_cells == 0:
                 return None

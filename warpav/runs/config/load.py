@@ -152,8 +152,7 @@ def _validated(
 def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[Config]:
     """The configuration as of :func:`load_config`, to be used inside a ``with`` block.
 
-    What turns out wrong with an option only when it is used is told as what is wrong with it at once: with the file
-    and the line, or the override, where it stands.
+    An error about an option that only its use reveals names the file and line, or the override, like all others.
 
     Raises:
         InputError: As :func:`load_config`; and for every :class:`OptionError` of the block.

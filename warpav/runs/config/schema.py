@@ -564,7 +564,7 @@ class ConfigTree(Section):
             return data
         method = data.get("method", cls.model_fields["method"].default)
         if not isinstance(method, str) or method not in METHOD_LOSSES:
-            return data  # refused in a moment, with its place
+            return data  # rejected by the validation that follows, with its location
         if isinstance(data.get("losses"), dict):
             data = {**data, "losses": LossSettings.with_new_names(data["losses"])}  # pyright: ignore[reportCallIssue]
         if method == "thesis":
