@@ -34,6 +34,8 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         InputError: Something in the input is wrong.
         KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
     """
+    from warpav.evaluation import blind_ground  # noqa: F401 (so that its kernel is compiled beside the others)
+
     timer = StageTimer()
     check_new_run(config)
     placement = Placement.from_config(config).prepare(progress)
