@@ -69,7 +69,7 @@ def test_a_sphere_alone_is_an_ellipse(device):
     frame = raster.render(scene, cameras(3), poses(), samples=4)
     areas = frame.areas()
     expected = np.array([ellipse_area(pose[:3, 3]) for pose in poses()])
-    np.testing.assert_allclose(areas.visible.numpy()[:, 0], expected, rtol=4e-3)  # worst seen .0012
+    np.testing.assert_allclose(areas.visible.numpy()[:, 0], expected, rtol=2e-3)  # worst seen .0006
     np.testing.assert_array_equal(areas.amodal.numpy(), areas.visible.numpy())
     silhouettes = frame.silhouettes().numpy()
     np.testing.assert_allclose(silhouettes.sum(axis=(2, 3)), areas.visible.numpy(), rtol=1e-5)
@@ -86,7 +86,7 @@ def test_a_sphere_alone_is_an_ellipse(device):
     for jacobian in (areas.jacobian, areas.amodal_jacobian):
         assert jacobian.shape == (3, 1, 7)
         error = np.linalg.norm((jacobian.numpy()[:, 0] - truth) * weight, axis=1)
-        assert (error / np.linalg.norm(truth * weight, axis=1)).max() < 0.01  # worst seen .0019
+        assert (error / np.linalg.norm(truth * weight, axis=1)).max() < 0.002  # worst seen .0006
 
 
 def test_ids_say_object_occluder_and_nothing(device):
