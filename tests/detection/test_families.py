@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.detection.families import COCO_80, COCO_91, FAMILIES, Letterbox, Placement
+from warpav.detection.families import COCO_80, COCO_91, FAMILIES, ImagePlacement, Letterbox
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import DetectorConfig
 
@@ -418,7 +418,7 @@ def test_yolox_of_one_class_is_told_by_its_cells(tmp_path, rng, name):
     st.integers(1, 900),
     st.integers(1, 900),
     st.sampled_from([(64, 64), (256, 256), (320, 640)]),
-    st.sampled_from(list(Placement)),
+    st.sampled_from(list(ImagePlacement)),
     st.randoms(),
 )
 def test_packing_and_unpacking_boxes_is_the_identity(height_px, width_px, input_size_px, placement, random):
@@ -436,7 +436,11 @@ def test_packing_and_unpacking_boxes_is_the_identity(height_px, width_px, input_
 
 @pytest.mark.parametrize(
     ("placement", "rows"),
-    [(Placement.CENTRED, slice(16, 48)), (Placement.TOP_LEFT, slice(0, 32)), (Placement.STRETCHED, slice(0, 64))],
+    [
+        (ImagePlacement.CENTRED, slice(16, 48)),
+        (ImagePlacement.TOP_LEFT, slice(0, 32)),
+        (ImagePlacement.STRETCHED, slice(0, 64)),
+    ],
 )
 def test_letterboxes_pad_grey_where_they_should(placement, rows):
     canvas = Letterbox.fit(128, 256, 64, 64, placement).canvas(np.full((1, 128, 256, 3), 255, np.uint8))

@@ -15,7 +15,7 @@ from warpav.detection.training import CLASS_NAMES, data
 from warpav.detection.training.augmentation import _move, _warp
 from warpav.detection.training.evaluate import evaluate
 from warpav.detection.training.export import export_network
-from warpav.detection.training.loss import Truth, assign_cells, detection_loss, generalised_iou, pairwise_iou
+from warpav.detection.training.loss import TargetBoxes, assign_cells, detection_loss, generalised_iou, pairwise_iou
 from warpav.detection.training.network import TownNetwork
 from warpav.detection.training.train import DeviceData, Training, train_detector
 from warpav.runs.detector_training import tables
@@ -50,7 +50,7 @@ def _pictures(rng, count=4):
 def _truth(box_px, class_index, ignored=None):
     class_index = torch.tensor([class_index])
     none = torch.zeros_like(class_index, dtype=torch.bool)
-    return Truth(torch.tensor([box_px], dtype=torch.float32), class_index, none if ignored is None else ignored)
+    return TargetBoxes(torch.tensor([box_px], dtype=torch.float32), class_index, none if ignored is None else ignored)
 
 
 def _grid(stride_px=4):

@@ -30,7 +30,7 @@ from warpav.optimisation.rivals import (
     random_search,
     sobol_search,
 )
-from warpav.optimisation.search import BudgetedValue, BudgetSpentError, Progress, SearchSpace, run_search
+from warpav.optimisation.search import BudgetedValue, BudgetSpentError, SearchRecord, SearchSpace, run_search
 from warpav.raster.camera import CameraModel
 
 SPACING_M = 0.2
@@ -112,7 +112,7 @@ def test_budget_is_kept_and_the_best_rig_is_feasible(method, renders):
     best = [each.best_value for each in result.history]
     np.testing.assert_array_equal(best, np.minimum.accumulate(list(map(bowl(3), asked))))
     assert [each.renders for each in result.history] == sorted({each.renders for each in result.history})
-    assert result.history[-1] == Progress(result.renders, result.value, 0.0)
+    assert result.history[-1] == SearchRecord(result.renders, result.value, 0.0)
 
 
 @pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])

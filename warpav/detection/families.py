@@ -63,7 +63,7 @@ def _coco_91() -> tuple[str, ...]:
 COCO_91 = _coco_91()
 
 
-class Placement(Enum):
+class ImagePlacement(Enum):
     """Where an image lies in the network's input."""
 
     CENTRED = "centred"
@@ -98,15 +98,15 @@ class Letterbox:
         width_px: int,
         input_height_px: int,
         input_width_px: int,
-        placement: Placement = Placement.CENTRED,
+        placement: ImagePlacement = ImagePlacement.CENTRED,
     ) -> Letterbox:
         """The letterbox that shows an image as large as the input allows; a stretched one fills the input."""
-        if placement is Placement.STRETCHED:
+        if placement is ImagePlacement.STRETCHED:
             return cls(input_height_px, input_width_px, input_height_px, input_width_px, 0, 0)
         scale = min(input_height_px / height_px, input_width_px / width_px)
         scaled_height_px = max(1, min(input_height_px, round(height_px * scale)))
         scaled_width_px = max(1, min(input_width_px, round(width_px * scale)))
-        centred = placement is Placement.CENTRED
+        centred = placement is ImagePlacement.CENTRED
         return cls(
             input_height_px,
             input_width_px,
@@ -280,7 +280,7 @@ class Family(ABC):
 
     name: ClassVar[str]
     layout: ClassVar[str]
-    placement: ClassVar[Placement] = Placement.CENTRED
+    placement: ClassVar[ImagePlacement] = ImagePlacement.CENTRED
     is_bgr: ClassVar[bool] = False
     white: ClassVar[float] = 1.0
     stride_px: ClassVar[int] = 32
@@ -478,7 +478,7 @@ class _Yolox(_Scored):
 
     name = "yolox"
     layout = "one output [batch, cells of all grids, 5 + classes] with offsets from the cells"
-    placement = Placement.TOP_LEFT
+    placement = ImagePlacement.TOP_LEFT
     is_bgr = True
     white = 255.0
     _decodes: ClassVar[bool] = False
@@ -599,7 +599,7 @@ class _RtdetrSingle(_UltralyticsEndToEnd):
     """RT-DETRv4's exporter: one output, boxes in pixels of its input."""
 
     name = "rtdetr-single"
-    placement = Placement.STRETCHED
+    placement = ImagePlacement.STRETCHED
     square_px = 640
 
     @classmethod
@@ -612,7 +612,7 @@ class _UltralyticsRtdetr(Family):
 
     name = "ultralytics-rtdetr"
     layout = "one output [batch, candidates, 6] of centre and size in 0..1, score and class"
-    placement = Placement.STRETCHED
+    placement = ImagePlacement.STRETCHED
     square_px = 640
 
     @classmethod
@@ -695,7 +695,7 @@ class _Torchvision(_Listing):
 
     name = "torchvision"
     layout = "input [3, rows, columns] and outputs boxes [n, 4], labels [n], scores [n], or all with a batch's axis"
-    placement = Placement.TOP_LEFT
+    placement = ImagePlacement.TOP_LEFT
     stride_px = 1
     assumed_labels = COCO_91
 
@@ -741,7 +741,7 @@ class _Rtdetr(_Listing):
 
     name = "rtdetr"
     layout = "inputs images and orig_target_sizes, outputs labels [batch, n], boxes [batch, n, 4], scores [batch, n]"
-    placement = Placement.STRETCHED
+    placement = ImagePlacement.STRETCHED
     square_px = 640
 
     @staticmethod

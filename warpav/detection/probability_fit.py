@@ -167,8 +167,8 @@ def sample_detections(
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Scores of a probability model.
+class ProbabilityScores:
+    """ProbabilityScores of a probability model.
 
     Attributes:
         auc: Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties
@@ -206,7 +206,7 @@ class CalibrationBin:
     high: float
 
 
-def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> Scores:
+def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
     """Compare probabilities with outcomes.
 
     Args:
@@ -231,7 +231,7 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
         low, high = _wilson_interval(share, number)
         bins.append(CalibrationBin(number, float(probability[members].mean()), share, low, high))
     base = found / count
-    return Scores(
+    return ProbabilityScores(
         auc=float(auc),
         brier=float(np.mean((probability - is_detected) ** 2)),
         brier_base_rate=base * (1.0 - base),

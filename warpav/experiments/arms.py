@@ -34,7 +34,7 @@ from warpav.optimisation.rivals import (
     random_search,
     sobol_search,
 )
-from warpav.optimisation.search import BudgetedValue, Progress, Search, SearchSpace, run_search
+from warpav.optimisation.search import BudgetedValue, Search, SearchRecord, SearchSpace, run_search
 from warpav.optimisation.segregation import BatchChooser
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
@@ -51,7 +51,7 @@ GREEDY_DIRECTIONS = 8
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRig:
     """A rig that an arm found.
 
     Attributes:
@@ -74,7 +74,7 @@ class Found:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-Finder = Callable[[Placement, int | None], Found]
+Finder = Callable[[Placement, int | None], FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
 
 
@@ -165,7 +165,7 @@ class Arm:
         return ranked_count if self.method in METHODS and self.is_seeded else 1
 
 
-def find_rig_of(arm: Arm, placement: Placement, render_budget: int | None) -> Found:
+def find_rig_of(arm: Arm, placement: Placement, render_budget: int | None) -> FoundRig:
     """The rig that an arm finds.
 
     Args:
@@ -245,7 +245,7 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     return objective.constraint_scale * broken
 
 
-def _gradient(placement: Placement, render_budget: int | None) -> Found:
+def _gradient(placement: Placement, render_budget: int | None) -> FoundRig:
     """The gradient method of the configuration, from the start of the configuration."""
     placement = _within(placement, render_budget)
     optimisation = Optimisation.begin(placement)
@@ -264,7 +264,7 @@ def _within(placement: Placement, render_budget: int | None) -> Placement:
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> Found:
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
@@ -280,7 +280,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
             column.append(number)
     unprojected = descent.mount_pose
     result = descent.finish()
-    return Found(
+    return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         began_as,
         renders(),
@@ -291,35 +291,35 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
     )
 
 
-def _start(placement: Placement, render_budget: int | None) -> Found:
+def _start(placement: Placement, render_budget: int | None) -> FoundRig:
     """The rig that the gradient method starts from."""
     del render_budget
     pose = start_pose(placement)
     rig = placement.objective.mount.rig(pose)
-    return Found(rig, None if placement.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
+    return FoundRig(rig, None if placement.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
 
 
-def _random_rig(placement: Placement, render_budget: int | None) -> Found:
+def _random_rig(placement: Placement, render_budget: int | None) -> FoundRig:
     """A random feasible rig with random directions, without evaluation."""
     del render_budget
     space = SearchSpace.over(
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
     pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return Found(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
+    return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
 
 
-def _highest(placement: Placement, render_budget: int | None) -> Found:
+def _highest(placement: Placement, render_budget: int | None) -> FoundRig:
     """Cameras around the highest point."""
     del render_budget
     mount = placement.objective.mount
     pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(pose)
     found = mount.rig(pose)
-    return Found(found, found, 0, {}, mount_pose=pose)
+    return FoundRig(found, found, 0, {}, mount_pose=pose)
 
 
-def _preset(placement: Placement, render_budget: int | None, *, name: str) -> Found:
+def _preset(placement: Placement, render_budget: int | None, *, name: str) -> FoundRig:
     """A known rig, moved to the vehicle."""
     del render_budget
     mount = placement.objective.mount
@@ -327,10 +327,10 @@ def _preset(placement: Placement, render_budget: int | None, *, name: str) -> Fo
         preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
     )
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
-    return Found(moved.rig, moved.rig, 0, {}, notes=notes)
+    return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
 
 
-def _random_batches(placement: Placement, render_budget: int | None) -> Found:
+def _random_batches(placement: Placement, render_budget: int | None) -> FoundRig:
     """The thesis's random arm: as many random rigs as a descent has iterations, each on a batch of its own.
 
     The lowest value wins, so the luck of the batch helps to choose; `random_search` on fixed scenes does not have that.
@@ -340,17 +340,17 @@ def _random_batches(placement: Placement, render_budget: int | None) -> Found:
     batches = BatchChooser(placement.train, config.rig.cameras, placement.random_numbers(Stream.BATCHES))
     count = config.run.iterations if render_budget is None else render_budget // config.run.batch_size
     best_value, best_pose = math.inf, None
-    history: list[Progress] = []
+    history: list[SearchRecord] = []
     began = time.perf_counter()
     for number in range(1, count + 1):
         pose = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng).astype(np.float32)
         value = objective.evaluate(pose, [placement.train[k] for k in batches.choose(config.run.batch_size)]).objective
         if value < best_value:
             best_value, best_pose = value, pose
-        history.append(Progress(number * config.run.batch_size, best_value, time.perf_counter() - began))
+        history.append(SearchRecord(number * config.run.batch_size, best_value, time.perf_counter() - began))
     if best_pose is None:
         raise ValueError(f"none of {count} random rigs had a finite value")
-    return Found(
+    return FoundRig(
         objective.mount.rig(best_pose), None, count * config.run.batch_size, _columns(history), mount_pose=best_pose
     )
 
@@ -361,14 +361,14 @@ def _searched(
     *,
     search: Callable[[Placement, Sequence[Any]], Search],
     free_yaw: bool,
-) -> Found:
+) -> FoundRig:
     """A baseline search on fixed training scenes."""
     rng = placement.random_numbers(Stream.SEARCH)
     value, scenes = _ranking(placement, rng, _budget(placement, render_budget), free_yaw=free_yaw)
     result = run_search(search(placement, scenes), value, rng)
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
-    return Found(
+    return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         placement.frozen_rig,
         result.renders,
@@ -377,7 +377,7 @@ def _searched(
     )
 
 
-def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found:
+def _cma_then_gradient(placement: Placement, render_budget: int | None) -> FoundRig:
     """CMA-ES on fixed training scenes, then the gradient method on all of them from the best rig."""
     rng = placement.random_numbers(Stream.SEARCH)
     whole = _budget(placement, render_budget)
@@ -426,7 +426,7 @@ def _ranking(
     return BudgetedValue.of(placement.objective, scenes, space, render_budget=render_budget), scenes
 
 
-def _columns(history: Sequence[Progress]) -> dict[str, list[float | None]]:
+def _columns(history: Sequence[SearchRecord]) -> dict[str, list[float | None]]:
     return {
         "renders": [each.renders for each in history],
         "seconds": [each.seconds for each in history],

@@ -23,7 +23,7 @@ from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
-from warpav.experiments.arms import Arm, Found, constraint_loss, find_arm, find_rig_of
+from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.raster.mesh import Mesh
@@ -362,7 +362,7 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     }
 
 
-def _validation_objectives(task: ArmTask, found: Found) -> dict[str, float | None]:
+def _validation_objectives(task: ArmTask, found: FoundRig) -> dict[str, float | None]:
     """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses."""
     values: dict[str, float | None] = {}
     for name, overrides in task.objectives.items():

@@ -80,7 +80,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class ThesisTable:
     """A table in the thesis's layout.
 
     Attributes:
@@ -113,10 +113,10 @@ class Table:
         """The table for the console."""
         from rich import box
         from rich.console import Group
-        from rich.table import Table as RichTable
+        from rich.table import Table
         from rich.text import Text
 
-        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         for heading in (*self.label_headings, ""):
             table.add_column(heading, no_wrap=True)
         for heading in ("runs", *self.columns.values()):
@@ -138,7 +138,7 @@ class Table:
         return [ours, [*blank, "thesis", "", *(str(row.thesis[key]) for key in self.columns)]]
 
 
-def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, str]]) -> Table:
+def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, str]]) -> ThesisTable:
     """One of the thesis's tables.
 
     Args:
@@ -167,10 +167,10 @@ def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, 
             )
         )
     caption = "Constraint results" if number == "III" else thesis["caption"]  # it is printed as table I's
-    return Table(number, caption, ("method", "loss"), dict(columns), tuple(rows), _notes(number, thesis))
+    return ThesisTable(number, caption, ("method", "loss"), dict(columns), tuple(rows), _notes(number, thesis))
 
 
-def _gradient_table(number: str, results: Results) -> Table:
+def _gradient_table(number: str, results: Results) -> ThesisTable:
     thesis = thesis_table(number)
     runs = [result["gradients"] for found in results.values() for result in found if "gradients" in result]
     pooled = pooled_magnitudes(runs)
@@ -185,7 +185,7 @@ def _gradient_table(number: str, results: Results) -> Table:
             for key in _GRADIENTS
         }
         rows.append(Row((row["loss"],), len(runs), ours, {key: Cell(row[key], None) for key in _GRADIENTS}))
-    return Table(number, thesis["caption"], ("loss",), dict(_GRADIENTS), tuple(rows), _notes(number, thesis))
+    return ThesisTable(number, thesis["caption"], ("loss",), dict(_GRADIENTS), tuple(rows), _notes(number, thesis))
 
 
 def _value(key: str, result: Mapping[str, Any]) -> float | None:
@@ -280,10 +280,10 @@ class ArmsTable:
         """The table for the console."""
         from rich import box
         from rich.console import Group
-        from rich.table import Table as RichTable
+        from rich.table import Table
         from rich.text import Text
 
-        table = RichTable(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column("arm", no_wrap=True)
         for heading in ("runs", *self._headings):
             table.add_column(heading, justify="right", overflow="fold")

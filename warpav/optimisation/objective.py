@@ -14,15 +14,14 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.detection.detector import Detections as DetectedBoxes
-from warpav.detection.detector import Detector
+from warpav.detection.detector import Detections, Detector
 from warpav.detection.in_loop import DetectorInLoop, RenderedImage
 from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.exchange import Exchange
 from warpav.optimisation.losses.lagrangian import Lagrangian
-from warpav.optimisation.losses.loss import Detections, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
+from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
@@ -375,7 +374,7 @@ class RigObjective:
         """
         slots = len(views.renderers)
         per_question = max(1, slots // 2)
-        asked: deque[tuple[list[_Observed], Callable[[], list[DetectedBoxes]]]] = deque()
+        asked: deque[tuple[list[_Observed], Callable[[], list[Detections]]]] = deque()
         losses: list[SceneLosses] = []
         for first in range(0, len(scenes), per_question):
             while (len(asked) + 1) * per_question > slots:  # until their renderers are free
@@ -393,7 +392,7 @@ class RigObjective:
         scenes: Sequence[tuple[AssignedScene, int]],
         schedule: LossSchedule,
         seconds: dict[str, float],
-    ) -> tuple[list[_Observed], Callable[[], list[DetectedBoxes]]]:
+    ) -> tuple[list[_Observed], Callable[[], list[Detections]]]:
         """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
         observed, images = [], []
         started = time.perf_counter()
@@ -417,12 +416,14 @@ class RigObjective:
         seconds["detect"] += time.perf_counter() - rendered
         return observed, answers
 
-    def _cameras_that_matter(self, sight: VisibleObjects, assigned: AssignedScene, detections: Detections) -> list[int]:
+    def _cameras_that_matter(
+        self, sight: VisibleObjects, assigned: AssignedScene, detections: DetectedImages
+    ) -> list[int]:
         """Cameras that see enough of an object that some loss asks them for."""
-        if detections is Detections.NONE:
+        if detections is DetectedImages.NONE:
             return []
         is_seen = np.isfinite(sight.truth_box_px[..., 0])
-        if detections is Detections.ASSIGNED:
+        if detections is DetectedImages.ASSIGNED:
             is_seen &= assigned.assigned_camera == np.arange(self.camera_count)[:, None]
         return [int(camera) for camera in np.nonzero(is_seen.any(axis=1))[0]]
 
@@ -436,7 +437,7 @@ class RigObjective:
     def _finish(
         self,
         observed: Sequence[_Observed],
-        answers: Callable[[], list[DetectedBoxes]],
+        answers: Callable[[], list[Detections]],
         seconds: dict[str, float],
         *,
         gradient: bool,
@@ -455,11 +456,11 @@ class RigObjective:
             seconds["backward"] += time.perf_counter() - matched
         return losses
 
-    def _match(self, observed: _Observed, found: Sequence[DetectedBoxes]) -> None:
+    def _match(self, observed: _Observed, found: Sequence[Detections]) -> None:
         """Hand what matches a vehicle to the scene's step; ``found`` in the order of ``observed.camera``."""
         if observed.sight is None:
             return
-        detections = [DetectedBoxes.none()] * self.camera_count
+        detections = [Detections.none()] * self.camera_count
         for camera, each in zip(observed.camera, found, strict=True):
             detections[camera] = each
         match = observed.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)

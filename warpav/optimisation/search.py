@@ -176,7 +176,7 @@ class BudgetSpentError(Exception):
 
 
 @dataclass(frozen=True)
-class Progress:
+class SearchRecord:
     """The state of a search after a look at a rig.
 
     Attributes:
@@ -205,7 +205,7 @@ class SearchResult:
     mount_pose: np.ndarray
     value: float
     renders: int
-    history: tuple[Progress, ...]
+    history: tuple[SearchRecord, ...]
     error: str | None = None
 
 
@@ -249,7 +249,7 @@ class BudgetedValue:
         self.renders_per_value = renders_per_value
         self.render_budget = render_budget
         self.renders = 0
-        self.history: list[Progress] = []
+        self.history: list[SearchRecord] = []
         self._value = value
         self._best_pose: np.ndarray | None = None
         self._best_value = math.inf
@@ -313,7 +313,7 @@ class BudgetedValue:
             if self.space.violation_m(mount_pose) > 0.0:
                 raise ValueError("only rigs that satisfy the constraints can be the best")
             self._best_pose, self._best_value = np.array(mount_pose, np.float32), value
-        self.history.append(Progress(self.renders, self._best_value, time.perf_counter() - self._began))
+        self.history.append(SearchRecord(self.renders, self._best_value, time.perf_counter() - self._began))
 
     @contextmanager
     def within(self, renders: int) -> Iterator[None]:

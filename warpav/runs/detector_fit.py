@@ -20,7 +20,7 @@ from warpav.detection.probability import DetectionProbability, DetectorUse, stor
 from warpav.detection.probability_fit import (
     BIN_COUNT,
     DetectionSamples,
-    Scores,
+    ProbabilityScores,
     fit_probability,
     random_cameras,
     sample_detections,
@@ -114,7 +114,7 @@ class Fit:
     known: DetectionSamples
     unseen: DetectionSamples
     probability: np.ndarray
-    scores: Scores
+    scores: ProbabilityScores
 
 
 def ensure_fit(

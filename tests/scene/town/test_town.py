@@ -11,7 +11,7 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from warpav.scene.town.ground import Ground
+from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene, visible_shares
 from warpav.scene.town.town_layout import town_layout
 
@@ -160,7 +160,7 @@ def test_the_ego_vehicle_stands_level_on_the_ground(scenes):
 def test_grades_are_gentle():
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        ground = Ground(rng.uniform(-20.0, 20.0), rng.uniform(-0.06, 0.06), rng.uniform(-0.06, 0.06))
+        ground = StreetGround(rng.uniform(-20.0, 20.0), rng.uniform(-0.06, 0.06), rng.uniform(-0.06, 0.06))
         x = np.linspace(-90.0, 90.0, 2000)
         assert np.abs(np.gradient(ground.height_m(x), x)).max() <= 0.0601
 

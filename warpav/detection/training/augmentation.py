@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from warpav.detection.training.loss import NO_OBJECT, Truth
+from warpav.detection.training.loss import NO_OBJECT, TargetBoxes
 
 # The grey around a zoomed-out image is that of the letterbox.
 _GREY = 114.0 / 255.0
@@ -23,7 +23,7 @@ _KEPT_FRACTION_MIN = 0.25
 MIN_SIDE_PX = 4.0
 
 
-def augment(images_rgb: Tensor, truth: Truth, generator: torch.Generator) -> tuple[Tensor, Truth]:
+def augment(images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator) -> tuple[Tensor, TargetBoxes]:
     """A random view of every image.
 
     Args:
@@ -87,7 +87,7 @@ def _blurred(image: Tensor) -> Tensor:
     return functional.conv2d(functional.pad(image, (2, 2, 2, 2), mode="replicate"), filters, groups=3)
 
 
-def _move(truth: Truth, zoom: Tensor, shift_px: Tensor, flipped: Tensor, size_px: Tensor) -> Truth:
+def _move(truth: TargetBoxes, zoom: Tensor, shift_px: Tensor, flipped: Tensor, size_px: Tensor) -> TargetBoxes:
     box_px = truth.box_px * zoom[:, None, None] + shift_px.repeat(1, 2)[:, None]
     x0, y0, x1, y1 = box_px.unbind(dim=-1)
     mirrored_px = torch.stack([size_px[0] - x1, y0, size_px[0] - x0, y1], dim=-1)
@@ -99,4 +99,4 @@ def _move(truth: Truth, zoom: Tensor, shift_px: Tensor, flipped: Tensor, size_px
     small = (cut_size_px < MIN_SIDE_PX).any(dim=-1)
     mostly_gone = cut_size_px.prod(dim=-1) < _KEPT_FRACTION_MIN * area_px
     class_index = torch.where(gone, NO_OBJECT, truth.class_index)
-    return Truth(cut_px, class_index, truth.ignored | small | mostly_gone)
+    return TargetBoxes(cut_px, class_index, truth.ignored | small | mostly_gone)

@@ -26,7 +26,7 @@ _EPSILON = 1e-9
 
 
 @dataclass(frozen=True)
-class Truth:
+class TargetBoxes:
     """The objects of a batch, padded to one count.
 
     Attributes:
@@ -78,7 +78,7 @@ def generalised_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: Truth) -> Assignment:
+def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> Assignment:
     """Choose the cells that answer for each object.
 
     Args:
@@ -116,7 +116,7 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
     return Assignment(object_index, target, (target > 0.0) | ~in_ignored)
 
 
-def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: Truth) -> tuple[Tensor, Tensor]:
+def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> tuple[Tensor, Tensor]:
     """Loss of a batch.
 
     Args:

@@ -19,7 +19,7 @@ from warpav.core.errors import InputError
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
 from warpav.detection.training.data import SUBSETS, LabelledImages, load_images, write_images
 from warpav.detection.training.export import export_network
-from warpav.detection.training.loss import Truth, detection_loss
+from warpav.detection.training.loss import TargetBoxes, detection_loss
 from warpav.detection.training.network import TownNetwork
 
 # Relative frequency of batches by image side [px].
@@ -42,7 +42,7 @@ class DeviceData:
     """Images of one size on the training device."""
 
     images_rgb: Tensor
-    truth: Truth
+    truth: TargetBoxes
 
     @classmethod
     def load(cls, pictures: Iterable[LabelledImages], device: torch.device) -> DeviceData:
@@ -62,17 +62,17 @@ class DeviceData:
         side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
         return cls(
             images_rgb,
-            Truth(
+            TargetBoxes(
                 torch.from_numpy(box_px).to(device),
                 torch.from_numpy(class_index.astype(np.int64)).to(device),
                 torch.from_numpy(ignored | (side_px < MIN_SIDE_PX)).to(device),
             ),
         )
 
-    def batch(self, index: Tensor) -> tuple[Tensor, Truth]:
+    def batch(self, index: Tensor) -> tuple[Tensor, TargetBoxes]:
         """The images and objects of these indices."""
         truth = self.truth
-        return self.images_rgb[index], Truth(truth.box_px[index], truth.class_index[index], truth.ignored[index])
+        return self.images_rgb[index], TargetBoxes(truth.box_px[index], truth.class_index[index], truth.ignored[index])
 
 
 class Training:

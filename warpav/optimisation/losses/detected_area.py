@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpav.optimisation.losses.assigned_vehicles import AssignedVehicleLoss
-from warpav.optimisation.losses.loss import Detections, LossSchedule, Needs
+from warpav.optimisation.losses.loss import DetectedImages, LossSchedule, Needs
 from warpav.optimisation.losses.options import LossOptions, Reference
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.placement import placement_losses
@@ -36,7 +36,7 @@ class DetectedArea(AssignedVehicleLoss):
     def needs(self, schedule: LossSchedule) -> Needs:
         """The panorama, and each camera's detections of its own vehicles."""
         del schedule
-        return Needs(panorama=True, detections=Detections.ASSIGNED, one_field=True)
+        return Needs(panorama=True, detections=DetectedImages.ASSIGNED, one_field=True)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
         """As in `AssignedVehicleLoss`."""

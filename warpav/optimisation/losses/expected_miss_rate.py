@@ -7,7 +7,7 @@ from typing import Literal
 
 import warp as wp
 
-from warpav.optimisation.losses.loss import Detections, DeviceLoss, LossSchedule, Needs
+from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, LossSchedule, Needs
 from warpav.optimisation.losses.options import LossOptions
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.scene.device_scene import DeviceScene
@@ -36,7 +36,7 @@ class ExpectedMissRate(DeviceLoss):
         """The detection probability; the panorama and the detector while they have a share."""
         return Needs(
             panorama=schedule.panorama_share > 0.0,
-            detections=Detections.ALL if schedule.detector_share > 0.0 else Detections.NONE,
+            detections=DetectedImages.ALL if schedule.detector_share > 0.0 else DetectedImages.NONE,
             detection_probability=True,
         )
 

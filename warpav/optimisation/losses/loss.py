@@ -29,7 +29,7 @@ class LossSchedule:
     detector_share: float = 0.0
 
 
-class Detections(IntEnum):
+class DetectedImages(IntEnum):
     """Whose images a loss sends to the detector."""
 
     NONE = 0
@@ -43,7 +43,7 @@ class Needs:
 
     Attributes:
         panorama: All rotational additions of every camera; without, each has only the view ahead.
-        detections: Detections in the images ahead.
+        detections: DetectedImages in the images ahead.
         true_boxes: The true visible boxes of the objects ahead.
         detection_probability: The model of detection probability.
         unblocked_area: What the ego vehicle leaves free of every vehicle.
@@ -51,7 +51,7 @@ class Needs:
     """
 
     panorama: bool = False
-    detections: Detections = Detections.NONE
+    detections: DetectedImages = DetectedImages.NONE
     true_boxes: bool = False
     detection_probability: bool = False
     unblocked_area: bool = False

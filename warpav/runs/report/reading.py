@@ -113,7 +113,7 @@ class MarginRecord(_Part):
     is_kept: bool
 
 
-class SeenObject(_Part):
+class ReportedObject(_Part):
     """An object of a test scene, and what becomes of it by arm."""
 
     scene: str
@@ -166,7 +166,7 @@ class EvaluationRecord(_Part):
     seconds: dict[str, float] = {}
     descent: DescentEnd | None = None
     constraints: dict[str, list[MarginRecord]] | None = None
-    outcomes: list[SeenObject] | None = None
+    outcomes: list[ReportedObject] | None = None
     ground: GroundTable | None = None
 
     @model_validator(mode="after")

@@ -11,11 +11,11 @@ _CURVE_LENGTH_M = 20.0  # in which the road bends from level to its grade
 _REACH_M = 96.0
 
 
-class Ground:
+class StreetGround:
     """Height of the ground as a function of x in the town frame; it does not depend on y."""
 
     def __init__(self, middle_x_m: float = 0.0, ahead: float = 0.0, behind: float = 0.0) -> None:
-        """Ground through height 0.
+        """StreetGround through height 0.
 
         Args:
             middle_x_m: X of the ego vehicle's middle [m].

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.town.ground import Ground
+from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.town_layout import Block, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13
@@ -40,7 +40,7 @@ _ROOF_COLOURS = np.array([(0.44, 0.32, 0.28), (0.38, 0.38, 0.40), (0.48, 0.37, 0
 class SceneryBuilder:
     """Collects coloured quads; colours are sRGB 0..1."""
 
-    def __init__(self, rng: np.random.Generator, ground: Ground) -> None:
+    def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
         """Nothing yet.
 
         Args:

@@ -10,7 +10,7 @@ import numpy as np
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Vehicle
 from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
-from warpav.scene.town.ground import Ground
+from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import KERB_HEIGHT_M
 from warpav.scene.town.people import person_mesh
 from warpav.scene.town.town_layout import Layout, Marking, Slot
@@ -169,7 +169,7 @@ def _turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
 class _Furnisher:
     """Collects pieces that do not stand in each other."""
 
-    def __init__(self, rng: np.random.Generator, ground: Ground) -> None:
+    def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
         self.meshes: list[Mesh] = []
         self.footprints: list[Footprint] = []
         self._rng = rng
@@ -188,7 +188,7 @@ class _Furnisher:
         self.meshes.append(_turned(mesh, yaw_rad, np.array([place[0], place[1], z])))
 
 
-def furnish(layout: Layout, rng: np.random.Generator, ground: Ground) -> Furnishing:
+def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround) -> Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane.
 
     Args:
@@ -312,7 +312,11 @@ def _road_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.
 
 
 def people(
-    layout: Layout, rng: np.random.Generator, ground: Ground, taken: Sequence[Footprint], free_slots: Sequence[Slot]
+    layout: Layout,
+    rng: np.random.Generator,
+    ground: StreetGround,
+    taken: Sequence[Footprint],
+    free_slots: Sequence[Slot],
 ) -> list[Person]:
     """A handful of people near the ego vehicle: on pavements and crossings, and on bicycles in lanes.
 

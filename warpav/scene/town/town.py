@@ -15,7 +15,7 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
-from warpav.scene.town.ground import Ground
+from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
 from warpav.scene.town.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
 from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
@@ -75,7 +75,7 @@ class _Placed:
     size_m: np.ndarray
     footprint: Footprint
 
-    def standing(self, ground: Ground) -> Mesh:
+    def standing(self, ground: StreetGround) -> Mesh:
         """The vehicle's mesh in the town frame."""
         place = self.footprint
         return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))
@@ -185,12 +185,12 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     )
 
 
-def _ground(layout: Layout, rng: np.random.Generator) -> Ground:
+def _ground(layout: Layout, rng: np.random.Generator) -> StreetGround:
     """Level ground, or a crest, a dip or a hill; car parks are level."""
     ahead, behind = rng.uniform(_GRADE_MIN, _GRADE_MAX, 2) * rng.choice([-1.0, 1.0], 2)
     if rng.random() >= _GRADE_SHARE or layout.template == "car_park":
-        return Ground()
-    return Ground(layout.ego.x_m, float(ahead), float(behind))
+        return StreetGround()
+    return StreetGround(layout.ego.x_m, float(ahead), float(behind))
 
 
 def _hides(eye_m: np.ndarray, one: Footprint, other: Footprint) -> bool:
