@@ -94,8 +94,7 @@ def test_a_result_has_its_history(result):
 def test_the_rig_of_a_result_that_is_worse_is_its_start(config, train):
     steps = ["optimiser.keep=last", "optimiser.learning_rate_position_m=2", "optimiser.starts=1", "rig.start=highest"]
     worse = wa.optimise(wa.Placement(train, config=wa.Config.load("quick", *SMALL, *steps)), iterations=4)
-    if not worse.is_worse_than_start:
-        pytest.skip("steps of 2 m found a better rig")
+    assert worse.is_worse_than_start  # steps of 2 m throw the cameras about
     assert worse.rig is worse.start
     assert worse.objective == worse.start_objective < worse.found_objective
     assert not worse.is_better_than_start
