@@ -136,7 +136,7 @@ def _check(name: str, value: Any, scene: Scene, shapes: tuple[tuple[int, ...], .
     if tuple(value.shape) not in shapes:
         wanted = " or ".join(str(list(shape)) for shape in shapes)
         raise InputError(f"{name}: expected {wanted}, one for each camera, got {list(value.shape)}")
-    if wp.device_from_torch(value.device) != scene.device:
+    if value.device != torch.device(wp.device_to_torch(scene.device)):
         raise InputError(f"{name}: expected a tensor on {scene.device}, where the scene is, got one on {value.device}")
     if not torch.isfinite(value).all():
         raise InputError(f"{name}: expected finite numbers, got NaN or infinity")
