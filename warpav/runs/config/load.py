@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
-from warpav.core.yaml_file import Location, parse_yaml, read_yaml
+from warpav.core.yaml_file import Location, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
@@ -244,7 +244,7 @@ def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, 
         near = difflib.get_close_matches(key, [".".join(name) for name in option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
         raise InputError(placed(place, f"expected key=value, got {override!r}; {hint}"))
-    return location, parse_yaml(text, place or key, has_lines=False)[0]
+    return location, read_yaml(text, place or key)[0]
 
 
 def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:

@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
-from warpav.core.yaml_file import parse_yaml
+from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
     LossSettings,
@@ -652,6 +652,6 @@ def read_seeds(text: str, place: str) -> tuple[int, ...]:
         InputError: It is neither, or a seed is out of range or there twice.
     """
     try:
-        return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
+        return _read_seeds(read_yaml(text, place)[0])
     except PydanticCustomError as error:
         raise InputError(f"{place}: {error.message()}") from None
