@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, OptionError
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
+from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig
-from warpav.runs.config import NAMED_STARTS, Config, placed_config
+from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
 from warpav.runs.mounts import camera_mount, checked_frozen, constraints_of, with_shared_model
 from warpav.runs.run_folder import RunFolder
 
@@ -103,7 +105,12 @@ def read_start(config: Config) -> Rig | None:
     """
     if config.rig.start in NAMED_STARTS:
         return None
-    rig = read_rig(rig_file(config.rig.start))
+    start = config.rig.start
+    if not Path(start).expanduser().exists() and not is_preset(start):
+        near = difflib.get_close_matches(start, [*NAMED_STARTS, *preset_names()], 1, 0.6)
+        hint = f"did you mean {near[0]}?" if near else "no such file"
+        raise OptionError("rig.start", f"expected {START_TEXT}, got {start!r}; {hint}")
+    rig = read_rig(rig_file(start))
     if len(rig.cameras) != config.rig.cameras:
         raise InputError(
             f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
