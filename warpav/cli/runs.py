@@ -15,7 +15,6 @@ from warpav.cli.arguments import (
     SceneSource,
     complain,
     say,
-    with_default,
 )
 
 
@@ -26,7 +25,8 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     from warpav.runs.progress import RunDisplay
     from warpav.runs.verdict import show_verdict, worse_than_start
 
-    config, overrides = with_default(config, overrides)
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         show_verdict(display.console, evaluation)

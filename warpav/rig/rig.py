@@ -16,7 +16,7 @@ import numpy as np
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.files import writing
-from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
@@ -288,7 +288,7 @@ def _number(value: float) -> str:
 
 def _angle(angle_rad: float) -> str:
     """The angle [deg] in (-180, 180], after rounding."""
-    text = _number(math.degrees(wrap_angle_rad(angle_rad)))
+    text = _number(math.remainder(math.degrees(angle_rad), 360.0))
     return "180.0" if text == "-180.0" else text
 
 

@@ -132,38 +132,47 @@ class SceneOnTape:
         appearance = Appearance.of(
             self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
         )
-        in_window = visible = window_rad = None
-        if has_panorama:
-            in_window = self.frame.window_area(
-                self.mount.windows(self.views, requires_grad=False),
-                softness_rad=self.camera_probability.window_softness_rad,
-                visible=True,
+        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
+        probability = seen.probability
+        if self.camera_probability.probability != "fitted":
+            probability = wp.zeros_like(seen.probability, requires_grad=True)
+            wp.launch(
+                expected_misses.box_share_kernel,
+                dim=probability.shape,
+                inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
+                outputs=[probability],
+                device=device,
             )
-            visible = self.frame.window_area(visible=True)
-            window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
-        probability = self._probability_of_views(appearance)
+        if not has_panorama:
+            return probability
+        in_window = self.frame.window_area(
+            self.mount.windows(self.views, requires_grad=False),
+            softness_rad=self.camera_probability.window_softness_rad,
+            visible=True,
+        )
+        visible = self.frame.window_area(visible=True)
+        window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         around_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
-        if in_window is not None and visible is not None:
+        wp.launch(
+            expected_misses.find_best_views_kernel,
+            dim=shape,
+            inputs=[probability, rotation_count],
+            outputs=[best_view],
+            device=device,
+            record_tape=False,
+        )
+        window_sr = in_window.on_tape(*self._pose, window_rad)
+        for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
             wp.launch(
-                expected_misses.find_best_views_kernel,
+                expected_misses.sum_over_panorama_kernel,
                 dim=shape,
-                inputs=[probability, rotation_count],
-                outputs=[best_view],
+                inputs=[solid_angle, rotation_count],
+                outputs=[total],
                 device=device,
-                record_tape=False,
             )
-            window_sr = in_window.on_tape(*self._pose, window_rad)
-            for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
-                wp.launch(
-                    expected_misses.sum_over_panorama_kernel,
-                    dim=shape,
-                    inputs=[solid_angle, rotation_count],
-                    outputs=[total],
-                    device=device,
-                )
         found = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         wp.launch(
             expected_misses.camera_probability_kernel,
@@ -173,22 +182,6 @@ class SceneOnTape:
             device=device,
         )
         return found
-
-    def _probability_of_views(self, appearance: Appearance) -> wp.array:
-        """Probability of detection in every view, float [view, vehicle]."""
-        assert self.camera_probability is not None
-        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
-        if self.camera_probability.probability == "fitted":
-            return seen.probability
-        share = wp.zeros_like(seen.probability, requires_grad=True)
-        wp.launch(
-            expected_misses.box_share_kernel,
-            dim=share.shape,
-            inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
-            outputs=[share],
-            device=self.frame.device,
-        )
-        return share
 
     @property
     def _pose(self) -> tuple[wp.array, wp.array, wp.array]:
