@@ -48,7 +48,7 @@ _ = trimesh.Trimesh(in_the_file, made.triangle, vertex_colors=made.vertex_rgb, p
 # %% [markdown]
 # ## Into the frame of the vehicle
 #
-# warpav wants metres, x forward, y left, z up, and the origin on the ground below the middle of the rear axle.
+# warpav wants metres, x forward, y left, z up, and the origin on the ground below the centre of the rear axle.
 # `Reading` says what the axes and the unit of the file mean; `examine` finds the ground and the wheels, and moves the
 # mesh to where it belongs. Coloured areas can carry a camera: they are part of the surface and face upwards. The
 # windscreen and the rounded edges cannot.

@@ -45,7 +45,7 @@ SMALL = [
     "baselines.random_samples=2",
     "optimiser.check_every=2",
     "optimiser.starts=2",
-    # p(detected) would have to be fitted for so small a camera
+    # the detection probability would have to be fitted for so small a camera
     "losses={missed: 0, in_frame_rotation: 1, detected_area: 10}",
 ]
 
@@ -358,7 +358,7 @@ def test_targets_that_no_scene_holds_are_named(working_directory, capsys):
         "pedestrian in any of the 2 scenes; scenes made from images hold people as parts of the environment\n"
     )
     assert main(["evaluate", "highest", *options, "scenes.targets=[vehicle, pedestrian]"]) == 0
-    assert "no pedestrian in any of the 2 scenes, so nothing is optimised or judged" in capsys.readouterr().out
+    assert "no pedestrian in any of the 2 scenes, so nothing is optimised or evaluated" in capsys.readouterr().out
 
 
 def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_directory):

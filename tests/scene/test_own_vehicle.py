@@ -241,7 +241,7 @@ def test_wheels_are_seen_where_there_are_some():
     body = box * [1.0, 1.0, 0.8] + [0.0, 0.0, 0.3]
     found = wheels_of(np.concatenate([body, np.repeat(feet, 50, axis=0)]))
     np.testing.assert_allclose(found.axle_m, [0.0, 2.7])
-    assert found.middle_m == 0.0
+    assert found.centre_y_m == 0.0
 
 
 def test_a_body_without_wheels_is_asked_for_its_rear_axle(tmp_path):

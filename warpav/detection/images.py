@@ -58,7 +58,7 @@ def render_images(
         One image per camera, in order.
     """
     packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
-    pictures: dict[int, CameraImage] = {}
+    image_of: dict[int, CameraImage] = {}
     for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in cameras):
         group = [i for i, c in enumerate(cameras) if (c.model.width_px, c.model.height_px) == size]
         renderer = Renderer(
@@ -78,7 +78,7 @@ def render_images(
         depth_m, object_index = frame.depth_m.numpy(), object_index_of(frame.object_id.numpy())
         value = frame.measure().value.numpy()
         for k, i in enumerate(group):
-            pictures[i] = CameraImage(
+            image_of[i] = CameraImage(
                 rgb[k], depth_m[k], object_index[k], value[k, :, VISIBLE_AREA], value[k, :, AMODAL_AREA]
             )
-    return [pictures[i] for i in range(len(cameras))]
+    return [image_of[i] for i in range(len(cameras))]

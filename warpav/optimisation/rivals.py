@@ -27,7 +27,7 @@ FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
 SEEN_SHARE = 0.9
-"""How surely a camera of a greedy rig is taken to see what it once saw; the rest rewards a second sight."""
+"""Assumed probability that a camera of a greedy rig sees again what it once saw; the rest rewards a second camera."""
 
 
 def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
@@ -164,21 +164,23 @@ def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray
     return np.where(is_finite, value, worst + (high - low)) + (high - low) * squared_distance
 
 
-Sights = Callable[[np.ndarray], np.ndarray]
+DetectedObjects = Callable[[np.ndarray], np.ndarray]
 """What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
 
 
-def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Sights:
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> DetectedObjects:
     """Which objects the detector finds in the images of which camera; costs as many renders as there are scenes."""
 
-    def sights(mount_pose: np.ndarray) -> np.ndarray:
+    def detected_objects(mount_pose: np.ndarray) -> np.ndarray:
         rig = objective.mount.rig(mount_pose)
         return np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
 
-    return sights
+    return detected_objects
 
 
-def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sights, yaw_count: int = 8) -> None:
+def greedy_cover(
+    value: BudgetedValue, rng: np.random.Generator, *, detected_objects: DetectedObjects, yaw_count: int = 8
+) -> None:
     """Greedy set cover on a discretised mount surface.
 
     Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they see; a render of a rig
@@ -190,7 +192,7 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sigh
     Args:
         value: Where to look.
         rng: Breaks the last ties.
-        sights: See `detections_of`; a call costs what a value costs.
+        detected_objects: See `detections_of`; a call costs what a value costs.
         yaw_count: Directions at each place, at least 1, the first at yaw 0.
 
     Raises:
@@ -212,16 +214,16 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sigh
         asked = candidate[first : first + space.camera_count]
         filled = np.concatenate([asked, np.repeat(asked[-1:], space.camera_count - len(asked), axis=0)])
         value.spend(value.renders_per_value)
-        rows.append(sights(filled)[: len(asked)])
+        rows.append(detected_objects(filled)[: len(asked)])
     seen = np.concatenate(rows)
-    chance_missed = np.ones(seen.shape[1])
+    miss_probability = np.ones(seen.shape[1])
     chosen = []
     order = rng.permutation(len(seen))
     for _ in range(space.camera_count):
-        gain = seen @ (SEEN_SHARE * chance_missed)
+        gain = seen @ (SEEN_SHARE * miss_probability)
         best = order[np.argmax(np.round(gain[order], 9))]
         chosen.append(best)
-        chance_missed[seen[best]] *= 1.0 - SEEN_SHARE
+        miss_probability[seen[best]] *= 1.0 - SEEN_SHARE
     value(space.in_order(candidate[chosen]))
 
 

@@ -70,7 +70,7 @@ def check_vehicle(
     scale: float | None = None,
     rear_axle_m: float | None = None,
     out: Path | None = None,
-    picture: Path | None = None,
+    image: Path | None = None,
 ) -> VehicleReport:
     """Examine a vehicle as it is read with some options, write it fixed, draw it.
 
@@ -82,7 +82,7 @@ def check_vehicle(
         scale: Metres for each unit of the file; None: 1.
         rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: it is below the rear wheels.
         out: GLB file to write the vehicle to, as ``scenes.ego`` takes it.
-        picture: PNG file to draw it into.
+        image: PNG file to draw it into.
 
     Raises:
         InputError: The file holds no vehicle, or a file cannot be written.
@@ -117,8 +117,8 @@ def check_vehicle(
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
     is_fixable = all(problem.remedy == {} for problem in problems)
-    if picture is not None:
-        lines.append(f"wrote {_draw(shown, surface, picture, path.name)}")
+    if image is not None:
+        lines.append(f"wrote {_draw(shown, surface, image, path.name)}")
     if out is not None and is_fixable:
         write_vehicle(found.corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
@@ -138,7 +138,7 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     """The parts of the mountable zone, the largest first.
 
     The part with the highest point is the roof. What is lower than it by `BONNET_BELOW_M` is bonnet or front before the
-    roof's middle, and rear behind it.
+    roof's centre, and rear behind it.
 
     Args:
         surface: Of the vehicle.
@@ -156,12 +156,12 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     roof_x_m = 0.5 * (low[0] + high[0])
     for number in sorted(range(1, label.max() + 1), key=lambda number: -surface.height_m[label == number].max()):
         inside = label == number
-        height_m, middle_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
+        height_m, centre_x_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
         if surface.height_m[inside].max() >= highest_m - 1e-6:
-            name, roof_x_m = "roof", middle_m
+            name, roof_x_m = "roof", centre_x_m
         elif height_m > highest_m - BONNET_BELOW_M:
             name = "roof"
-        elif middle_m < roof_x_m:
+        elif centre_x_m < roof_x_m:
             name = "rear"
         else:
             name = "bonnet" if height_m < BONNET_SHARE * highest_m else "front"

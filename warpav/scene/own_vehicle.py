@@ -118,11 +118,11 @@ class Wheels:
 
     Attributes:
         axle_m: x of every axle, from the rear [m].
-        middle_m: y halfway between left and right [m].
+        centre_y_m: y halfway between left and right [m].
     """
 
     axle_m: tuple[float, ...]
-    middle_m: float
+    centre_y_m: float
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
     file = trimesh.Scene(base_frame="world")
     file.metadata = {
         "schema": SCHEMA,
-        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's middle",
+        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre",
         "units": "m",
         "source": source,
     }
@@ -320,14 +320,14 @@ def shape_of(point_m: np.ndarray) -> Shape:
     from scipy.spatial import KDTree
 
     low, high = point_m.min(axis=0), point_m.max(axis=0)
-    middle, size = 0.5 * (low + high), high - low
+    centre, size = 0.5 * (low + high), high - low
     count = min(_SYMMETRY_COUNT, len(point_m) // 2)
     tree, others = KDTree(point_m[:count]), point_m[count : count + count // 5]
     spacing = float(tree.query(others)[0].mean())
     distance = np.zeros(3)
     for axis in range(3):
         mirrored = others.copy()
-        mirrored[:, axis] = 2.0 * middle[axis] - mirrored[:, axis]
+        mirrored[:, axis] = 2.0 * centre[axis] - mirrored[:, axis]
         distance[axis] = max(float(tree.query(mirrored)[0].mean()) - spacing, 0.0) / size.max()
     ordered = np.argsort(distance)
     left = int(ordered[0])
@@ -341,7 +341,7 @@ def shape_of(point_m: np.ndarray) -> Shape:
     is_down = is_up_sure and stands[1]
     height = (point_m[:, up] - low[up]) / max(size[up], 1e-12)
     cabin = point_m[(height < 0.25) if is_down else (height > 0.75)]
-    behind = float(middle[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
+    behind = float(centre[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
     is_forward_sure = is_up_sure and abs(behind) > _CABIN_BEHIND
     return Shape(
         ("-" if is_down else "") + "xyz"[up],
@@ -373,9 +373,9 @@ def wheels_of(point_m: np.ndarray) -> Wheels | None:
 
 def unit_of(length: float) -> tuple[str, float] | None:
     """The unit, and its length in metres, in which a number is a plausible vehicle length; None without one."""
-    for least, greatest in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
+    for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
         for name, metres in UNITS:
-            if least <= length * metres <= greatest:
+            if minimum_m <= length * metres <= maximum_m:
                 return name, metres
     return None
 
@@ -383,8 +383,8 @@ def unit_of(length: float) -> tuple[str, float] | None:
 def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
     if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
         return []
-    least, greatest = POSSIBLE_LENGTH_M
-    text = f"units: expected a vehicle of {least:g} to {greatest:g} m, got {length_m:.4g} m"
+    minimum_m, maximum_m = POSSIBLE_LENGTH_M
+    text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {length_m:.4g} m"
     unit = unit_of(length_m)
     if unit is None:
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
@@ -404,8 +404,8 @@ def _axis_findings(
     """Whether the shape has the axes of the ego frame under this reading."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
-            return [], ["no axis of symmetry found; check the axes in a figure (`picture`)"]
-        return [], ["its shape is ambiguous; check the axes in a figure (`picture`)"]
+            return [], ["no axis of symmetry found; check the axes in a figure (`image`)"]
+        return [], ["its shape is ambiguous; check the axes in a figure (`image`)"]
     has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
     is_upside_down = shape.is_up_sure and shape.up == "-z"
     is_backwards = shape.is_forward_sure and shape.forward == "-x"
@@ -414,7 +414,7 @@ def _axis_findings(
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
                 "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
-                f"face backwards: if the picture shows one of these, add `forward` {forward}"
+                f"face backwards: if the image shows one of these, add `forward` {forward}"
             ]
         return [], []
     if not shape.is_up_sure and shape.up[-1] == "z":
@@ -448,8 +448,8 @@ def _place_findings(
             raise ArgumentError(
                 "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
-        middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
-        target_m = np.array([low[0] + rear_axle_m, middle_m])
+        centre_y_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.centre_y_m
+        target_m = np.array([low[0] + rear_axle_m, centre_y_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
             problems.append(VehicleProblem("origin: expected below the rear axle as stated by `rear_axle`", {}))
@@ -473,7 +473,7 @@ def _place_findings(
                 )
             )
         return shift_m, problems, hints
-    offset_m = np.array([wheels.axle_m[0], wheels.middle_m])
+    offset_m = np.array([wheels.axle_m[0], wheels.centre_y_m])
     if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(

@@ -502,7 +502,7 @@ class CarlaSimulator:
         """As in `Simulator`.
 
         Raises:
-            ValueError: The view's camera is no pinhole with square pixels and the principal point in the middle, which
+            ValueError: The view's camera is no pinhole with square pixels and the principal point in the centre, which
                 is the only one that CARLA has.
         """
         situation = self._begun()
@@ -895,10 +895,10 @@ def _actor_from_ego(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | N
 
 
 def _check_pinhole(model: CameraModel) -> None:
-    middle = CameraModel(model.width_px, model.height_px, model.fov_rad)
-    if model.lens is not Lens.PINHOLE or not np.allclose(model.intrinsics, middle.intrinsics, rtol=0.0, atol=1e-3):
+    centred = CameraModel(model.width_px, model.height_px, model.fov_rad)
+    if model.lens is not Lens.PINHOLE or not np.allclose(model.intrinsics, centred.intrinsics, rtol=0.0, atol=1e-3):
         raise ValueError(
-            "CARLA's cameras are pinholes with square pixels and the principal point in the middle, got a "
+            "CARLA's cameras are pinholes with square pixels and the principal point in the centre, got a "
             f"{model.lens} lens with intrinsics {model.intrinsics.round(2).tolist()}"
         )
 
