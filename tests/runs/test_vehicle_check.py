@@ -21,7 +21,7 @@ from warpav.runs.networks import detector_use
 from warpav.runs.scene_set import load_scene_set, load_scenes, own_vehicle
 from warpav.runs.vehicle_check import zone_parts
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
+from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle, town_scene
 
@@ -79,7 +79,7 @@ def test_the_suggested_command_fixes_the_file(car, tmp_path, capsys, name, readi
     assert told[-1] == f"{name}: to fix it: {command}"
     assert main(shlex.split(command)[1:]) == 0
     assert check(fixed) == 0
-    file = read_vehicle(fixed)
+    file = read_vehicle_file(fixed)
     np.testing.assert_allclose(
         np.sort(file.in_ego_frame(file.usual).bounds_m(), axis=0), np.sort(car.bounds_m(), axis=0), atol=0.01
     )

@@ -1,4 +1,4 @@
-"""Images of a scene from given cameras, on the host."""
+"""Images of a scene from given cameras, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpav.core.devices import checked_device
 from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import RigCamera
+from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene, object_index_of
 from warpav.scene.scene import Scene
 
@@ -34,6 +35,25 @@ class CameraImage:
     object_index: np.ndarray
     visible_area_px: np.ndarray
     amodal_area_px: np.ndarray
+
+
+def render(rig: Rig, scene: Scene, *, supersampling: int = 1, device: str = "cpu") -> dict[str, CameraImage]:
+    """What every camera of a rig sees of a scene; without gradients, for which there is `warpav.raster`.
+
+    Args:
+        rig: Cameras of any lens and image size.
+        scene: The scene.
+        supersampling: As of `render_images`.
+        device: Warp device.
+
+    Returns:
+        Images by the camera's name.
+
+    Raises:
+        InputError: The device is not there.
+    """
+    images = render_images(scene, rig.cameras, supersampling=supersampling, device=checked_device(device))
+    return {camera.name: image for camera, image in zip(rig.cameras, images, strict=True)}
 
 
 def render_images(

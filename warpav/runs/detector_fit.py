@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import shlex
 import time
 import weakref
@@ -48,6 +49,8 @@ MIN_FIT_SCENES = 20
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""
+
+_logger = logging.getLogger(__name__)
 
 # streams of random numbers
 _CAMERAS, _FOLDS = 11, 12
@@ -133,7 +136,8 @@ def ensure_fit(
         config: Detector, camera, scenes.
         detector: The detector, where it is an object and not ``config.detector``.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        progress: Reports that it has to be fitted, and how far that is.
+        progress: Reports that it has to be fitted, and how far that is. Where it shows nothing, a warning is logged:
+            a fit takes minutes.
 
     Raises:
         InputError: It cannot be fitted or read, or was fitted on test scenes of a result.
@@ -147,20 +151,32 @@ def ensure_fit(
         )
         config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
     use = detector_use(config, ego)
-    fitting = "detection probability has not been fitted for this detector and camera yet; that is done once, now"
     if detector is not None:
         kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
         if use.identity not in kept:
-            progress.say(fitting)
             seeds = chosen_seeds(config, None, None)
+            _announce(seeds, "kept as long as the detector object", progress)
             kept[use.identity] = fit(config, seeds, detector=detector, ego=ego, progress=progress).model
         return kept[use.identity]
     if stored_file(use) is None:
-        progress.say(fitting)
-        found = fit(config, chosen_seeds(config, None, None), ego=ego, progress=progress)
+        seeds = chosen_seeds(config, None, None)
+        _announce(seeds, "stored for later runs", progress)
+        found = fit(config, seeds, ego=ego, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+
+
+def _announce(seeds: FitSeeds, kept: str, progress: Progress) -> None:
+    """Say that a fit begins, which takes long, even where progress is off."""
+    text = (
+        "detection probability has not been fitted for this detector and camera yet: fitting it once, in "
+        f"{len(seeds.fit) + len(seeds.held_out)} scenes; the fit is {kept}"
+    )
+    if type(progress) is NullProgress:
+        _logger.warning("%s; this takes minutes, and progress=True shows how far it is", text)
+    else:
+        progress.say(text)
 
 
 def fit_detector(

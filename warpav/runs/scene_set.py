@@ -228,13 +228,13 @@ def own_vehicle(config: Config) -> Mesh | None:
     Raises:
         InputError: It cannot be read, or not be used as it is.
     """
-    from warpav.scene.own_vehicle import examine, read_vehicle
+    from warpav.scene.own_vehicle import examine, read_vehicle_file
 
     path = config.scenes.ego
     if path is None:
         return None
     try:
-        file = read_vehicle(path)
+        file = read_vehicle_file(path)
         found = examine(file, file.usual)
     except InputError as error:
         raise OptionError("scenes.ego", str(error)) from None

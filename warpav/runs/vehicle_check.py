@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from warpav.scene.own_vehicle import (
     VehicleFile,
     VehicleProblem,
     examine,
-    read_vehicle,
+    read_vehicle_file,
     write_vehicle,
 )
 
@@ -89,10 +89,10 @@ def check_vehicle(
     """
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
-    file = read_vehicle(path)
+    file = read_vehicle_file(path)
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
-    reading = _changed_reading(file.usual, {name: value for name, value in given.items() if value is not None})
+    reading = file.usual.changed(up=up, forward=forward, scale=scale)
     found = examine(file, reading, stated=stated, rear_axle_m=rear_axle_m)
     lines = [str(path), *_file_lines(file, reading, found)]
     problems = list(found.problems)
@@ -103,7 +103,11 @@ def check_vehicle(
         # what is said of its place and its roof is only right once it is read right
         words = ", ".join(f"{name.replace('-', ' ')} {value}" for name, value in remedies.items())
         lines.append(f"  read with {words} it is:")
-        better = _changed_reading(reading, {name: remedies[name] for name in remedies if name != "rear-axle"})
+        better = reading.changed(
+            up=remedies.get("up"),
+            forward=remedies.get("forward"),
+            scale=float(remedies["scale"]) if "scale" in remedies else None,
+        )
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
     try:
@@ -167,19 +171,6 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
             name = "bonnet" if height_m < BONNET_SHARE * highest_m else "front"
         parts.append(ZonePart(name, float(np.count_nonzero(inside)) * surface.cell_m**2, height_m))
     return sorted(parts, key=lambda part: -part.area_m2)
-
-
-def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Reading:
-    """The reading with other axes or another scale; an axis that clashes with a new one is replaced."""
-    values = {"up": reading.up, "forward": reading.forward, "scale": reading.scale, **changes}
-    up, forward = str(values["up"]), str(values["forward"])
-    if up[-1] == forward[-1] and "forward" not in changes:
-        forward = "x" if up[-1] != "x" else "y"
-    try:
-        return replace(reading, up=up, forward=forward, scale=float(values["scale"]))
-    except InputError as error:
-        option, _, text = str(error).partition(": ")
-        raise ArgumentError(option, text) from None
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:

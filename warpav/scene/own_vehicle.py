@@ -65,11 +65,23 @@ class Reading:
     def __post_init__(self) -> None:
         for name in ("up", "forward"):
             if getattr(self, name) not in AXES:
-                raise InputError(f"{name}: expected one of {', '.join(AXES)}, got {getattr(self, name)!r}")
+                raise ArgumentError(name, f"expected one of {', '.join(AXES)}, got {getattr(self, name)!r}")
         if self.up[-1] == self.forward[-1]:
-            raise InputError(f"forward: expected an axis across {self.up}, which points up, got {self.forward!r}")
+            raise ArgumentError("forward", f"expected an axis across {self.up}, which points up, got {self.forward!r}")
         if not 0.0 < self.scale < math.inf:
-            raise InputError(f"scale: expected a positive number, got {self.scale!r}")
+            raise ArgumentError("scale", f"expected a positive number, got {self.scale!r}")
+
+    def changed(self, *, up: str | None = None, forward: str | None = None, scale: float | None = None) -> Reading:
+        """The reading with other axes or another scale; the front's axis gives way to a new one that points up.
+
+        Raises:
+            ArgumentError: They contradict each other.
+        """
+        new_up = up or self.up
+        new_forward = forward or self.forward
+        if forward is None and new_up[-1:] == new_forward[-1]:
+            new_forward = "x" if new_up[-1:] != "x" else "y"
+        return Reading(new_up, new_forward, self.scale if scale is None else scale)
 
     @property
     def ego_from_file(self) -> np.ndarray:
@@ -190,8 +202,46 @@ class Examination:
         return _without_flat_triangles(moved) if self.flat_triangle_count else moved
 
 
-def read_vehicle(path: str | Path) -> VehicleFile:
-    """Read the vehicle in a mesh file; of a scene that warpav wrote, its ego vehicle.
+def read_vehicle(
+    path: str | Path,
+    *,
+    up: str | None = None,
+    forward: str | None = None,
+    scale: float | None = None,
+    rear_axle_m: float | None = None,
+) -> Mesh:
+    """A vehicle in the ego frame from a mesh file, on the ground with its rear axle above the origin.
+
+    Args:
+        path: As of `read_vehicle_file`.
+        up: The file's axis that points up, out of `AXES`; None: glTF's y, of other formats z.
+        forward: The file's axis that points to the front, likewise; None: x.
+        scale: Metres for each unit of the file; None: 1.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: inferred from the wheels.
+
+    Raises:
+        InputError: The file cannot be read, or its shape contradicts the axes or the unit; the text names the arguments
+            that agree with it.
+    """
+    file = read_vehicle_file(path)
+    given = {"up": up, "forward": forward, "scale": scale}
+    stated = frozenset(name for name, value in given.items() if value is not None)
+    reading = file.usual.changed(up=up, forward=forward, scale=scale)
+    found = examine(file, reading, stated=stated, rear_axle_m=rear_axle_m)
+    for problem in found.problems:
+        if problem.remedy == {}:  # the shift of the corrected mesh is the remedy
+            continue
+        remedies = {
+            "rear_axle_m" if name == "rear-axle" else name: value if name in ("up", "forward") else float(value)
+            for name, value in (problem.remedy or {}).items()
+        }
+        advice = ", ".join(f"{name}={value!r}" for name, value in remedies.items())
+        raise InputError(f"{path}: {problem.text}" + (f"; read it with {advice}" if advice else ""))
+    return found.corrected
+
+
+def read_vehicle_file(path: str | Path) -> VehicleFile:
+    """Read the mesh of a vehicle as stored; of a scene that warpav wrote, its ego vehicle.
 
     Args:
         path: GLB, glTF, OBJ, PLY, STL, OFF or any other format that trimesh reads.
