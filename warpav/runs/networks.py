@@ -59,7 +59,7 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
     Raises:
         InputError: Its file cannot be used, or gives something else than detections.
     """
-    from warpav.detection.families import GREY
+    from warpav.detection.families.letterbox import GREY
     from warpav.detection.onnx_detector import OnnxDetector
 
     detector = OnnxDetector(
