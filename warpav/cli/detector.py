@@ -13,6 +13,7 @@ from warpav.cli.arguments import (
     Overrides,
     say,
     warn_renamed,
+    with_default,
 )
 
 detector_app = App(
@@ -53,8 +54,7 @@ def detector_fit(
     from warpav.runs.detector_fit import fit_detector
     from warpav.runs.progress import RunDisplay
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    config, overrides = with_default(config, overrides)
     chosen = [
         None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
         for name, seeds in (("scenes", scenes), ("held-out", held_out))
