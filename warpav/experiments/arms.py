@@ -439,7 +439,9 @@ def _columns(history: Sequence[SearchRecord]) -> dict[str, list[float | None]]:
 
 
 def _greedy(placement: Placement, scenes: Sequence[Any]) -> Search:
-    return partial(greedy_cover, sights=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
+    return partial(
+        greedy_cover, detected_objects=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS
+    )
 
 
 METHODS: dict[str, Finder] = {

@@ -214,7 +214,7 @@ def rig_text(rig: Rig) -> str:
     """A rig as YAML, as `write_rig` writes it."""
     lines = [
         "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
-        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
+        "# centre of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
         "# horizontal field of view.",
     ]
     if any(camera.model.focal_px for camera in rig.cameras):

@@ -96,7 +96,7 @@ class Optimisation:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
-            progress: Told that several starts are tried.
+            progress: Shows that several starts are tried.
 
         Raises:
             InputError: The cameras do not fit on the mount surface.
