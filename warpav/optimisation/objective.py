@@ -248,9 +248,10 @@ class RigObjective:
                 total = self._lagrangian.on_tape(exchange.mean_loss(), constraint_loss, exchange.multiplier)
             if gradient:
                 tape.backward(total if with_constraints else None)
-            fetched = exchange.fetch(constraint_loss, total)
+            fetched = exchange.fetch(constraint_loss, total, views.renderers)
             seconds["backward"] += time.perf_counter() - closed
-            grown = [renderer.grew() for renderer in views.renderers]
+            asked = zip(views.renderers, fetched.needed_samples, strict=True)
+            grown = [renderer.grew(needed) for renderer, needed in asked]
             if not any(grown):
                 break
 
