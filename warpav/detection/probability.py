@@ -84,7 +84,6 @@ class Appearance:
         scene: DeviceScene,
         *,
         measures: Measures | None = None,
-        image: wp.array | None = None,
     ) -> Appearance:
         """Measure the last render; nothing is taped.
 
@@ -92,24 +91,9 @@ class Appearance:
             frame: All content of ``scene``.
             scene: The scene.
             measures: Of this render, from `Frame.measure`; None: they are taken here.
-            image: Its colours in all views, 0..1, vec3 [view, row, column]; None: they are drawn here.
         """
-        device = frame.device
-        if measures is None:
-            measures = frame.measure()
-        in_frame = frame.window_area(visible=False)
-        if image is None:
-            image = frame.colours()
-        _, object_id = frame.depths_and_ids()
-        contrast = wp.zeros((frame.view_count, scene.vehicle_count), dtype=float, device=device)
-        wp.launch(
-            kernels.find_contrast_kernel,
-            dim=contrast.shape,
-            inputs=[image, object_id, measures.value],
-            outputs=[contrast],
-            device=device,
-            record_tape=False,
-        )
+        measures = frame.measure() if measures is None else measures
+        in_frame, contrast = frame.window_area(visible=False), frame.contrast(measures.value)
         return cls(measures, in_frame, contrast, scene.upright_box, frame.width_px, frame.height_px)
 
 

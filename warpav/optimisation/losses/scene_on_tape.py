@@ -129,9 +129,7 @@ class SceneOnTape:
         assert self.camera_probability is not None
         device, rotation_count = self.frame.device, self.rotation_count
         has_panorama = rotation_count > 1
-        appearance = Appearance.of(
-            self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
-        )
+        appearance = Appearance.of(self.frame, self.scene, measures=self.measures)
         in_window = visible = window_rad = None
         if has_panorama:
             in_window = self.frame.window_area(
