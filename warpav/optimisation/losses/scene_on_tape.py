@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.detection.probability import Appearance, DetectionProbability, Seen
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import Measures
@@ -36,6 +36,20 @@ class CameraProbability:
     def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
         """With the parameters of a configuration; None without a model."""
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
+
+    def of_views(self, seen: Seen) -> wp.array:
+        """Probability of detection in every view, float [view, vehicle], from what ``model`` says; on the active tape."""
+        if self.probability == "fitted":
+            return seen.probability
+        share = wp.zeros_like(seen.probability, requires_grad=True)
+        wp.launch(
+            expected_misses.box_share_kernel,
+            dim=share.shape,
+            inputs=[seen.feature, int(self.probability == "visible_share")],
+            outputs=[share],
+            device=share.device,
+        )
+        return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +153,7 @@ class SceneOnTape:
             )
             visible = self.frame.window_area(visible=True)
             window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
-        probability = self._probability_of_views(appearance)
+        probability = self.camera_probability.of_views(self.camera_probability.model.on_tape(appearance, *self._pose))
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
@@ -171,22 +185,6 @@ class SceneOnTape:
             device=device,
         )
         return found
-
-    def _probability_of_views(self, appearance: Appearance) -> wp.array:
-        """Probability of detection in every view, float [view, vehicle]."""
-        assert self.camera_probability is not None
-        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
-        if self.camera_probability.probability == "fitted":
-            return seen.probability
-        share = wp.zeros_like(seen.probability, requires_grad=True)
-        wp.launch(
-            expected_misses.box_share_kernel,
-            dim=share.shape,
-            inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
-            outputs=[share],
-            device=self.frame.device,
-        )
-        return share
 
     @property
     def _pose(self) -> tuple[wp.array, wp.array, wp.array]:
