@@ -128,9 +128,7 @@ class SingleCameras:
             log_focal=views.log_zoom,
             content=Content.COVERAGE,
         )
-        return self.probability.of_views(
-            self.probability.model.of_coverage(frame, scene, views.position_ego_m)
-        ).numpy()
+        return self.probability.of_views(self.probability.model.of_coverage(frame, scene, views.position_ego_m)).numpy()
 
     @property
     def _most_views(self) -> int:

@@ -38,9 +38,9 @@ def decide(
     layer_count = scene.object_count
     if content is Content.IMAGES:
         layer_count = 0
-    elif content is Content.ALL and (occlusion is Occlusion.PAIRWISE or foreground_layer):
-        layer_count = scene.layer_count
-    elif content is Content.COVERAGE and occlusion is Occlusion.PAIRWISE:
+    elif content is not Content.OBJECTS and (
+        occlusion is Occlusion.PAIRWISE or (foreground_layer and content is Content.ALL)
+    ):
         layer_count = scene.layer_count
     has_outlines = content is not Content.COVERAGE
     buffers.place_layers(scene, layer_count, is_whole=has_outlines)

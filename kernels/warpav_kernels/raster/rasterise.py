@@ -220,9 +220,7 @@ class ImageTriangle:
 
 
 @wp.func
-def image_triangle(
-    camera: View, part: FrontPart, index: int, has_outline: bool, scissor: wp.vec4i
-) -> ImageTriangle:
+def image_triangle(camera: View, part: FrontPart, index: int, has_outline: bool, scissor: wp.vec4i) -> ImageTriangle:
     """The image of one triangle of a fan in front of the near plane, its rows and columns cut to a scissor.
 
     Where it holds no sample's centre, its sides are left out (0), unless ``has_outline`` and it crosses a row or a

@@ -38,7 +38,7 @@ class CameraProbability:
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
 
     def of_views(self, seen: Seen) -> wp.array:
-        """Probability of detection in every view, float [view, vehicle], from what ``model`` says; on the active tape."""
+        """Probability in every view from what ``model`` says, on the active tape; float [view, vehicle]."""
         if self.probability == "fitted":
             return seen.probability
         share = wp.zeros_like(seen.probability, requires_grad=True)
