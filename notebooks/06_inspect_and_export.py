@@ -47,7 +47,7 @@ def camera(name, position_m, yaw_deg):
     return wa.Camera(name, np.array(position_m), math.radians(yaw_deg), pitch_rad=0.0, roll_rad=0.0, model=lens)
 
 
-start = wa.Rig.create(
+start = wa.Rig(
     [
         camera("front", [3.75, 0.0, 0.7], 0),
         camera("rear", [-1.05, 0.0, 0.85], 180),

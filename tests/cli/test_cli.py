@@ -707,8 +707,8 @@ def test_a_frozen_camera_stays_and_the_others_move(working_directory, capsys):
 
 
 def test_a_run_and_a_preset_are_starts(working_directory, capsys, run_folder):
-    for start in (f"rig.start={run_folder.path}", "rig.start=nuscenes"):
-        assert main(["config", "check", "quick", start]) == 0
+    for start, count in ((str(run_folder.path), len(run_folder.rig().cameras)), ("nuscenes", 6)):
+        assert main(["config", "check", "quick", f"rig.start={start}", f"rig.cameras={count}"]) == 0
     message = _complaint(capsys, "optimise", "rig.start=nuscenes")
     assert message == "nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6"
     assert "did you mean nuscenes?" in _complaint(capsys, "config", "check", "quick", "rig.start=nuscene")

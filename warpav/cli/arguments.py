@@ -75,13 +75,16 @@ def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
     return tuple(range(count)) if count is not None else read_seeds(str(seeds), place="command line (--seeds)")
 
 
+def with_default(config: str, overrides: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """The configuration and the overrides that a user means, who may leave out the configuration."""
+    return (DEFAULT_CONFIG, (config, *overrides)) if "=" in config else (config, overrides)
+
+
 def loaded(config: str, overrides: Sequence[str]):  # noqa: ANN201 (importing the type would cost start-up time)
     """The configuration of a command that needs nothing else."""
     from warpav.runs.config import load_config
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
-    return load_config(config, overrides)
+    return load_config(*with_default(config, overrides))
 
 
 def executor_overrides(name: str | None, workers: int | None, address: str | None) -> list[str]:

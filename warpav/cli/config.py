@@ -13,6 +13,7 @@ from warpav.cli.arguments import (
     Overrides,
     loaded,
     say,
+    with_default,
 )
 from warpav.core.errors import InputError
 
@@ -30,7 +31,11 @@ def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> No
 @config_app.command(name="check")
 def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Check a configuration, and name everything that is wrong with it."""
-    loaded(config, overrides)
+    from warpav.runs.config import placed_config
+    from warpav.runs.rig_source import read_start
+
+    with placed_config(*with_default(config, overrides)) as settings:
+        read_start(settings)
     say("the configuration is valid")
 
 

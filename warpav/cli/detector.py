@@ -12,6 +12,7 @@ from warpav.cli.arguments import (
     Config,
     Overrides,
     say,
+    with_default,
 )
 
 detector_app = App(
@@ -52,8 +53,7 @@ def detector_fit(
     from warpav.runs.detector_fit import fit_detector
     from warpav.runs.progress import RunDisplay
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    config, overrides = with_default(config, overrides)
     chosen = [
         None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
         for name, seeds in (("scenes", scenes), ("held-out", held_out))

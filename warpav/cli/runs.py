@@ -15,6 +15,7 @@ from warpav.cli.arguments import (
     SceneSource,
     complain,
     say,
+    with_default,
 )
 
 
@@ -25,8 +26,7 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     from warpav.runs.progress import RunDisplay
     from warpav.runs.verdict import show_verdict, worse_than_start
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    config, overrides = with_default(config, overrides)
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         show_verdict(display.console, evaluation)

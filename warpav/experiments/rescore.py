@@ -255,7 +255,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
 def resized(rig: Rig, config: Config) -> Rig:
     """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
     camera = config.camera
-    return Rig.create(
+    return Rig(
         [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
     )
 

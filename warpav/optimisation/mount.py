@@ -298,7 +298,7 @@ class CameraMount:
         height_m = (
             self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
         )
-        return Rig.create(
+        return Rig(
             [
                 frozen.camera[i]
                 if frozen is not None and frozen.is_frozen[i]

@@ -79,7 +79,7 @@ def move_to_vehicle(
         moved_m.append(distance_m[best])
         blocked_share.append(share[best])
         is_taken |= np.linalg.norm(place_m - place_m[best], axis=1) < constraints.min_spacing_m
-    return MovedPreset(Rig.create(cameras), np.array(moved_m), np.array(blocked_share))
+    return MovedPreset(Rig(cameras), np.array(moved_m), np.array(blocked_share))
 
 
 def _places(mount: CameraMount, constraints: Constraints) -> np.ndarray:

@@ -20,7 +20,7 @@ from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
-from warpav.rig.rig import Rig
+from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.placement import Placement, Stream
@@ -153,7 +153,7 @@ class Result:
                 freeze=placement.parts.freeze,
                 own_detector=placement.own_detector,
             )
-            written.write_rig("initial", self.start)
+            write_rig(self.start, written.rig_path("initial"))
             for record in self.records:
                 written.append_event(record)
             if test is None and placement.test:
@@ -255,8 +255,8 @@ def write_verdict(
     placement, descent = result.placement, result._descent
     mount = placement.mount
     folder.write_checkpoint(descent.state())
-    folder.write_rig("best", result.rig)
-    folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+    write_rig(result.rig, folder.rig_path("best"))
+    write_rig(mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
 
     constraints = placement.objective.constraints
     drawing = RigDrawing(

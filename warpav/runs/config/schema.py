@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
-from warpav.core.yaml_file import parse_yaml
+from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
     LossSettings,
@@ -31,7 +31,6 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
-from warpav.rig.presets import preset_names
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS
 
@@ -121,15 +120,7 @@ def _read_device(value: object) -> object:
     return value
 
 
-_START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
-
-
-def _read_start(value: object) -> object:
-    if isinstance(value, str) and value not in NAMED_STARTS:
-        names = preset_names()
-        if value not in names and not (Path(value).expanduser() / "config.yaml").is_file():
-            _existing_file(value, _START_TEXT, [value], [*NAMED_STARTS, *names])
-    return value
+START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
 
 
 _NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
@@ -331,8 +322,8 @@ class RigConfig(Section):
     """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
     cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
-    start: Annotated[str, BeforeValidator(_read_start), Expectation(_START_TEXT)] = Field(
-        default="random", description=f"rig that the optimiser starts from: {_START_TEXT}"
+    start: Annotated[str, Expectation(START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
     )
     freeze: Annotated[
         tuple[str, ...],
@@ -652,6 +643,6 @@ def read_seeds(text: str, place: str) -> tuple[int, ...]:
         InputError: It is neither, or a seed is out of range or there twice.
     """
     try:
-        return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
+        return _read_seeds(read_yaml(text, place)[0])
     except PydanticCustomError as error:
         raise InputError(f"{place}: {error.message()}") from None
