@@ -1,8 +1,11 @@
 """Pools of single cameras: the objective's own probabilities, on every executor and from every cache the same bytes."""
 
 import functools
+import importlib.util
 import math
+import pickle
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress
 from warpav.optimisation import pool as module
+from warpav.optimisation import pool_cache
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
@@ -179,14 +183,26 @@ def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     assert (backwards.drawn_count, backwards.cached_count) == (37 * 3, 0)
 
 
-def test_processes_give_the_same_bytes(tmp_path):
-    here = drawn(12)
-    executor = Executor("process", worker_count=2)
-    there = drawn(12, executor=executor, cache=tmp_path, chunk_cameras=5)
+def is_missing(package):
+    return pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{package} is not installed")
+
+
+@pytest.mark.parametrize(
+    "executor",
+    [
+        pytest.param(Executor("process", worker_count=2), id="process"),
+        pytest.param(Executor("ray", worker_count=2), id="ray", marks=[is_missing("ray"), pytest.mark.slow]),
+        pytest.param(Executor("slurm", address="local"), id="slurm", marks=[is_missing("submitit"), pytest.mark.slow]),
+    ],
+)
+def test_every_executor_gives_the_same_bytes(tmp_path, executor):
+    here, cache = drawn(12), tmp_path / "cache"
+    executor = replace(executor, folder=tmp_path / "jobs")
+    there = drawn(12, executor=executor, cache=cache, chunk_cameras=5)
     np.testing.assert_array_equal(there.detection_probability, here.detection_probability)
-    assert not [path for path in tmp_path.iterdir() if path.is_dir()]  # scenes that travelled are gone
-    # what processes have drawn is found here
-    again = drawn(12, cache=tmp_path)
+    assert not [path for path in cache.iterdir() if path.is_dir()]  # scenes that travelled are gone
+    # what others have drawn is found here
+    again = drawn(12, cache=cache)
     assert (again.drawn_count, again.cached_count) == (0, 12 * 3)
     np.testing.assert_array_equal(again.detection_probability, here.detection_probability)
 
@@ -291,7 +307,9 @@ def test_pools_of_something_else_are_refused(tmp_path, name):
     assert (found.drawn_count, found.scene_index.tolist()) == (24, pool.scene_index.tolist())
     assert found.extended(poses_of(9)[8:]).drawn_count == 27
     scenes, cameras = another(name)
-    with pytest.raises(InputError, match=rf"pool\.npz: {name}: expected a pool of .*; draw it again") as caught:
+    with pytest.raises(
+        InputError, match=rf"pool\.npz: {name}: expected a pool of .*; remove it, and draw it again"
+    ) as caught:
         CameraPool.read(tmp_path / "pool.npz", scenes=scenes, cameras=cameras)
     assert "\n" not in str(caught.value)
     # a cache has nothing for them
@@ -323,7 +341,7 @@ def test_other_files_are_refused(tmp_path, content):
 def test_the_cache_does_not_grow_without_end(tmp_path, monkeypatch):
     drawn(4, cache=tmp_path)
     size = sum(file.stat().st_size for file in tmp_path.iterdir())
-    monkeypatch.setattr(module, "CAPACITY_BYTES", size)
+    monkeypatch.setattr(pool_cache, "CAPACITY_BYTES", size)
     drawn(4, cameras=cameras_of(seed=2), cache=tmp_path)
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= size
     assert files(tmp_path)
@@ -370,8 +388,8 @@ def test_cameras_that_see_nothing_are_refused():
 
 def test_scenes_travel_as_arrays():
     scene = streets()[0]
-    there = DeviceScene.of_arrays(scene.arrays())
-    assert (there.name, there.category, there.fingerprint) == (scene.name, scene.category, scene.fingerprint)
-    for name, array in scene.arrays().items():
-        np.testing.assert_array_equal(there.arrays()[name], array)
+    for there in (DeviceScene.of_arrays(scene.arrays()), pickle.loads(pickle.dumps(scene))):
+        assert (there.name, there.category, there.fingerprint) == (scene.name, scene.category, scene.fingerprint)
+        for name, array in scene.arrays().items():
+            np.testing.assert_array_equal(there.arrays()[name], array)
     assert len({each.fingerprint for each in (*streets(), packed_street("cpu", 6, 5))}) == 4

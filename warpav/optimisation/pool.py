@@ -8,44 +8,40 @@ one draws only what is new.
 from __future__ import annotations
 
 import contextlib
-import json
+import itertools
 import tempfile
-import zipfile
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import platformdirs
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.cache_folder import remove_oldest
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
-from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
-from warpav.core.warp_setup import load_warp
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.pool_cache import (
+    UNREADABLE,
+    Identity,
+    PoolCache,
+    check_identity,
+    pose_keys,
+    read_arrays,
+    rows_of,
+    write_arrays,
+)
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
-CAPACITY_BYTES = 2**30
-"""What a cache of pools holds at most."""
 CHUNK_CAMERAS = 512
 """Cameras that one task draws in one scene."""
 HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
-_FORMAT = 1
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
-_MEANING = {
-    "vehicle": "vehicle",
-    "camera": "camera model, supersampling or occlusion",
-    "detector": "model of detection probability",
-    "version": "version of warpav or kind of device",
-}
 
 
 def pool_cache_folder() -> Path:
@@ -140,16 +136,8 @@ class CameraPool:
                 under the name of a chunk, or a task failed.
         """
         source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
-        counts = [scene.vehicle_count for scene in source.scenes]
-        empty = cls(
-            np.zeros((0, MOUNT_POSE_SIZE), np.float32),
-            np.zeros((0, sum(counts)), np.float32),
-            np.repeat(np.arange(len(counts), dtype=np.int32), counts),
-            0,
-            0,
-            source,
-        )
-        return empty.extended(mount_pose, progress=progress)
+        none = (np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32))
+        return cls(*none, source.scene_index, 0, 0, source).extended(mount_pose, progress=progress)
 
     def extended(self, mount_pose: np.ndarray, *, progress: Progress | None = None) -> CameraPool:
         """The pool with more cameras behind those that it has; only what it does not have yet is drawn.
@@ -162,15 +150,15 @@ class CameraPool:
             InputError: As `draw`.
         """
         more = _checked_poses(mount_pose)
-        new = more[_rows_of(more, self.mount_pose) < 0]
-        new = new[np.sort(np.unique(_as_bytes(new), return_index=True)[1])]
+        new = more[rows_of(more, self.mount_pose) < 0]
+        new = new[np.sort(np.unique(pose_keys(new), return_index=True)[1])]
         drawn, drawn_count, cached_count = self._source.probabilities(new, progress or NullProgress())
         known = np.concatenate([self.mount_pose, new])
         together = np.concatenate([self.mount_pose, more])
         shape = (len(together), len(self.scene_index))
         found = np.empty(shape, np.float16 if 4 * shape[0] * shape[1] > HALF_ABOVE_BYTES else np.float32)
         found[: len(self.mount_pose)] = self.detection_probability
-        row = _rows_of(more, known)
+        row = rows_of(more, known)
         is_new = row >= len(self.mount_pose)
         found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
@@ -188,9 +176,9 @@ class CameraPool:
         )
 
     @property
-    def identity(self) -> dict[str, object]:
-        """Hashes of all that it was drawn with, the scenes' in their order."""
-        return {**self._source.cameras.identity, "scenes": [scene.fingerprint for scene in self._source.scenes]}
+    def identity(self) -> Identity:
+        """Hashes of all that it was drawn with: vehicle, camera, detector, version and the scenes in their order."""
+        return self._source.identity
 
     def write(self, file: Path) -> None:
         """Write the pool into an ``.npz`` file.
@@ -198,14 +186,13 @@ class CameraPool:
         Raises:
             OSError: It cannot be written.
         """
-        with atomic_write(file) as draft, draft.open("wb") as stream:
-            np.savez(
-                stream,
-                words=_bytes_of({"format": _FORMAT, "identity": self.identity}),
-                mount_pose=self.mount_pose,
-                detection_probability=self.detection_probability,
-                counts=np.array([self.drawn_count, self.cached_count]),
-            )
+        write_arrays(
+            file,
+            self.identity,
+            mount_pose=self.mount_pose,
+            detection_probability=self.detection_probability,
+            counts=np.array([self.drawn_count, self.cached_count]),
+        )
 
     @classmethod
     def read(
@@ -232,19 +219,14 @@ class CameraPool:
             InputError: It is no pool, or one of other scenes, another vehicle, camera or detector; the text says which.
         """
         source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
-        counts = [scene.vehicle_count for scene in source.scenes]
-        scene_index = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         try:
-            arrays, words = _read(file)
-            drawn_count, cached_count = (int(count) for count in arrays["counts"])
-            pool = cls(
-                arrays["mount_pose"], arrays["detection_probability"], scene_index, drawn_count, cached_count, source
-            )
-            identity = words["identity"]
-        except (*_UNREADABLE, TypeError) as error:
-            raise InputError(f"{file}: expected a pool of cameras, got {_reason(error)}; draw it again") from None
-        _check_identity(file, identity, pool.identity)
-        return pool
+            arrays, identity = read_arrays(file)
+            pose, found, counts = (arrays[name] for name in ("mount_pose", "detection_probability", "counts"))
+        except UNREADABLE as error:
+            reason = getattr(error, "strerror", None) or "another or a damaged file"
+            raise InputError(f"{file}: expected a pool of cameras, got {reason}; draw it again") from None
+        check_identity(file, identity, source.identity)
+        return cls(pose, found, source.scene_index, int(counts[0]), int(counts[1]), source)
 
 
 @dataclass(frozen=True)
@@ -253,7 +235,7 @@ class _Chunk:
 
     Attributes:
         cameras: What they are.
-        scene: The scene, or the file that it lies in where the task may travel.
+        scene: The scene, or the file that it lies in.
         scene_number: Its place among the scenes.
         row: The cameras' places among those to be drawn.
         mount_pose: They themselves, float32 [camera, 7].
@@ -289,122 +271,80 @@ class _Source:
                 "cache", f"expected a folder that all machines see, with executor {self.executor.name}, got none"
             )
 
+    @cached_property
+    def scene_index(self) -> np.ndarray:
+        """Scene of every object, int32 [object]."""
+        counts = [scene.vehicle_count for scene in self.scenes]
+        return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+
+    @property
+    def identity(self) -> Identity:
+        """See `CameraPool.identity`."""
+        return {**self.cameras.identity, "scenes": [scene.fingerprint for scene in self.scenes]}
+
+    @cached_property
+    def _kept(self) -> PoolCache | None:
+        return None if self.cache is None else PoolCache(self.cache, self.cameras.identity)
+
     def probabilities(self, mount_pose: np.ndarray, progress: Progress) -> tuple[np.ndarray, int, int]:
         """Detection probabilities of some cameras, float32 [camera, object]; how many renders were drawn and cached."""
-        counts = [scene.vehicle_count for scene in self.scenes]
-        ends = np.cumsum([0, *counts])
+        ends = np.searchsorted(self.scene_index, np.arange(len(self.scenes) + 1))
+        objects = [slice(*pair) for pair in itertools.pairwise(ends)]
         found = np.zeros((len(mount_pose), ends[-1]), np.float32)
         missing = []
         for number, scene in enumerate(self.scenes):
             row = np.arange(len(mount_pose))
-            if self.cache is not None:
-                kept_pose, kept = self._kept(scene)
-                kept_row = _rows_of(mount_pose, kept_pose)
-                is_kept = kept_row >= 0
-                found[is_kept, ends[number] : ends[number + 1]] = kept[kept_row[is_kept]]
+            if self._kept is not None:
+                is_kept, kept = self._kept.find(scene.fingerprint, scene.vehicle_count, mount_pose)
+                found[is_kept, objects[number]] = kept
                 row = row[~is_kept]
             missing += [
                 (number, row[first : first + self.chunk_cameras]) for first in range(0, len(row), self.chunk_cameras)
             ]
-        drawn_count = sum(len(row) for _, row in missing)
         with self._travelling({number for number, _ in missing}) as (cameras, scene_of):
             tasks = [_Chunk(cameras, scene_of(number), number, row, mount_pose[row]) for number, row in missing]
             outcomes = self.executor.run(_draw, tasks)
             for outcome in progress.steps("pool of cameras", outcomes, count=len(tasks)):
-                task = outcome.task
+                task, scene = outcome.task, self.scenes[outcome.task.scene_number]
                 if outcome.error is not None or outcome.result is None:
-                    raise InputError(f"pool: {self.scenes[task.scene_number].name}: {outcome.error}")
-                found[task.row, ends[task.scene_number] : ends[task.scene_number + 1]] = outcome.result
-                self._keep(self.scenes[task.scene_number], task.mount_pose, outcome.result)
-        if self.cache is not None:
-            remove_oldest(self.cache, "pool_*.npz", capacity_bytes=CAPACITY_BYTES)
+                    raise InputError(f"pool: {scene.name}: {outcome.error}")
+                found[task.row, objects[task.scene_number]] = outcome.result
+                if self._kept is not None:
+                    self._kept.keep(scene.fingerprint, task.mount_pose, outcome.result)
+        if self._kept is not None:
+            self._kept.shrink()
+        drawn_count = sum(len(row) for _, row in missing)
         return found, drawn_count, len(mount_pose) * len(self.scenes) - drawn_count
 
     @contextlib.contextmanager
     def _travelling(self, numbers: set[int]) -> Iterator[tuple[SingleCameras, Callable[[int], DeviceScene | Path]]]:
-        """The cameras and the scenes as a task takes them: as they are, or for other processes in files."""
-        if self.executor.name == "serial":
-            yield self.cameras, lambda number: self.scenes[number]
-            return
-        is_here = self.executor.name == "process"
+        """The cameras and the scenes as a task takes them: as they are, or where all tasks start at once in files."""
         # a process and a worker of Ray have one core each
-        cameras = self.cameras if self.executor.name == "slurm" else replace(self.cameras, thread_count=1)
-        with contextlib.ExitStack() as stack:
-            try:
-                if self.cache is not None and not is_here:
-                    self.cache.mkdir(parents=True, exist_ok=True)
-                shared = tempfile.TemporaryDirectory(prefix="scenes-", dir=None if is_here else self.cache)
-            except OSError as error:
-                raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
-            folder = stack.enter_context(shared)
-            for number in numbers:
-                with (Path(folder) / f"{number}.npz").open("wb") as stream:
-                    np.savez(stream, **self.scenes[number].arrays())  # pyright: ignore[reportArgumentType]
-            yield cameras, lambda number: Path(folder) / f"{number}.npz"
-
-    def _identity(self, scene: DeviceScene) -> dict[str, object]:
-        return {**self.cameras.identity, "scenes": [scene.fingerprint]}
-
-    def _name(self, scene: DeviceScene) -> str:
-        """How the names of a scene's chunks begin."""
-        return f"pool_{digest(_FORMAT, sorted(self._identity(scene).items()))}"
-
-    def _kept(self, scene: DeviceScene) -> tuple[np.ndarray, np.ndarray]:
-        """What the cache has of a scene: poses [camera, 7], and their probabilities [camera, object].
-
-        Raises:
-            InputError: A file holds something else than its name says.
-        """
-        assert self.cache is not None
-        poses, found = [np.zeros((0, MOUNT_POSE_SIZE), np.float32)], [np.zeros((0, scene.vehicle_count), np.float32)]
-        for file in sorted(self.cache.glob(f"{self._name(scene)}_*.npz")):
-            try:
-                arrays, words = _read(file)
-                pose, probability = arrays["mount_pose"], arrays["detection_probability"]
-                identity = words["identity"]
-                file.touch()
-            except _UNREADABLE:
-                continue  # drawn again
-            _check_identity(file, identity, self._identity(scene))
-            poses.append(pose)
-            found.append(probability)
-        return np.concatenate(poses), np.concatenate(found)
-
-    def _keep(self, scene: DeviceScene, mount_pose: np.ndarray, probability: np.ndarray) -> None:
-        """Put a chunk into the cache, if that lets itself be written to."""
-        if self.cache is None:
+        is_alone = self.executor.name in ("process", "ray")
+        cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
+        if self.executor.name in ("serial", "process"):
+            yield cameras, lambda number: self.scenes[number]
             return
-        file = self.cache / f"{self._name(scene)}_{digest(mount_pose.tobytes())}.npz"
-        with contextlib.suppress(OSError):
+        assert self.cache is not None
+        try:
             self.cache.mkdir(parents=True, exist_ok=True)
-            with atomic_write(file) as draft, draft.open("wb") as stream:
-                np.savez(
-                    stream,
-                    words=_bytes_of({"format": _FORMAT, "identity": self._identity(scene)}),
-                    mount_pose=mount_pose,
-                    detection_probability=probability,
-                )
+            folder = tempfile.TemporaryDirectory(prefix="scenes-", dir=self.cache)
+        except OSError as error:
+            raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
+        with folder as path:
+            for number in numbers:
+                with (Path(path) / f"{number}.npz").open("wb") as stream:
+                    np.savez(stream, **self.scenes[number].arrays())  # pyright: ignore[reportArgumentType]
+            yield cameras, lambda number: Path(path) / f"{number}.npz"
 
 
 def _draw(chunk: _Chunk) -> np.ndarray:
     """What a task does, maybe in another process."""
     scene = chunk.scene
     if isinstance(scene, Path):
-        load_warp()
-        scene = _scene_of(scene, chunk.cameras.mount.device)
+        with np.load(scene, allow_pickle=False) as arrays:
+            scene = DeviceScene.of_arrays(dict(arrays), device=chunk.cameras.mount.device)
     return chunk.cameras.detection_probability(chunk.mount_pose, scene)
-
-
-_SCENES: OrderedDict[tuple[Path, str], DeviceScene] = OrderedDict()
-
-
-def _scene_of(file: Path, device: str) -> DeviceScene:
-    """A scene that was put into a file for this pool; the last one is kept, as its chunks follow each other."""
-    if (file, device) not in _SCENES:
-        _SCENES.clear()
-        with np.load(file, allow_pickle=False) as arrays:
-            _SCENES[file, device] = DeviceScene.of_arrays({name: arrays[name] for name in arrays.files}, device=device)
-    return _SCENES[file, device]
 
 
 def _checked_poses(mount_pose: np.ndarray) -> np.ndarray:
@@ -415,53 +355,3 @@ def _checked_poses(mount_pose: np.ndarray) -> np.ndarray:
     if not np.isfinite(pose).all():
         raise ArgumentError("mount_pose", f"expected finite numbers, got {pose[~np.isfinite(pose)][0]}")
     return pose + np.float32(0.0)
-
-
-def _rows_of(wanted: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Where each of the wanted poses [camera, 7] stands among those that are there, -1 where it does not; int."""
-    row = np.full(len(wanted), -1)
-    if len(there):
-        keys, first = np.unique(_as_bytes(there), return_index=True)
-        place = np.minimum(np.searchsorted(keys, _as_bytes(wanted)), len(keys) - 1)
-        is_there = keys[place] == _as_bytes(wanted)
-        row[is_there] = first[place[is_there]]
-    return row
-
-
-def _as_bytes(pose: np.ndarray) -> np.ndarray:
-    """Every pose as one thing that can be sorted, [camera]."""
-    return np.ascontiguousarray(pose, np.float32).view(f"S{4 * MOUNT_POSE_SIZE}").reshape(-1)
-
-
-def _bytes_of(words: dict[str, object]) -> np.ndarray:
-    return np.frombuffer(json.dumps(words).encode(), np.uint8)
-
-
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-
-
-def _read(file: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, object]]]:
-    """Arrays and words of a file; raises `_UNREADABLE`."""
-    with np.load(file, allow_pickle=False) as kept:
-        arrays = {name: kept[name] for name in kept.files}
-    words = json.loads(arrays["words"].tobytes())
-    if words["format"] != _FORMAT:
-        raise ValueError(f"format {words['format']}")
-    return arrays, words
-
-
-def _reason(error: Exception) -> str:
-    return error.strerror or str(error) if isinstance(error, OSError) else "another or a damaged file"
-
-
-def _check_identity(file: Path, found: dict[str, object], expected: dict[str, object]) -> None:
-    """Refuse a file of something else.
-
-    Raises:
-        InputError: It is one.
-    """
-    for name, meaning in _MEANING.items():
-        if found.get(name) != expected[name]:
-            raise InputError(f"{file}: {name}: expected a pool of this {meaning}, got one of another; draw it again")
-    if found.get("scenes") != expected["scenes"]:
-        raise InputError(f"{file}: scenes: expected a pool of these scenes, got one of others; draw it again")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -118,6 +119,7 @@ class DeviceScene:
             "category": np.array(self.category, str),
             "road_user_index": self.road_user_index,
             "from_ego_m": self.from_ego_m,
+            **{f"box_{name}": array.numpy() for name, array in vars(self.upright_box).items()},
         }
 
     @classmethod
@@ -127,13 +129,21 @@ class DeviceScene:
         Raises:
             KeyError: One is missing.
         """
-        return cls(
+        scene = cls(
             str(arrays["name"]),
             RasterScene.of_arrays(arrays, device=device),
             tuple(str(name) for name in arrays["category"]),
             arrays["road_user_index"],
             arrays["from_ego_m"],
         )
+        kinds = {"centre_ego_m": wp.vec3, "half_size_m": wp.vec3, "along": wp.vec2}
+        boxes = {name: wp.array(arrays[f"box_{name}"], dtype=kind, device=device) for name, kind in kinds.items()}
+        scene.__dict__["upright_box"] = UprightBoxes(**boxes)
+        return scene
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it travels to another process: the arrays, and the device by its name."""
+        return _unpacked, (self.arrays(), str(self.raster.device))
 
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
@@ -163,3 +173,7 @@ class DeviceScene:
             from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
             - scene.ego.bounds_m()[:, :2].mean(axis=0),
         )
+
+
+def _unpacked(arrays: Mapping[str, np.ndarray], device: str) -> DeviceScene:
+    return DeviceScene.of_arrays(arrays, device=device)
