@@ -28,7 +28,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import warpav as wa
-from warpav.evaluation.coverage import Ground
 
 train, test = wa.town(train_seeds), wa.town(test_seeds)
 
@@ -67,14 +66,7 @@ start
 
 # %%
 placement = wa.Placement(train, start=start, freeze=["front", "rear"])
-
-
-def coverage(rig, scene):
-    (observed,) = placement.observed([scene])
-    return Ground.around(observed.scene).coverage(rig.cameras)
-
-
-wa.plot(start, scene=test[0], coverage=coverage(start, test[0]))
+wa.plot(start, scene=test[0], coverage=wa.coverage(start, test[0]))
 
 # %% [markdown]
 # ## Two stay, two move

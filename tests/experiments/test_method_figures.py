@@ -109,8 +109,8 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
 def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
     started = []
 
-    def begin(placement, *given, real=method_figures.Optimisation.begin):
-        optimisation = real(placement, *given)
+    def begin(placement, *, real=method_figures.Optimisation.begin, **given):
+        optimisation = real(placement, **given)
         started.append(placement.objective.mount.rig(optimisation.descent.start))
         return optimisation
 

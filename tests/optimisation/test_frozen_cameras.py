@@ -219,7 +219,7 @@ def test_all_starts_hold_it():
     mount = frozen_mount(ROOF, BUMPER)
     objective = objective_of(mount)
     space = SearchSpace.over(mount, 2, constraints=objective.constraints)
-    known = mount.start_pose_of_rig(Rig((ROOF, BUMPER)))
+    known = mount.within(mount.mount_pose_of_rig(Rig((ROOF, BUMPER)), as_configured=True))
     starts = evaluate_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
     for start in starts:
         np.testing.assert_array_equal(start.mount_pose[1], mount.frozen.mount_pose[1])
@@ -260,7 +260,7 @@ def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
 def test_a_descent_leaves_it_alone_and_improves_the_others(free):
     rig = Rig((camera("roof", [1.2, 0.3, 1.75], 160.0), BUMPER))
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free).freezing(rig, ["bumper"])
-    start = mount.start_pose_of_rig(rig)
+    start = mount.within(mount.mount_pose_of_rig(rig, as_configured=True))
     further = start.copy()
     further[0, YAW_RAD] = -1.0
     descent = Descent(

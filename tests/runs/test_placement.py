@@ -203,6 +203,8 @@ def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scene
     same = found.difference("start", "start")
     assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
     assert "recall of the rig" in str(found.table())
+    assert str(found.table()).splitlines()[-1].endswith("difference() is a mean over scenes, each counting alike.")
+    assert "<caption" in found._repr_html_()
     assert found._repr_html_().startswith("<table>")
     with pytest.raises(wa.InputError, match="other: expected one of start, optimised, got 'best'"):
         found.difference("start", "best")

@@ -27,7 +27,7 @@ FileFormat = Annotated[
 FileOrigin = Annotated[
     Triple | None,
     Parameter(
-        help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z.", negative=""
+        help="Where the file's origin lies, from the ground below the centre of the rear axle: x y z.", negative=""
     ),
 ]
 FileTurn = Annotated[
@@ -64,6 +64,11 @@ def complain(text: str) -> None:
         sys.stderr.write(f"{line}\n")
 
 
+def warn_renamed(old: str, new: str) -> None:
+    """Print that an argument has another name, under which it will be known alone."""
+    complain(f"{old}: is called {new} now; the old name goes in the next version")
+
+
 def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
     """The seeds that a user gave, as a text or as their number from 0."""
     from warpav.runs.config import read_seeds
@@ -75,16 +80,13 @@ def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
     return tuple(range(count)) if count is not None else read_seeds(str(seeds), place="command line (--seeds)")
 
 
-def with_default(config: str, overrides: Sequence[str]) -> tuple[str, Sequence[str]]:
-    """The configuration and the overrides that a user means, who may leave out the configuration."""
-    return (DEFAULT_CONFIG, (config, *overrides)) if "=" in config else (config, overrides)
-
-
 def loaded(config: str, overrides: Sequence[str]):  # noqa: ANN201 (importing the type would cost start-up time)
     """The configuration of a command that needs nothing else."""
     from warpav.runs.config import load_config
 
-    return load_config(*with_default(config, overrides))
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    return load_config(config, overrides)
 
 
 def executor_overrides(name: str | None, workers: int | None, address: str | None) -> list[str]:

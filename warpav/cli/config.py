@@ -13,7 +13,6 @@ from warpav.cli.arguments import (
     Overrides,
     loaded,
     say,
-    with_default,
 )
 from warpav.core.errors import InputError
 
@@ -34,7 +33,9 @@ def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> N
     from warpav.runs.config import placed_config
     from warpav.runs.rig_source import read_start
 
-    with placed_config(*with_default(config, overrides)) as settings:
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    with placed_config(config, overrides) as settings:
         read_start(settings)
     say("the configuration is valid")
 

@@ -15,7 +15,7 @@ from warpav.cli.arguments import (
     SceneSource,
     complain,
     say,
-    with_default,
+    warn_renamed,
 )
 
 
@@ -26,7 +26,8 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     from warpav.runs.progress import RunDisplay
     from warpav.runs.verdict import show_verdict, worse_than_start
 
-    config, overrides = with_default(config, overrides)
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         show_verdict(display.console, evaluation)
@@ -92,7 +93,7 @@ def inspect(
     from warpav.runs.rig_source import config_for
 
     if show == "sight":
-        complain("--show sight: is called --show visibility now; the old name goes in the next version")
+        warn_renamed("--show sight", "--show visibility")
         show = "visibility"
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)

@@ -112,7 +112,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class DetectorUse:
-    """A detector, and everything about its surroundings on which its chances depend.
+    """A detector, and everything about its surroundings on which its detection probability depends.
 
     Attributes:
         model: Path of its ONNX file.

@@ -42,7 +42,7 @@ def move_to_vehicle(
 ) -> MovedPreset:
     """Put every camera of a rig on the nearest place of a vehicle's mount surface that keeps its direction free.
 
-    Both vehicles' frames are laid over each other: origins below the middle of the rear axle, nothing is scaled. A
+    Both vehicles' frames are laid over each other: origins below the centre of the rear axle, nothing is scaled. A
     direction is free if the middle row of the image does not meet the vehicle, over the whole field of view. Cameras
     are placed in the order of the rig, each apart from those before it.
 

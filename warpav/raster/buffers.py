@@ -159,7 +159,7 @@ class Buffers:
         self.scissor = self.zeros(self.view_count, wp.vec4i)
         self.key = self.zeros((0, 0, 0), wp.int64)
         self._sample_count = self.zeros(1, wp.int64)
-        self._needed_samples = self.zeros(1, wp.int64)
+        self.needed_samples = self.zeros(1, wp.int64)
         self.strip = self.zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = layers.Layers()
@@ -291,7 +291,7 @@ class Buffers:
                 layers.place_layers_kernel,
                 shape,
                 inputs=[self.view, scene.layer_bounds_world_m, self.width, self.height, self._capacity],
-                outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self._needed_samples],
+                outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self.needed_samples],
             )
             # a recording cannot be asked; see `grew`
             if self.device.is_capturing or not self.grew():
@@ -305,9 +305,9 @@ class Buffers:
             outputs=[self.scissor],
         )  # fmt: skip
 
-    def grew(self) -> bool:
+    def grew(self, needed_samples: int | None = None) -> bool:
         """See `Renderer.grew`."""
-        needed = int(self._needed_samples.numpy()[0])
+        needed = int(self.needed_samples.numpy()[0]) if needed_samples is None else needed_samples
         if needed <= self._capacity:
             return False
         limit = MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more

@@ -16,7 +16,7 @@ import numpy as np
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.files import writing
-from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
@@ -214,7 +214,7 @@ def rig_text(rig: Rig) -> str:
     """A rig as YAML, as `write_rig` writes it."""
     lines = [
         "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
-        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
+        "# centre of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
         "# horizontal field of view.",
     ]
     if any(camera.model.focal_px for camera in rig.cameras):
@@ -288,7 +288,7 @@ def _number(value: float) -> str:
 
 def _angle(angle_rad: float) -> str:
     """The angle [deg] in (-180, 180], after rounding."""
-    text = _number(math.degrees(wrap_angle_rad(angle_rad)))
+    text = _number(math.remainder(math.degrees(angle_rad), 360.0))
     return "180.0" if text == "-180.0" else text
 
 

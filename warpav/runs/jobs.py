@@ -42,7 +42,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
     placement = Placement.from_config(config).prepare(progress)
     timer.end("scenes and detector")
     optimisation = Optimisation.begin(placement, progress=progress)
-    timer.end("looking for a start")
+    timer.end("searching for a start")
 
     folder = RunFolder.create(
         config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze

@@ -186,7 +186,7 @@ class RunFolder:
             raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
-        """Write what cameras see: ``figures/views.json``, and the pictures that it names."""
+        """Write what cameras see: ``figures/views.json``, and the images that it names."""
         folder = self.path / "figures" / "views"
         with writing(folder):
             folder.mkdir(exist_ok=True)
@@ -200,7 +200,7 @@ class RunFolder:
         return self._read_json("figures/views.json")
 
     def view_path(self, name: str) -> Path:
-        """Where the picture of this name in ``figures/views.json`` is."""
+        """Where the image of this name in ``figures/views.json`` is."""
         return self.path / "figures" / "views" / name
 
     def write_report(self, html: str) -> Path:

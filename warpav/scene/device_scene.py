@@ -46,7 +46,7 @@ class UprightBoxes:
     """Boxes with a vertical axis, one for every layer of a scene, on its device.
 
     Attributes:
-        centre_ego_m: Middles [m], vec3 [layer].
+        centre_ego_m: Centres [m], vec3 [layer].
         half_size_m: Half of length, width and height [m], vec3 [layer].
         along: Unit vectors along the length in ego x and y, vec2 [layer].
     """
@@ -68,7 +68,7 @@ class DeviceScene:
         raster: The meshes: vehicle k is object k, the environment occluder 0, the ego vehicle occluder 1.
         category: What every vehicle is, [vehicle].
         road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
-        from_ego_m: Middle of every vehicle's box as seen from the middle of the ego vehicle: forward and left [m],
+        from_ego_m: Centre of every vehicle's box as seen from the centre of the ego vehicle: forward and left [m],
             float64 [vehicle, 2].
     """
 
@@ -85,7 +85,7 @@ class DeviceScene:
 
     @cached_property
     def upright_box(self) -> UprightBoxes:
-        """The least upright box around every vehicle, and around the ego vehicle; found when it is first asked for."""
+        """The smallest upright box around every vehicle, and around the ego vehicle; computed on first use."""
         import cv2
 
         triangles, device = self.raster.triangles, self.raster.device

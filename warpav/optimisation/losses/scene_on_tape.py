@@ -142,40 +142,38 @@ class SceneOnTape:
         """
         assert self.camera_probability is not None
         device, rotation_count = self.frame.device, self.rotation_count
-        has_panorama = rotation_count > 1
         appearance = Appearance.of(self.frame, self.scene, measures=self.measures)
-        in_window = visible = window_rad = None
-        if has_panorama:
-            in_window = self.frame.window_area(
-                self.mount.windows(self.views, requires_grad=False),
-                softness_rad=self.camera_probability.window_softness_rad,
-                visible=True,
-            )
-            visible = self.frame.window_area(visible=True)
-            window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
         probability = self.camera_probability.of_views(self.camera_probability.model.on_tape(appearance, *self._pose))
+        if rotation_count == 1:
+            return probability
+        in_window = self.frame.window_area(
+            self.mount.windows(self.views, requires_grad=False),
+            softness_rad=self.camera_probability.window_softness_rad,
+            visible=True,
+        )
+        visible = self.frame.window_area(visible=True)
+        window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         around_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
-        if in_window is not None and visible is not None:
+        wp.launch(
+            expected_misses.find_best_views_kernel,
+            dim=shape,
+            inputs=[probability, rotation_count],
+            outputs=[best_view],
+            device=device,
+            record_tape=False,
+        )
+        window_sr = in_window.on_tape(*self._pose, window_rad)
+        for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
             wp.launch(
-                expected_misses.find_best_views_kernel,
+                expected_misses.sum_over_panorama_kernel,
                 dim=shape,
-                inputs=[probability, rotation_count],
-                outputs=[best_view],
+                inputs=[solid_angle, rotation_count],
+                outputs=[total],
                 device=device,
-                record_tape=False,
             )
-            window_sr = in_window.on_tape(*self._pose, window_rad)
-            for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
-                wp.launch(
-                    expected_misses.sum_over_panorama_kernel,
-                    dim=shape,
-                    inputs=[solid_angle, rotation_count],
-                    outputs=[total],
-                    device=device,
-                )
         found = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         wp.launch(
             expected_misses.camera_probability_kernel,

@@ -196,7 +196,7 @@ class SceneConfig(Section):
     ) = Field(
         default=None,
         description="mesh of your own vehicle, which takes the place of every scene's own; warpav vehicle check "
-        "examines and mends it; null: the scene's own",
+        "examines and repairs it; null: the scene's own",
     )
     mirror: bool = Field(
         default=False,
@@ -210,7 +210,7 @@ class SceneConfig(Section):
         WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
     ] = Field(
         default=("vehicle",),
-        description="the road users that rigs are optimised and judged for; all others only stand in the way",
+        description="the road users that rigs are optimised and evaluated for; all others only hide them",
     )
 
     @model_validator(mode="after")
@@ -339,7 +339,7 @@ class RigConfig(Section):
     height_offset_m: Metres = Field(
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
     )
-    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="least distance between two cameras")
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
     free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
 
 
@@ -390,7 +390,7 @@ class MountConfig(Section):
         default=0.8,
         gt=0.0,
         le=1.0,
-        description="least vertical part of the unit normal of what the height map is made of",
+        description="minimum vertical part of the unit normal of what the height map is made of",
     )
     min_zone_normal: float = Field(
         default=0.9,
@@ -402,7 +402,7 @@ class MountConfig(Section):
         default=0.02,
         ge=0.0,
         le=1.0,
-        description="least distance of a camera's centre to the border of the mountable zone (method: default)",
+        description="minimum distance of a camera's centre to the border of the mountable zone (method: default)",
     )
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
@@ -444,9 +444,9 @@ class DetectorConfig(Section):
     model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
         default="builtin", description="builtin or the path of an ONNX file"
     )
-    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="least confidence of a detection")
+    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="minimum confidence of a detection")
     iou_min: float = Field(
-        default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
+        default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
     )
     nms_iou_max: float = Field(default=0.5, gt=0.0, le=1.0, description="boxes that overlap more are merged")
     format: Literal[
@@ -514,7 +514,7 @@ def _add_extends(schema: dict[str, Any]) -> None:
 
 
 class ConfigTree(Section):
-    """Everything that a run of warpav can be told.
+    """Every option of a run.
 
     What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
     """
@@ -538,7 +538,7 @@ class ConfigTree(Section):
     mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
     detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
     segregation: SegregationSettings = Field(
-        default=SegregationSettings(), description="which camera answers for which vehicle"
+        default=SegregationSettings(), description="which camera is assigned which vehicle"
     )
     losses: LossSettings = Field(
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
