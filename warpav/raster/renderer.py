@@ -16,7 +16,7 @@ from warpav.raster.decide import Occlusion, decide
 from warpav.raster.frame import Frame
 from warpav.raster.poses import view_poses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import extent, hide, image_flow, layers, measure, rasterise, shade, view, window
+from warpav_kernels.raster import coverage, extent, hide, image_flow, layers, measure, rasterise, shade, view, window
 
 
 class Renderer:
@@ -59,7 +59,7 @@ class Renderer:
         self.occlusion = occlusion
         self._foreground_layer = foreground_layer
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, layers, rasterise, hide, measure, extent, window, shade, image_flow):
+        for module in (view, layers, rasterise, hide, coverage, measure, extent, window, shade, image_flow):
             wp.load_module(module, device=self.device)
 
     @property

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.detection.probability import Appearance, DetectionProbability, Seen
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import Measures
@@ -36,6 +36,20 @@ class CameraProbability:
     def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
         """With the parameters of a configuration; None without a model."""
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
+
+    def of_views(self, seen: Seen) -> wp.array:
+        """Probability in every view from what ``model`` says, on the active tape; float [view, vehicle]."""
+        if self.probability == "fitted":
+            return seen.probability
+        share = wp.zeros_like(seen.probability, requires_grad=True)
+        wp.launch(
+            expected_misses.box_share_kernel,
+            dim=share.shape,
+            inputs=[seen.feature, int(self.probability == "visible_share")],
+            outputs=[share],
+            device=share.device,
+        )
+        return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,22 +142,9 @@ class SceneOnTape:
         """
         assert self.camera_probability is not None
         device, rotation_count = self.frame.device, self.rotation_count
-        has_panorama = rotation_count > 1
-        appearance = Appearance.of(
-            self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
-        )
-        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
-        probability = seen.probability
-        if self.camera_probability.probability != "fitted":
-            probability = wp.zeros_like(seen.probability, requires_grad=True)
-            wp.launch(
-                expected_misses.box_share_kernel,
-                dim=probability.shape,
-                inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
-                outputs=[probability],
-                device=device,
-            )
-        if not has_panorama:
+        appearance = Appearance.of(self.frame, self.scene, measures=self.measures)
+        probability = self.camera_probability.of_views(self.camera_probability.model.on_tape(appearance, *self._pose))
+        if rotation_count == 1:
             return probability
         in_window = self.frame.window_area(
             self.mount.windows(self.views, requires_grad=False),
