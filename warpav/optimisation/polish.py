@@ -1,6 +1,6 @@
 """Polish: move all cameras of a rig at once until the expected miss rate of all scenes settles.
 
-Every step renders each camera once in every scene, with the Jacobian of the probability that it detects each object. The
+Every step renders each camera once in every scene, with the Jacobian of its probability to detect each object. The
 rig's expected miss rate is then known around the present poses, not as one slope but object by object: the model moves
 each probability's logit along its Jacobian and multiplies what the cameras miss, as the true objective does. So it
 knows that what another camera finds already is worth nothing, and that a sure object cannot become surer. The model is

@@ -6,6 +6,7 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -17,13 +18,14 @@ import warp as wp
 
 from warpav.core.executor import available_cores
 from warpav.core.fingerprint import digest, fingerprint
+from warpav.detection.probability import Appearance, whole_solid_angle
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene.device_scene import DeviceScene, UprightBoxes
 
 CPU_VIEWS = 16
 """Views that one thread renders at once."""
@@ -128,7 +130,82 @@ class SingleCameras:
             log_focal=views.log_zoom,
             content=Content.COVERAGE,
         )
-        return self.probability.of_views(self.probability.model.of_coverage(frame, scene, views.position_ego_m)).numpy()
+        seen = self.probability.model.of_coverage(frame, scene, views.position_ego_m)
+        return (self.probability.share_of_box(seen) or seen.probability).numpy()
+
+    def with_jacobian(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
+        """What each camera detects in some scenes, and how that changes as it moves.
+
+        Colours and occlusion by more than outlines are held fixed, as in the loss; so the mean product of misses has
+        the gradient that `ExpectedMissRate` gives on the tape.
+
+        Args:
+            mount_pose: As the mount counts them, float [camera, 7].
+            scenes: On the mount's device; on the CPU one thread takes one of them at a time.
+
+        Returns:
+            The probabilities, float64 [camera, object], the objects scene by scene; their Jacobian to the mount poses,
+            float64 [camera, object, 7].
+
+        Raises:
+            InputError: The images or their supersampling are too large.
+        """
+        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+        slope = _placing_slope(self.mount, pose)
+        renderers = self._renderers_of(len(pose))
+
+        def drawn(scene: DeviceScene) -> tuple[np.ndarray, np.ndarray]:
+            if scene.vehicle_count == 0:
+                return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
+            renderer = renderers.get()
+            try:
+                return self._drawn_with_jacobian(pose, scene, renderer, slope)
+            finally:
+                renderers.put(renderer)
+
+        if renderers.qsize() == 1:
+            found = [drawn(scene) for scene in scenes]
+        else:
+            with ThreadPoolExecutor(renderers.qsize()) as threads:
+                found = list(threads.map(drawn, scenes))
+        probability, jacobian = zip(*found, strict=True)
+        return np.concatenate(probability, axis=1), np.concatenate(jacobian, axis=1)
+
+    def _drawn_with_jacobian(
+        self, mount_pose: np.ndarray, scene: DeviceScene, renderer: Renderer, slope: _PlacingSlope
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same for one scene and as many cameras as the renderer has views."""
+        views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
+        frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom)
+        appearance = Appearance.of(frame, scene)
+        measures, in_frame = appearance.measures, appearance.in_frame
+        position = views.position_ego_m
+        whole_sr = whole_solid_angle(position, appearance.box, vehicle_count=scene.vehicle_count)
+        # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
+        leaves = [wp.clone(each, requires_grad=True) for each in (measures.value, in_frame.value, whole_sr)]
+        with wp.Tape() as tape:
+            seen = self.probability.model.of_measures(
+                *leaves, appearance.contrast, width_px=appearance.width_px, height_px=appearance.height_px
+            )
+            found = self.probability.share_of_box(seen) or seen.probability
+        tape.backward(grads={found: wp.ones_like(found)})
+        by_measure, by_in_frame, by_whole = (each.grad.numpy().astype(np.float64) for each in leaves)
+
+        def chained(name: str) -> np.ndarray:
+            """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
+            both = [getattr(each, name).numpy().astype(np.float64) for each in (measures, in_frame)]
+            return sum(
+                np.einsum("vkm,vkm...->vk...", by, jacobian)
+                for by, jacobian in zip((by_measure, by_in_frame), both, strict=True)
+            )
+
+        by_position = chained("jac_translation") + by_whole[..., None] * _whole_slope(position, appearance.box, scene)
+        jacobian = (
+            np.einsum("vki,vij->vkj", by_position, slope.position)
+            + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
+            + chained("jac_log_focal")[..., None] * slope.log_zoom[:, None]
+        )
+        return found.numpy().astype(np.float64), jacobian
 
     @property
     def _most_views(self) -> int:
@@ -153,6 +230,60 @@ class SingleCameras:
                     )
                 )
         return self._renderers[view_count]
+
+
+@dataclass(frozen=True, eq=False)
+class _PlacingSlope:
+    """How the views of cameras move with their mount poses, float64.
+
+    Attributes:
+        position: Of the centres [m], [camera, 3, 7].
+        rotation: Of the small rotation about the camera's axes [rad], [camera, 3, 7].
+        log_zoom: Of the log zoom, [camera, 7].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    log_zoom: np.ndarray
+
+
+def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
+    """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""
+    pose = wp.array(mount_pose, dtype=float, device=mount.device, requires_grad=True)
+    with wp.Tape() as tape:
+        views = mount.place(pose, 1)
+    rows = []
+    for array, size in ((views.position_ego_m, 3), (views.camera_from_ego, 9), (views.log_zoom, 1)):
+        for number in range(size):
+            seed = np.zeros((len(mount_pose), size), np.float32)
+            seed[:, number] = 1.0
+            shaped = seed.reshape(array.numpy().shape)
+            tape.zero()
+            tape.backward(grads={array: wp.array(shaped, dtype=array.dtype, device=mount.device)})
+            assert pose.grad is not None
+            rows.append(pose.grad.numpy().astype(np.float64))
+    slope = np.stack(rows, axis=1)
+    # with the vector s the rotation R becomes R + [s]x R
+    turned = slope[:, 3:12].reshape(-1, 3, 3, MOUNT_POSE_SIZE)
+    skew = np.einsum("vijn,vkj->vikn", turned, views.camera_from_ego.numpy().astype(np.float64))
+    spin = 0.5 * np.stack(
+        [skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1
+    )
+    return _PlacingSlope(slope[:, :3], spin, slope[:, 12])
+
+
+def _whole_slope(position_ego_m: wp.array, box: UprightBoxes, scene: DeviceScene) -> np.ndarray:
+    """How the solid angle of every object's box changes with a view's centre [sr/m], float64 [view, object, 3]."""
+    count = scene.vehicle_count
+    place_m = position_ego_m.numpy()
+    # a centre of its own for every object, so that the gradients of objects are not summed
+    own = wp.array(np.repeat(place_m, count, axis=0), dtype=wp.vec3, device=position_ego_m.device, requires_grad=True)
+    with wp.Tape() as tape:
+        whole_sr = whole_solid_angle(own, box, vehicle_count=count)
+    seed = np.tile(np.eye(count, dtype=np.float32), (len(place_m), 1))
+    tape.backward(grads={whole_sr: wp.array(seed, dtype=float, device=position_ego_m.device)})
+    assert own.grad is not None
+    return own.grad.numpy().astype(np.float64).reshape(len(place_m), count, 3)
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

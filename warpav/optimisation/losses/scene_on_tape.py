@@ -37,10 +37,10 @@ class CameraProbability:
         """With the parameters of a configuration; None without a model."""
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
 
-    def of_views(self, seen: Seen) -> wp.array:
-        """Probability in every view from what ``model`` says, on the active tape; float [view, vehicle]."""
+    def share_of_box(self, seen: Seen) -> wp.array | None:
+        """What stands in for the fitted probability, on the active tape, float [view, vehicle]; None: nothing does."""
         if self.probability == "fitted":
-            return seen.probability
+            return None
         share = wp.zeros_like(seen.probability, requires_grad=True)
         wp.launch(
             expected_misses.box_share_kernel,
@@ -143,7 +143,8 @@ class SceneOnTape:
         assert self.camera_probability is not None
         device, rotation_count = self.frame.device, self.rotation_count
         appearance = Appearance.of(self.frame, self.scene, measures=self.measures)
-        probability = self.camera_probability.of_views(self.camera_probability.model.on_tape(appearance, *self._pose))
+        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
+        probability = self.camera_probability.share_of_box(seen) or seen.probability
         if rotation_count == 1:
             return probability
         in_window = self.frame.window_area(
