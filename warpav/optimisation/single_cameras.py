@@ -153,34 +153,35 @@ class SingleCameras:
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         slope = _placing_slope(self.mount, pose)
         renderers = self._renderers_of(len(pose))
+        views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
 
-        def drawn(scene: DeviceScene) -> tuple[np.ndarray, np.ndarray]:
-            if scene.vehicle_count == 0:
-                return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
+        def drawn(scene: DeviceScene) -> Appearance:
             renderer = renderers.get()
             try:
-                return self._drawn_with_jacobian(pose, scene, renderer, slope)
+                poses = views.position_ego_m, views.camera_from_ego
+                return Appearance.of(renderer.render(scene.raster, *poses, log_focal=views.log_zoom), scene)
             finally:
                 renderers.put(renderer)
 
+        peopled = [scene for scene in scenes if scene.vehicle_count > 0]
         if renderers.qsize() == 1:
-            found = [drawn(scene) for scene in scenes]
+            shown = [drawn(scene) for scene in peopled]
         else:
             with ThreadPoolExecutor(renderers.qsize()) as threads:
-                found = list(threads.map(drawn, scenes))
+                shown = list(threads.map(drawn, peopled))
+        # Warp has one tape for all threads, so what needs one comes after them
+        found = [self._differentiated(each, views.position_ego_m, slope) for each in shown]
+        if not found:
+            return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
         probability, jacobian = zip(*found, strict=True)
         return np.concatenate(probability, axis=1), np.concatenate(jacobian, axis=1)
 
-    def _drawn_with_jacobian(
-        self, mount_pose: np.ndarray, scene: DeviceScene, renderer: Renderer, slope: _PlacingSlope
+    def _differentiated(
+        self, appearance: Appearance, position: wp.array, slope: _PlacingSlope
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The same for one scene and as many cameras as the renderer has views."""
-        views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
-        frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom)
-        appearance = Appearance.of(frame, scene)
+        """Probabilities and Jacobian of what one scene shows to cameras at ``position``, vec3 [camera]."""
         measures, in_frame = appearance.measures, appearance.in_frame
-        position = views.position_ego_m
-        whole_sr = whole_solid_angle(position, appearance.box, vehicle_count=scene.vehicle_count)
+        whole_sr = whole_solid_angle(position, appearance.box, vehicle_count=measures.value.shape[1])
         # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
         leaves = [wp.clone(each, requires_grad=True) for each in (measures.value, in_frame.value, whole_sr)]
         with wp.Tape() as tape:
@@ -199,7 +200,9 @@ class SingleCameras:
                 for by, jacobian in zip((by_measure, by_in_frame), both, strict=True)
             )
 
-        by_position = chained("jac_translation") + by_whole[..., None] * _whole_slope(position, appearance.box, scene)
+        by_position = chained("jac_translation") + by_whole[..., None] * _whole_slope(
+            position, appearance.box, whole_sr.shape[1]
+        )
         jacobian = (
             np.einsum("vki,vij->vkj", by_position, slope.position)
             + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
@@ -272,9 +275,8 @@ def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
     return _PlacingSlope(slope[:, :3], spin, slope[:, 12])
 
 
-def _whole_slope(position_ego_m: wp.array, box: UprightBoxes, scene: DeviceScene) -> np.ndarray:
+def _whole_slope(position_ego_m: wp.array, box: UprightBoxes, count: int) -> np.ndarray:
     """How the solid angle of every object's box changes with a view's centre [sr/m], float64 [view, object, 3]."""
-    count = scene.vehicle_count
     place_m = position_ego_m.numpy()
     # a centre of its own for every object, so that the gradients of objects are not summed
     own = wp.array(np.repeat(place_m, count, axis=0), dtype=wp.vec3, device=position_ego_m.device, requires_grad=True)
