@@ -51,6 +51,7 @@ class Steps:
     def at(self, pose):
         """Image, losses and gradient there."""
         loss, gradient = self.one.at(pose, self.box_px)
+        self.step.draw()
         self.step.loss()
         np.testing.assert_array_equal(self.step.losses.value.numpy(), loss)
         return self.step.image.numpy().copy(), loss, gradient

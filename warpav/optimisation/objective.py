@@ -423,6 +423,8 @@ class RigObjective:
         seen = visible_objects(step.frame, step.scene, forward_view=step.ahead)
         step.set_true_boxes(seen.truth_box_px)
         cameras = self._cameras_that_matter(seen, assigned, needs.detections)
+        if cameras:
+            step.draw()
         return _Observed(step, seen, cameras), [
             RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
             for camera in cameras
@@ -496,7 +498,6 @@ class RigObjective:
             wp.array([self.final_schedule.panorama_share], dtype=float, device=self.device),
             wp.array([self.final_schedule.detector_share], dtype=float, device=self.device),
             at.ahead,
-            observation.image,
             self._objective.camera_probability,
             observation.truth_box_px,
         )

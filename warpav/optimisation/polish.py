@@ -99,13 +99,14 @@ def polish(
     pose = problem.feasible(np.asarray(mount_pose, np.float32))
     probability, jacobian = detect(pose)
     count = probability.shape[1]
-    weight = np.full(count, 1.0 / count) if weight is None else np.asarray(weight, np.float64) / np.sum(weight)
-    objective = expected_miss_rate(probability, weight)
+    shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
+    shares = shares / shares.sum()
+    objective = expected_miss_rate(probability, shares)
     renders = len(pose) * scene_count
     radius = 1.0
     yield PolishStep(pose, objective, objective, objective, radius, renders)
     while radius >= RADIUS_MIN:
-        model = _Model(problem, pose, probability, jacobian, weight)
+        model = _Model(problem, pose, probability, jacobian, shares)
         tried = problem.feasible(model.minimised(radius))
         promised = model.value(problem.free_of(tried) - problem.free_of(pose))
         if promised > objective * (1.0 - tolerance):
@@ -119,7 +120,7 @@ def polish(
         new_probability, new_jacobian = probability.copy(), jacobian.copy()
         new_probability[moved], new_jacobian[moved] = detect(tried[moved])
         renders += len(moved) * scene_count
-        found = expected_miss_rate(new_probability, weight)
+        found = expected_miss_rate(new_probability, shares)
         kept_share = (objective - found) / (objective - promised)
         used = radius
         radius = radius * 0.35 if kept_share < 0.25 else min(radius * 1.6, RADIUS_MAX) if kept_share > 0.75 else radius

@@ -75,8 +75,8 @@ class SceneLosses(NamedTuple):
 class SceneStep:
     """Observes a scene from the present views, then adds up what its losses are there.
 
-    `observe` decides what every view sees and draws what the cameras see ahead. The caller may run a detector on
-    ``image`` and hand its boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
+    `observe` decides what every view sees. The caller may `draw` what the cameras see ahead, run a detector on its
+    ``image`` and hand the boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
     and adds the gradient of their weighted sum to the views' gradients; `loss` does so without the gradient. What they
     find stands in ``losses``. Nothing in between waits for the device, unless
     a loss is computed on the host.
@@ -91,7 +91,8 @@ class SceneStep:
         loss_and_grad: Takes the losses of what was observed and adds their gradient to that of the views.
         loss: The same without a gradient.
         losses: What the last of these found.
-        image: What the cameras see ahead after `observe`, until the renderer's next, 0..1, vec3 [camera, row, column].
+        draw: Draws what the cameras saw ahead at the last `observe`.
+        image: What `draw` has drawn, until the renderer's next, 0..1, vec3 [camera, row, column].
         frame: The render of the last `observe`; stale after the renderer's next.
     """
 
@@ -132,6 +133,7 @@ class SceneStep:
             wp.zeros_like(self._detected) if has_probability else None,
         )
         self.observe = Recording(self._render, renderer, enabled=recorded)
+        self.draw = Recording(self._draw, renderer, enabled=recorded)
         recorded = False if objective.host else recorded
         self.loss_and_grad = Recording(partial(self._take_losses, gradient=True), renderer, enabled=recorded)
         self.loss = Recording(partial(self._take_losses, gradient=False), renderer, enabled=recorded)
@@ -155,7 +157,9 @@ class SceneStep:
         self.frame = self._renderer.render(
             self.scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom
         )
-        self.frame.colours(views=self._views.ahead, into=self.image)
+
+    def _draw(self) -> None:
+        self.frame.colours(views=self.ahead, into=self.image)
 
     def _take_losses(self, *, gradient: bool) -> None:
         tape = wp.Tape() if gradient else None
@@ -175,7 +179,6 @@ class SceneStep:
                 exchange.panorama_share,
                 exchange.detector_share,
                 views.ahead,
-                self.image,
                 objective.camera_probability,
                 self._truth_box_px,
             )

@@ -186,23 +186,26 @@ class SingleCameras:
         leaves = [wp.clone(each, requires_grad=True) for each in (measures.value, in_frame.value, whole_sr)]
         with wp.Tape() as tape:
             seen = self.probability.model.of_measures(
-                *leaves, appearance.contrast, width_px=appearance.width_px, height_px=appearance.height_px
+                leaves[0],
+                leaves[1],
+                leaves[2],
+                appearance.contrast,
+                width_px=appearance.width_px,
+                height_px=appearance.height_px,
             )
             found = self.probability.share_of_box(seen) or seen.probability
         tape.backward(grads={found: wp.ones_like(found)})
-        by_measure, by_in_frame, by_whole = (each.grad.numpy().astype(np.float64) for each in leaves)
+        by_measure, by_in_frame, by_whole = (_gradient_of(each) for each in leaves)
 
         def chained(name: str) -> np.ndarray:
             """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
-            both = [getattr(each, name).numpy().astype(np.float64) for each in (measures, in_frame)]
-            return sum(
-                np.einsum("vkm,vkm...->vk...", by, jacobian)
-                for by, jacobian in zip((by_measure, by_in_frame), both, strict=True)
+            own, in_image = (getattr(each, name).numpy().astype(np.float64) for each in (measures, in_frame))
+            return np.einsum("vkm,vkm...->vk...", by_measure, own) + np.einsum(
+                "vkm,vkm...->vk...", by_in_frame, in_image
             )
 
-        by_position = chained("jac_translation") + by_whole[..., None] * _whole_slope(
-            position, appearance.box, whole_sr.shape[1]
-        )
+        whole_slope = _whole_slope(position, appearance.box, whole_sr.shape[1])
+        by_position = chained("jac_translation") + by_whole[..., None] * whole_slope
         jacobian = (
             np.einsum("vki,vij->vkj", by_position, slope.position)
             + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
@@ -263,8 +266,7 @@ def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
             shaped = seed.reshape(array.numpy().shape)
             tape.zero()
             tape.backward(grads={array: wp.array(shaped, dtype=array.dtype, device=mount.device)})
-            assert pose.grad is not None
-            rows.append(pose.grad.numpy().astype(np.float64))
+            rows.append(_gradient_of(pose))
     slope = np.stack(rows, axis=1)
     # with the vector s the rotation R becomes R + [s]x R
     turned = slope[:, 3:12].reshape(-1, 3, 3, MOUNT_POSE_SIZE)
@@ -284,8 +286,12 @@ def _whole_slope(position_ego_m: wp.array, box: UprightBoxes, count: int) -> np.
         whole_sr = whole_solid_angle(own, box, vehicle_count=count)
     seed = np.tile(np.eye(count, dtype=np.float32), (len(place_m), 1))
     tape.backward(grads={whole_sr: wp.array(seed, dtype=float, device=position_ego_m.device)})
-    assert own.grad is not None
-    return own.grad.numpy().astype(np.float64).reshape(len(place_m), count, 3)
+    return _gradient_of(own).reshape(len(place_m), count, 3)
+
+
+def _gradient_of(array: wp.array) -> np.ndarray:
+    assert array.grad is not None
+    return array.grad.numpy().astype(np.float64)
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

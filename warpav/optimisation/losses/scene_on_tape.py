@@ -68,7 +68,6 @@ class SceneOnTape:
         panorama_share: See `LossSchedule`, float [1].
         detector_share: Likewise, float [1].
         forward_view: The view of each camera in which it looks straight ahead.
-        image: What the cameras see ahead, 0..1, vec3 [camera, row, column].
         camera_probability: How likely a camera is to detect; None where no loss needs it.
         truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
             them.
@@ -85,7 +84,6 @@ class SceneOnTape:
     panorama_share: wp.array
     detector_share: wp.array
     forward_view: list[int]
-    image: wp.array
     camera_probability: CameraProbability | None = None
     truth_box_px: np.ndarray | None = None
     _area_around: dict[int, wp.array] = field(default_factory=dict)
