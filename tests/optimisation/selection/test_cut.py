@@ -60,4 +60,6 @@ def test_slope_is_the_derivative_by_the_probability(probability, level):
     around = np.array([probability - step, probability + step])
     below, above = cut_coefficient(1.0 - around, log_missed(around), level)
     # the second derivative jumps where the branches meet; it is at most 1 / (1 - p)
-    assert cut_slope(1.0 - probability, level) == pytest.approx((above - below) / (2.0 * step), abs=2.0 * step / (1.0 - probability) + 1e-8)
+    assert cut_slope(1.0 - probability, level) == pytest.approx(
+        (above - below) / (2.0 * step), abs=2.0 * step / (1.0 - probability) + 1e-8
+    )

@@ -84,14 +84,26 @@ def test_bounds_are_never_above_the_best_rig(choice, gap):
 
 @pytest.fixture(scope="module")
 def streets():
-    """A pool that needs branches: 60 cameras, 200 objects."""
+    """60 cameras, 200 objects."""
     return random_pool(np.random.default_rng(3), 60, 200)
 
 
-def test_four_of_sixty(streets):
-    found = select(streets, 4, gap=0.0)
+@pytest.mark.parametrize("seed", [7, 9])
+def test_branches_find_the_best_of_a_million_rigs(seed):
+    probability = random_pool(np.random.default_rng(seed), 70, 150)
+    found = select(probability, 4, gap=0.0)
+    assert found.nodes > 1  # the relaxation alone proves nothing here
     assert found.ended == "optimal"
-    assert found.objective == pytest.approx(best_of_four(streets), abs=1e-9)
+    assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
+
+
+def test_branches_without_structure(rng):
+    """Objects that cameras see by chance: groups mean nothing, and the relaxation is weak."""
+    probability = rng.uniform(size=(40, 80)) * (rng.uniform(size=(40, 80)) < 0.3)
+    found = select(probability, 4, gap=0.0)
+    assert found.nodes > 5
+    assert found.ended == "optimal"
+    assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
 
 
 def best_of_four(probability):
@@ -121,7 +133,7 @@ def test_conflicts_of_cameras_in_a_row(streets):
 
 
 def test_so_tight_that_no_random_rig_fits(streets):
-    """Two of sixty cameras that cost 1, two others whose numbers add up: only an integer programme finds those."""
+    """Four numbers with one sum and a large sum of squares: random rigs do not have them, an integer programme does."""
     number = np.arange(60.0)
     rows = [Row("sum", number, low=117.0 + 1.0, high=118.0), Row("squares", number**2, low=59.0**2 + 58.0**2 + 1.0)]
     found = select(streets, 4, rows=rows, gap=0.0)
@@ -160,13 +172,13 @@ def test_a_start_is_kept_or_bettered(streets):
     best = select(streets, 4, gap=0.0)
     found = select(streets, 4, gap=1.0, start=best.cameras[::-1])
     np.testing.assert_array_equal(found.cameras, best.cameras)
-    assert found.ended == "gap"
+    assert found.gap <= 1.0
 
 
 def test_the_time_ends_it_with_a_valid_bound(streets):
     found = select(streets, 6, gap=0.0, time_limit_s=1e-3)
     assert found.ended == "time"
-    assert found.price is None
+    assert found.price is None  # there was none for the first relaxation
     best = select(streets, 6, gap=0.0)
     assert 0.0 < found.bound <= best.objective <= found.objective
     assert best.ended == "optimal"
@@ -219,7 +231,9 @@ def test_what_cannot_be_used(streets, change, message):
 def test_no_probability(streets, wrong):
     spoilt = streets.copy()
     spoilt[7, 11] = wrong
-    with pytest.raises(InputError, match=r"detection_probability: expected probabilities 0..1, got .* at camera 7, object 11"):
+    with pytest.raises(
+        InputError, match=r"detection_probability: expected probabilities 0..1, got .* at camera 7, object 11"
+    ):
         select(spoilt, 4)
 
 
@@ -258,7 +272,7 @@ def pool_of(folder, name):
 
 
 def test_four_of_204_rendered_cameras(pool_folder):
-    """Proven; checked by all pairs of pairs once (4,000 million rigs, 18 s): .05435935, cameras 55, 64, 119, 166."""
+    """All pairs of pairs give the same (70 million rigs, 18 s): .0543593, cameras 55, 64, 119, 166."""
     found = select(pool_of(pool_folder, "pool_4x90"), 4, gap=0.0)
     assert found.ended == "optimal"
     assert found.cameras.tolist() == [55, 64, 119, 166]

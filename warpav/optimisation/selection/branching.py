@@ -52,11 +52,11 @@ class Improvement:
 class Search:
     """The state of a search: the best rig, the bound, and the nodes that are open.
 
-    At the root the relaxation holds all cameras; those whose choice would raise its bound above the best rig go out for good.
-    Then the node of the lowest bound is relaxed and split: of some group of cameras a rig has at most k, or at least k + 1.
-    Groups are the clusters of a tree (Ward's) over the rows of detection probabilities, single cameras its leaves: a camera
-    more or less hardly matters as long as there are others like it, a sector more or less does. Trial relaxations of few
-    iterations choose the group.
+    At the root the relaxation holds all cameras; those whose choice would raise its bound above the best rig go out
+    for good. Then the node of the lowest bound is relaxed and split: of some group of cameras a rig has at most k, or
+    at least k + 1. Groups are the clusters of a tree over the detection probabilities, single cameras its leaves: to
+    forbid one camera hardly matters as long as there are others like it, to forbid a whole sector does. Trial
+    relaxations of few iterations choose the group.
 
     Attributes:
         rig: The best rig, int [camera].
@@ -129,7 +129,7 @@ class Search:
         starts = self._starts[:ROUNDED_RIGS]
         relaxation.add_cameras(np.unique(starts))
         relaxation.add_first_cuts(np.bincount(starts.ravel(), minlength=pool.camera_count) / len(starts))
-        relaxed = relaxation.relax(root, enough=self.objective, tolerance=self._tolerance(root))
+        relaxed = relaxation.relax(root, self.objective)
         self.price = relaxed.price
         if relaxed.price is None:
             return relaxation, root
@@ -154,12 +154,15 @@ class Search:
             rig = np.flatnonzero(node.required)
             self._offer(rig)
             return [], pool.miss_rate(rig) if pool.is_feasible(rig) else math.inf
-        relaxed = relaxation.relax(node, enough=self.objective, tolerance=self._tolerance(node))
+        enough = self.objective - self._gap
+        relaxed = relaxation.relax(node, enough)
         if relaxed.price is None and not math.isinf(relaxed.bound):  # out of time
             return [node], math.inf
         self.nodes += 1
         if relaxed.bound >= self.objective - TOLERANCE:
             return [], relaxed.bound
+        if relaxed.bound >= enough:  # it waits, in case a better rig asks for more
+            return [replace(node, bound=relaxed.bound)], math.inf
         if self.nodes % ROUNDING_EVERY == 0:
             self._round(relaxed.fraction)
         self._offer(np.argsort(-(relaxed.fraction + node.required), kind="stable")[: pool.count])
@@ -167,12 +170,8 @@ class Search:
         closed = self.objective  # of what went out
         if np.count_nonzero(node.allowed) < pool.count or np.count_nonzero(node.required) > pool.count:
             return [], closed
-        branches = tree.branches(node, relaxed.fraction, relaxation)
+        branches = tree.branches(node, relaxed.fraction, relaxation, enough)
         return [_child(node, branch, tree, self._pool.count) for branch in branches], closed
-
-    def _tolerance(self, node: Node) -> float:
-        """How near a fractional choice must be to its bound: a small part of what the node's bound still lacks."""
-        return max(0.03 * (self.objective - max(node.bound, self.bound)), 0.1 * TOLERANCE)
 
     def _round(self, fraction: np.ndarray) -> None:
         drawn = [random_rig(self._pool, self._rng, fraction) for _ in range(ROUNDED_RIGS)]
@@ -200,7 +199,11 @@ class Search:
 
 
 class GroupTree:
-    """Groups of cameras that see alike, nested: the clusters of a hierarchical clustering and the cameras themselves."""
+    """Nested groups of cameras that see alike: single cameras, and the clusters that Ward's method merges them into.
+
+    Attributes:
+        member: Cameras of the groups, the single ones first, bool [group, camera].
+    """
 
     def __init__(self, pool: Pool) -> None:
         """Cluster the cameras of a pool."""
@@ -226,9 +229,9 @@ class GroupTree:
         return self.member[self._group[row]]
 
     def branches(
-        self, node: Node, fraction: np.ndarray, relaxation: Relaxation
+        self, node: Node, fraction: np.ndarray, relaxation: Relaxation, enough: float
     ) -> list[dict[int, tuple[float, float]]]:
-        """The two branches of the group whose trials promise most, by the product of what they raise."""
+        """The two branches of the group whose trials rise most, by the product of both, each up to ``enough``."""
         taken = np.round(self.member @ fraction, 9)
         away = np.abs(taken - np.round(taken))
         group = np.flatnonzero(away > LEAST_FRACTION)
@@ -241,11 +244,11 @@ class GroupTree:
             away[len(fraction) :] = 0.0
             single = int(np.argmax(away)) if away.any() else int(np.argmax(fraction * ~node.required))
             return self._two_branches(single, node, taken[single], relaxation)
-        pairs = [self._two_branches(int(k), node, taken[k], relaxation) for k in group]
+        pairs = [self._two_branches(int(k), node, float(taken[k]), relaxation) for k in group]
         if len(pairs) == 1:
             return pairs[0]
         value = np.array(relaxation.try_branches(node, [branch for pair in pairs for branch in pair]))
-        rise = np.clip(value.reshape(-1, 2) - node.bound, 1e-7, 1.0)
+        rise = np.clip(np.minimum(value.reshape(-1, 2), enough) - node.bound, 1e-7, None)
         return pairs[int(np.argmax(np.prod(rise, axis=1)))]
 
     def _two_branches(

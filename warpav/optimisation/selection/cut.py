@@ -1,20 +1,22 @@
-"""Valid lower bounds on an object's miss probability that are linear in the choice: lifted tangents.
+"""Lower bounds on an object's miss probability that are linear in the choice: lifted tangents.
 
-An object is missed with probability ``u = exp(-sum L)``, the sum over the cameras S of the rig, where a camera's
-``L = -log(1 - p)`` is 0 if it does not see the object and inf if it never misses it. For any level z >= 0
+A rig S misses an object with probability ``u = exp(-sum of L)``, the sum over its cameras of ``L = -log(1 - p)``, which
+is 0 for a camera that does not see the object and inf for one that never misses it. For any level z >= 0
 
     u >= (1 + z) exp(-z) - sum over S of phi(L),   phi(L) = exp(-z) L                    where L <= z,
                                                    phi(L) = (1 + z) exp(-z) - exp(-L)    where L > z.
 
-Where all L <= z this is the tangent of the exponential at z. Otherwise one camera with L' > z takes the right side to
-``exp(-L') - sum over the others of phi``, and ``phi(L) >= exp(-z) (1 - exp(-L))`` on both branches, so that even
-``exp(-L') (1 - sum over the others of (1 - exp(-L)))`` is not below it, which is at most u. At z = 0 it is ``u >= 1 - sum p``,
-the submodular cut of the empty rig. It is finite where p = 1, never above the tangent's and never below 1 - sum p's
-best, and of all levels the one that a fractional choice violates most has a closed condition (`cut_level`).
+Proof: where all L <= z this is the tangent of the exponential at z. Otherwise take one camera with L' > z: the right
+side is ``exp(-L')`` less phi of the others. As ``phi(L) >= exp(-z) (1 - exp(-L))`` on both branches, and
+``exp(-z) > exp(-L')``, it is at most ``exp(-L') (1 - sum over the others of (1 - exp(-L)))``, and so at most u.
 
-Sources: Nemhauser and Wolsey (1981), Maximizing submodular set functions: formulations and analysis of algorithms (the
-cut at z = 0); Ahmed and Atamtuerk (2011), Maximizing a class of submodular utility functions, Mathematical Programming 128
-(lifting such cuts for concave functions of a sum).
+At z = 0 it is ``u >= 1 - sum of p``, the submodular cut of the empty rig; for larger z it takes off a tangent what no
+single camera can bring, so it is finite where p = 1. One condition gives the level that a fractional choice violates
+most (`cut_level`), and for a whole rig that cut is tight.
+
+Sources: Nemhauser and Wolsey (1981), Maximizing submodular set functions: formulations and analysis of algorithms, for
+z = 0; Ahmed and Atamtürk (2011), Maximizing a class of submodular utility functions, for the lifting of such cuts where
+the function is a concave one of a sum.
 """
 
 from __future__ import annotations
@@ -51,8 +53,9 @@ def cut_slope(missed: np.ndarray, level: np.ndarray) -> np.ndarray:
 def cut_level(fraction: np.ndarray, log_missed: np.ndarray) -> np.ndarray:
     """The level of the cut that a fractional choice violates most, for every object, 0..30, float64 [object].
 
-    The derivative of the right side by z is ``exp(-z) (sum of x min(L, z) - z)``, whose bracket is concave in z and 0 at
-    0: it is positive up to one root and negative beyond, or nowhere positive. Newton's steps from the right reach it.
+    The derivative of the right side by z is ``exp(-z) (sum of x min(L, z) - z)``. Its bracket is concave in z and 0 at
+    z = 0, so it is positive up to one root and negative beyond, or nowhere positive. Newton's steps from the right
+    reach that root.
 
     Args:
         fraction: Share x of every camera of the choice, 0..1, float64 [camera].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 
 import numpy as np
 from scipy import sparse
@@ -28,26 +29,33 @@ def feasible_rig(pool: Pool, *, time_limit_s: float, cost: np.ndarray | None = N
         TimeoutError: Neither a rig was found nor that there is none.
     """
     cameras = pool.camera_count
+    deadline_s = time.perf_counter() + time_limit_s
+    everything = np.ones(cameras, bool)
     low = np.zeros(cameras)
     low[pool.required] = 1.0
+    # their annotations know numbers alone
     constraints = [LinearConstraint(np.ones((1, cameras)), pool.count, pool.count)]
     if len(pool.coefficient):
-        constraints.append(LinearConstraint(sparse.csr_array(pool.coefficient), pool.low, pool.high))
-    if pool.conflict.nnz:
-        constraints.append(LinearConstraint(_clique_cover(pool), -math.inf, 1.0))
-    found = milp(
-        np.zeros(cameras) if cost is None else cost,
-        constraints=constraints,
-        integrality=np.ones(cameras),
-        bounds=Bounds(low, 1.0),
-        options={"time_limit": time_limit_s, "mip_rel_gap": 0.1},
-    )
-    if found.status == INFEASIBLE:
-        return None
-    if found.x is None:
-        raise TimeoutError
-    rig = np.flatnonzero(found.x > 0.5)
-    return np.concatenate([pool.required, np.setdiff1d(rig, pool.required)])
+        constraints.append(LinearConstraint(pool.coefficient, pool.low, pool.high))  # pyright: ignore[reportArgumentType]
+    while True:
+        found = milp(
+            np.zeros(cameras) if cost is None else cost,
+            constraints=constraints,
+            integrality=np.ones(cameras),
+            bounds=Bounds(low, 1.0),  # pyright: ignore[reportArgumentType]
+            options={"time_limit": max(deadline_s - time.perf_counter(), 1e-3), "mip_rel_gap": 0.1},
+        )
+        if found.status == INFEASIBLE:
+            return None
+        if found.x is None:
+            raise TimeoutError
+        rig = np.flatnonzero(found.x > 0.5)
+        one, other = np.nonzero(np.triu(pool.conflict[rig][:, rig].toarray()))
+        if not len(one):
+            return np.concatenate([pool.required, np.setdiff1d(rig, pool.required)])
+        # conflicts come in as they are broken: there are millions of pairs, and few cliques are needed
+        clique = [pool.whole_clique(rig[list(pair)], everything) for pair in zip(one, other, strict=True)]
+        constraints.append(LinearConstraint(np.unique(clique, axis=0).astype(float), -math.inf, 1.0))
 
 
 def raise_conflict(pool: Pool, *, time_limit_s: float) -> None:
@@ -84,19 +92,3 @@ def _with(pool: Pool, names: list[str]) -> Pool:
         row_scale=pool.row_scale[is_kept],
         row_name=tuple(name for name in pool.row_name if name in names),
     )
-
-
-def _clique_cover(pool: Pool) -> sparse.csr_array:
-    """Cliques that hold every conflicting pair, one a row, [clique, camera]: of each, a rig has one camera at most."""
-    uncovered = pool.conflict.toarray()
-    everything = np.ones(pool.camera_count, bool)
-    cliques = []
-    for camera in range(pool.camera_count):
-        while uncovered[camera].any():
-            clique = pool.whole_clique([camera, int(np.argmax(uncovered[camera]))], everything, first=uncovered[camera])
-            member = np.flatnonzero(clique)
-            uncovered[np.ix_(member, member)] = False
-            cliques.append(member)
-    column = np.concatenate(cliques)
-    start = np.concatenate([[0], np.cumsum([len(member) for member in cliques])])
-    return sparse.csr_array((np.ones(len(column)), column, start), shape=(len(cliques), pool.camera_count))

@@ -140,22 +140,18 @@ class Pool:
         """Which cameras conflict with one of these, bool [camera]."""
         return np.asarray(self.conflict[camera].sum(axis=0)).ravel() > 0
 
-    def whole_clique(
-        self, clique: Sequence[int] | np.ndarray, allowed: np.ndarray, *, first: np.ndarray | None = None
-    ) -> np.ndarray:
+    def whole_clique(self, clique: Sequence[int] | np.ndarray, allowed: np.ndarray) -> np.ndarray:
         """A clique of conflicting cameras with all that fit into it one after the other, bool [camera].
 
         Args:
             clique: Cameras that exclude each other, at least one.
             allowed: Which others may be added, bool [camera].
-            first: Those of them that are added before others, bool [camera].
         """
         member = np.zeros(self.camera_count, bool)
         member[clique] = True
         common = allowed & (np.asarray(self.conflict[clique].sum(axis=0)).ravel() == len(clique))
         while common.any():
-            preferred = common if first is None or not (common & first).any() else common & first
-            camera = int(np.argmax(preferred))
+            camera = int(np.argmax(common))
             member[camera] = True
             neighbour = np.zeros(self.camera_count, bool)
             neighbour[self.conflict.indices[self.conflict.indptr[camera] : self.conflict.indptr[camera + 1]]] = True
@@ -209,9 +205,7 @@ def _checked_conflict(conflict: np.ndarray | sparse.sparray | sparse.spmatrix | 
     return pairs
 
 
-def _checked_rows(
-    rows: Sequence[Row], cameras: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _checked_rows(rows: Sequence[Row], cameras: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients, bounds and scales."""
     coefficient = np.zeros((len(rows), cameras))
     for k, row in enumerate(rows):

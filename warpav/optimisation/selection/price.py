@@ -35,9 +35,8 @@ class Price:
     def reduced_cost(self, detection_probability: np.ndarray, coefficient: np.ndarray | None = None) -> np.ndarray:
         """How much lower the bound would be with one more camera in the pool, if negative; float64 [camera].
 
-        No rig with one such camera among those of the pool is below ``bound + min(0, reduced cost)``. Cameras with a
-        positive one are in no rig that misses less than the bound; the most negative promises most. Where conflicts hold
-        the bound up, the new camera is taken to be free of them.
+        No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the most negative promises
+        most. Where conflicts hold the bound up, the new camera is taken to be free of them.
 
         Args:
             detection_probability: Of the new cameras for the pool's objects, 0..1, float [camera, object].
@@ -60,7 +59,7 @@ class Price:
         missed = self._missed(detection_probability)
         slope = np.zeros((len(missed), self.object_count))
         share = -self.cut_dual * cut_slope(missed, self.cut_level)
-        np.add.at(slope, (slice(None), self.cut_object), share)
+        np.add.at(slope.T, self.cut_object, share.T)
         return slope
 
     def _missed(self, detection_probability: np.ndarray) -> np.ndarray:

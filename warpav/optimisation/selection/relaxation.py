@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,14 @@ from warpav.optimisation.selection.cut import cut_coefficient, cut_constant, cut
 from warpav.optimisation.selection.pool import Pool
 from warpav.optimisation.selection.price import Price
 
+if TYPE_CHECKING:
+    import highspy
+
 ROUNDING = 1e-11
 """What bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision."""
+
+NEAR = 0.15
+"""Part of what a node's bound lacks to the best rig that further rounds are not worth."""
 
 MOST_NEW_CAMERAS = 60
 """Cameras that enter the model in a round, those of the lowest reduced cost."""
@@ -24,6 +31,7 @@ SOLVER_OPTIONS = {
     "threads": 1,
     "presolve": "off",
     "solver": "simplex",
+    "simplex_scale_strategy": 0,
     "primal_feasibility_tolerance": 1e-9,
     "dual_feasibility_tolerance": 1e-9,
 }
@@ -78,14 +86,15 @@ class Relaxed:
 
 
 class Relaxation:
-    """Minimise the weighted sum of u under cuts, over shares 0..1 of the cameras that sum to the count and keep the rows.
+    """Minimise the weighted sum of u under cuts, over shares 0..1 of the cameras that keep count and rows.
 
-    The model begins empty; rounds add the cameras that its duals ask for and the cuts that its choice violates, also those
-    of cliques of conflicts, and drop what was idle. All of it serves every node, and the simplex goes on where it stopped.
+    The model begins empty. Rounds add the cameras that its duals ask for and the cuts that its choice violates, those
+    of cliques of conflicts among them. All of it serves every node, and the simplex goes on where it stopped.
 
-    Bounds are not the solver's: for any duals >= 0 of the cuts, of which an object's sum to its weight at most, and any of
-    the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count`` cameras is a sort.
-    So tolerances of the solver cost tightness, never validity.
+    Bounds are not the solver's. For any duals >= 0 of the cuts, of which an object's sum to its weight at most, and
+    any duals of the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count``
+    cameras is a sort. So tolerances of the solver cost tightness and not validity. That a node has no rig at all is
+    the solver's word.
     """
 
     def __init__(self, pool: Pool, deadline_s: float) -> None:
@@ -163,13 +172,13 @@ class Relaxation:
         """Cameras of the model, int [column]."""
         return self._camera
 
-    def relax(self, node: Node, *, enough: float, tolerance: float) -> Relaxed:
+    def relax(self, node: Node, enough: float) -> Relaxed:
         """The bound of a node.
 
         Args:
             node: It keeps its bound, where this finds no better one.
-            enough: The bound is not raised further once it is here.
-            tolerance: Nor once the fractional choice is so near to it.
+            enough: The bound is not raised beyond this, nor once the fractional choice is so near to it that a small
+                part of the way to here is left at most.
         """
         self._drop_idle_cuts()
         self._enter(node)
@@ -201,26 +210,26 @@ class Relaxation:
                 best = relaxed
             else:  # the choice is newer, the duals are better
                 best = Relaxed(best.bound, relaxed.value, fraction, best.rise_in, best.rise_out, best.price)
-            clique = self._violated_clique(fraction, support, node)
-            if best.bound >= enough or (best.value - best.bound < tolerance and clique is None):
+            cliques = self._violated_cliques(fraction, support, node)
+            near = max(NEAR * (enough - best.bound), LEAST_VIOLATION)
+            if best.bound >= enough or (best.value - best.bound < near and not cliques):
                 return best
             wanted = np.flatnonzero(node.allowed & ~in_model & (cost < dual[0] - 1e-9))
             wanted = wanted[np.argsort(cost[wanted])[:MOST_NEW_CAMERAS]]
-            violated = np.flatnonzero(missed - value[: self.pool.object_count] > np.clip(tolerance, LEAST_VIOLATION, 1e-4))
-            if not (len(wanted) or len(violated) or clique is not None):
+            violated = np.flatnonzero(missed - value[: self.pool.object_count] > min(near, 1e-4))
+            if not (len(wanted) or len(violated) or cliques):
                 return best
             if len(wanted):
                 self.add_cameras(wanted)
                 self._enter(node)
             if len(violated):
                 self.add_cuts(violated, level[violated])
-            if clique is not None:
-                self._place_rows([self.add_row(clique, high=1.0)])
+            self._place_rows([self.add_row(clique, high=1.0) for clique in cliques])
 
     def try_branches(self, node: Node, branches: Iterable[Mapping[int, tuple[float, float]]]) -> list[float]:
-        """About the objective of a node under more branches each; no bounds, as they know the model's cameras and cuts alone.
+        """About the relaxed objective of a node with one more branch each; inf where the model has no choice left.
 
-        Where the model has no choice left it is inf.
+        No bounds: they know the cameras and cuts of the model alone, and end after a few iterations.
         """
         branches = list(branches)
         self._place_rows({k for branch in branches for k in branch} - set(self._row_index))
@@ -238,7 +247,7 @@ class Relaxation:
         self._set_branches(node.branch)
         return found
 
-    def _solve(self) -> object:
+    def _solve(self) -> highspy.HighsModelStatus:
         left_s = self._deadline_s - time.perf_counter()
         if left_s <= 0.0:
             return self._status.kTimeLimit
@@ -294,30 +303,32 @@ class Relaxation:
         rise_out = np.zeros(pool.camera_count)
         rise_out[taken] = next_cost - free[taken]
         rise_out[node.required] = math.inf
+        behind = max(node.bound - bound, 0.0)  # the rises count from the Lagrangian, not from the node's bound
+        rise_in, rise_out = np.maximum(rise_in - behind, 0.0), np.maximum(rise_out - behind, 0.0)
         whole_row_dual = np.zeros(len(pool.coefficient))
         is_named = row <= len(whole_row_dual)
         whole_row_dual[row[is_named] - 1] = row_dual[is_named]
-        dearest = float(dearest if left else cost[node.required].max())
-        price = Price(bound, pool.object_count, cut_object, level, cut_dual, whole_row_dual, dearest)
+        price = Price(bound, pool.object_count, cut_object, level, cut_dual, whole_row_dual, float(dearest))
         return Relaxed(max(bound, node.bound), value, fraction, rise_in, rise_out, price), cost
 
-    def _violated_clique(self, fraction: np.ndarray, support: np.ndarray, node: Node) -> np.ndarray | None:
-        """Cameras of which a rig has one at most and the choice has more, bool [camera]; as many as are found greedily."""
+    def _violated_cliques(self, fraction: np.ndarray, support: np.ndarray, node: Node) -> list[np.ndarray]:
+        """Sets of cameras that exclude each other and of which the choice has more than one, bool [camera] each.
+
+        They are grown greedily from every camera of the choice, and then by all cameras that the node allows.
+        """
         if not self.pool.conflict.nnz:
-            return None
+            return []
         order = support[np.argsort(-fraction[support])]
         excludes = self.pool.conflict[order][:, order].toarray()
-        worst, most = [], 1.0 + 1e-6
+        found = set()
         for first in range(len(order)):
             clique, common = [first], excludes[first].copy()
             while common.any():
                 clique.append(int(np.argmax(common)))  # the largest share comes first
                 common &= excludes[clique[-1]]
-            if fraction[order[clique]].sum() > most:
-                worst, most = clique, fraction[order[clique]].sum()
-        if not worst:
-            return None
-        return self.pool.whole_clique(order[worst], node.allowed)
+            if fraction[order[clique]].sum() > 1.0 + 1e-6:
+                found.add(tuple(sorted(clique)))
+        return [self.pool.whole_clique(order[list(clique)], node.allowed) for clique in sorted(found)]
 
     def _enter(self, node: Node) -> None:
         columns = (self.pool.object_count + np.arange(len(self._camera))).astype(np.int32)

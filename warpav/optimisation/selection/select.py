@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +21,14 @@ from warpav.optimisation.selection.price import Price
 STARTS = 64
 """Random rigs that are exchanged first."""
 
+DRAWS = 16 * STARTS
+"""Draws that may be made for them: with tight constraints most get stuck."""
+
 FEWEST_STARTS = 8
 """Rigs that an integer programme looks for where random ones do not satisfy the constraints."""
+
+FURTHER_STARTS_TIME = 0.1
+"""Share of the time left that it may take for each but the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +39,8 @@ class Selection:
         cameras: The cameras of the pool that it consists of, ascending, int [camera].
         objective: Its expected miss rate, 0..1.
         bound: No rig of the pool that satisfies the constraints is below it.
-        ended: ``optimal``: no other is better by more than 1e-9; ``gap``: by more than the gap that was asked for; or the
-            ``time`` was over; or it was ``interrupted``.
+        ended: ``optimal``: no other is better by more than 1e-9; ``gap``: none by more than the gap that was asked for;
+            ``time``: it was over; ``interrupted``: by Ctrl-C.
         seconds: Wall time [s].
         nodes: Nodes of the branch and bound beyond the root.
         price: What further cameras would bring; None where the time did not suffice for a relaxation.
@@ -69,8 +76,8 @@ def select(
 ) -> Selection:
     """Choose the rig of the lowest expected miss rate, the weighted mean over objects of the product of 1 - p.
 
-    Exchanges of single cameras find good rigs, a linear relaxation bounds all rigs from below (`relaxation`, `cut`), and a
-    branch and bound closes the gap between them (`branching`). Deterministic but for the time limit.
+    Exchanges of single cameras find good rigs, a linear relaxation bounds all rigs from below (`relaxation`, `cut`),
+    and a branch and bound closes the gap between them (`branching`). Deterministic but for the time limit.
 
     Args:
         detection_probability: Probability p that each camera detects each object, 0..1, float [camera, object].
@@ -121,27 +128,29 @@ def first_rigs(
 ) -> np.ndarray:
     """Rigs that no exchange of a single camera makes better, the best first, int [rig, camera].
 
-    They come from random ones; where the constraints are so tight that those do not satisfy them, from an integer programme.
+    They come from random ones; where the constraints are so tight that those break them, from an integer programme.
 
     Raises:
         InputError: The start cannot be used, or no rig satisfies the constraints.
     """
     rigs = [] if start is None else [_checked_start(pool, start)]
-    drawn = (random_rig(pool, rng) for _ in range(STARTS))
-    rigs += [rig for rig in drawn if rig is not None]
+    drawn = (random_rig(pool, rng) for _ in range(DRAWS))
+    rigs += itertools.islice((rig for rig in drawn if rig is not None), STARTS)
     cost = np.zeros(pool.camera_count)
     while len(rigs) < FEWEST_STARTS:
         left_s = deadline_s - time.perf_counter()
         if rigs and left_s <= 0.0:
             break
         try:
-            rig = feasible_rig(pool, time_limit_s=max(left_s, 1e-3), cost=cost)
+            rig = feasible_rig(
+                pool, time_limit_s=max(FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
+            )
         except TimeoutError:
             if rigs:
                 break
             raise ArgumentError(
                 "time_limit_s",
-                "expected enough to find a rig that satisfies the constraints; raise it, or give a start",
+                "expected enough to find a rig that satisfies the constraints; raise it or give a start",
             ) from None
         if rig is None:
             raise_conflict(pool, time_limit_s=max(left_s, 1.0))
