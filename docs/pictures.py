@@ -42,7 +42,7 @@ def draw_coverage(folder: Path) -> None:
 def draw_vehicle(folder: Path) -> None:
     """vehicle.png: what of the embedded vehicle can carry cameras."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
-    _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--picture", str(PICTURES / "vehicle.png"))
+    _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--image", str(PICTURES / "vehicle.png"))
 
 
 def draw_stages(folder: Path) -> None:

@@ -269,7 +269,7 @@ angles_deg = np.linspace(26, 46, 3 * step_count)
 values, slopes = [], []
 for angle_deg in angles_deg:
     front = dataclasses.replace(around[0], yaw_rad=math.radians(angle_deg))
-    value, gradient = placement.value_and_grad(wa.Rig.create([front, *around[1:]]))
+    value, gradient = placement.value_and_grad(wa.Rig([front, *around[1:]]))
     values.append(value)
     slopes.append(gradient["front"]["yaw_rad"] * math.pi / 180)
 

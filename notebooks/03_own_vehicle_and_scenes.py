@@ -28,7 +28,7 @@ import trimesh
 
 import warpav as wa
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.own_vehicle import Reading, examine, read_vehicle
+from warpav.scene.own_vehicle import Reading, examine, read_vehicle_file
 
 folder = tempfile.TemporaryDirectory()  # for the files of this notebook
 os.chdir(folder.name)
@@ -48,13 +48,13 @@ _ = trimesh.Trimesh(in_the_file, made.triangle, vertex_colors=made.vertex_rgb, p
 # %% [markdown]
 # ## Into the frame of the vehicle
 #
-# warpav wants metres, x forward, y left, z up, and the origin on the ground below the middle of the rear axle.
+# warpav wants metres, x forward, y left, z up, and the origin on the ground below the centre of the rear axle.
 # `Reading` says what the axes and the unit of the file mean; `examine` finds the ground and the wheels, and moves the
 # mesh to where it belongs. Coloured areas can carry a camera: they are part of the surface and face upwards. The
 # windscreen and the rounded edges cannot.
 
 # %%
-found = examine(read_vehicle("van.glb"), Reading(up="z", forward="y", scale=0.01))
+found = examine(read_vehicle_file("van.glb"), Reading(up="z", forward="y", scale=0.01))
 van = found.corrected
 wa.plot(
     van, mount_surface=mount_surface_from_mesh(van), axle_m=[axle + found.shift_m[0] for axle in found.wheels.axle_m]
@@ -69,7 +69,7 @@ wa.plot(
 # remedy:
 
 # %%
-file = read_vehicle("van.glb")
+file = read_vehicle_file("van.glb")
 for problem in examine(file, file.usual).problems:
     print(problem.text, problem.remedy, sep="\n  ")
 

@@ -11,7 +11,7 @@
 # %% [markdown]
 # # Bring your own detector
 #
-# **What does your detector find, how do its chances depend on what a camera sees, and which rig suits it?** Cameras
+# **What does your detector find, how does that depend on what a camera sees, and which rig suits it?** Cameras
 # are placed for a detector, so it should be yours. warpav takes an ONNX file as its exporter left it (YOLOv8 to YOLO26
 # and RT-DETR of ultralytics, YOLOX, torchvision, RT-DETR, D-FINE), or any Python object that finds boxes in images.
 #
@@ -84,7 +84,7 @@ print(*check_detector("mine.onnx", wa.Config()), sep="\n")  # times are those of
 # In Python these options go into `wa.Config.load("quick", "detector.model=mine.onnx", "detector.labels=coco")`, and all
 # commands take them.
 #
-# ## What are its chances?
+# ## How probable is a detection?
 #
 # The optimiser needs a smooth answer to a simple question: how probably does the detector find an object of which a
 # view shows so and so much? The answer is fitted to what *your* detector finds in rendered scenes. An optimisation does
@@ -122,7 +122,7 @@ plt.show()
 print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.scores.calibration_error:.3f}")
 
 # %% [markdown]
-# The three curves on the left show what raises the chances and by how much: here the visible area first, then the
+# The three curves on the left show what raises the probability and by how much: here the visible area first, then the
 # visible share. These are the directions in which an optimisation moves cameras. If your curve rises only at
 # thousands of pixels, the images are too small for your detector, and no place on the roof helps. (There are three more
 # features: aspect, distance from the border and contrast.)

@@ -28,7 +28,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import warpav as wa
-from warpav.evaluation.coverage import Ground
 
 train, test = wa.town(train_seeds), wa.town(test_seeds)
 
@@ -47,7 +46,7 @@ def camera(name, position_m, yaw_deg):
     return wa.Camera(name, np.array(position_m), math.radians(yaw_deg), pitch_rad=0.0, roll_rad=0.0, model=lens)
 
 
-start = wa.Rig.create(
+start = wa.Rig(
     [
         camera("front", [3.75, 0.0, 0.7], 0),
         camera("rear", [-1.05, 0.0, 0.85], 180),
@@ -67,14 +66,7 @@ start
 
 # %%
 placement = wa.Placement(train, start=start, freeze=["front", "rear"])
-
-
-def coverage(rig, scene):
-    (observed,) = placement.observed([scene])
-    return Ground.around(observed.scene).coverage(rig.cameras)
-
-
-wa.plot(start, scene=test[0], coverage=coverage(start, test[0]))
+wa.plot(start, scene=test[0], coverage=wa.coverage(start, test[0]))
 
 # %% [markdown]
 # ## Two stay, two move

@@ -1,7 +1,7 @@
 """Execute the notebooks: every NAME.py here becomes NAME.ipynb with its outputs.
 
 ``python notebooks/execute.py`` makes all that are committed; with names only these; ``--small`` takes the settings of
-the tests, and ``--out`` another folder. Pictures that are large as PNG become JPEG.
+the tests, and ``--out`` another folder. Images that are large as PNG become JPEG.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FOLDER = Path(__file__).parent
 SOURCES = sorted(FOLDER.glob("[0-9][0-9]_*.py"))
 TIMEOUT_S = 900
 PNG_MAX_BYTES = 60_000
-PICTURE_MAX_PX = 1000
+IMAGE_MAX_PX = 1000
 
 SMALL = {
     "01_first_run": "os.environ['OPTIONS'] = 'run.iterations=2 run.batch_size=2 scenes.train_seeds=0..1 "
@@ -119,10 +119,10 @@ def _shrink(data: dict[str, str]) -> None:
     content = base64.b64decode(data["image/png"])
     if len(content) <= PNG_MAX_BYTES:
         return
-    picture = Image.open(io.BytesIO(content)).convert("RGB")
-    picture.thumbnail((PICTURE_MAX_PX, PICTURE_MAX_PX), Image.Resampling.LANCZOS)
+    image = Image.open(io.BytesIO(content)).convert("RGB")
+    image.thumbnail((IMAGE_MAX_PX, IMAGE_MAX_PX), Image.Resampling.LANCZOS)
     encoded = io.BytesIO()
-    picture.save(encoded, "JPEG", quality=88, optimize=True)
+    image.save(encoded, "JPEG", quality=88, optimize=True)
     del data["image/png"]
     data["image/jpeg"] = base64.b64encode(encoded.getvalue()).decode()
 

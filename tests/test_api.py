@@ -3,10 +3,12 @@
 import ast
 import importlib
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import warpav as wa
@@ -47,7 +49,7 @@ def test_import_takes_a_fraction_of_a_second():
 
 def test_every_public_name_is_there_and_nothing_else():
     assert set(dir(wa)) == {*wa.__all__, "__version__"}
-    assert 20 <= len(wa.__all__) <= 30
+    assert 20 <= len(wa.__all__) <= 36
     for name in wa.__all__:
         assert getattr(wa, name) is not None
     assert callable(wa.optimise)
@@ -107,3 +109,124 @@ def test_scenes_come_from_files_in_the_order_of_their_names(tmp_path):
     assert [scene.name for scene in wa.read_scenes(tmp_path)] == ["town_0000", "town_0001"]
     assert [scene.name for scene in wa.read_scenes(str(tmp_path / "*1.glb"))] == ["town_0001"]
     assert len(wa.read_scenes([tmp_path / "scene_1.glb", tmp_path])) == 3
+
+
+def test_the_page_of_names_lists_every_public_name():
+    page = (Path(__file__).parents[1] / "docs/reference/api.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `wa\.(\w+)", page, re.MULTILINE)
+    assert sorted(listed) == sorted(wa.__all__)
+
+
+def test_written_scenes_are_read_in_the_same_order(tmp_path):
+    from warpav.runs.scene_set import load_scenes
+
+    scenes = wa.town([3, 1]) * 6  # twelve files: scene_10 comes after scene_2
+    files = wa.write_scenes(scenes, tmp_path / "new" / "folder")
+    assert [file.name for file in files] == [f"scene_{k}.glb" for k in range(12)]
+    read = wa.read_scenes(tmp_path / "new" / "folder")
+    assert [scene.name for scene in read] == [scene.name for scene in scenes]
+    np.testing.assert_array_equal(read[10].ego.vertex_m, scenes[10].ego.vertex_m)
+    config = wa.Config.load("quick", "scenes.source=folder", f"scenes.folder={tmp_path / 'new' / 'folder'}")
+    assert [scene.name for scene in load_scenes(config, [0, 11])] == ["town_0003", "town_0001"]
+    assert [file.name for file in wa.write_scenes(scenes[0], tmp_path / "one")] == ["scene_0.glb"]
+    with pytest.raises(wa.InputError, match="scenes: expected at least one scene, got none"):
+        wa.write_scenes([], tmp_path)
+    with pytest.raises(TypeError, match=r"scenes: expected scenes, .* got str"):
+        wa.write_scenes(["scene"], tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(wa.InputError, match="file: folder: expected a folder to write to, got: File exists"):
+        wa.write_scenes(scenes, tmp_path / "file")
+
+
+def test_render_gives_the_images_of_every_camera_by_name():
+    from warpav.detection.images import render_images
+
+    (scene,) = wa.town([3])
+    narrow, wide = wa.CameraModel(48, 32, 1.2), wa.CameraModel(64, 48, 2.0)
+    rig = wa.Rig(
+        (
+            wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, narrow),
+            wa.Camera("rear", np.array([0.0, 0.0, 1.9]), np.pi, 0.1, 0.0, wide),
+        )
+    )
+    images = wa.render(rig, scene, supersampling=2)
+    assert list(images) == ["front", "rear"]
+    assert images["front"].rgb.shape == (32, 48, 3)
+    assert images["rear"].depth_m.shape == (48, 64)
+    for camera, image in zip(rig.cameras, images.values(), strict=True):
+        (alone,) = render_images(scene, [camera], supersampling=2)
+        np.testing.assert_array_equal(image.rgb, alone.rgb)
+        np.testing.assert_array_equal(image.object_index, alone.object_index)
+    with pytest.raises(wa.InputError, match="device: expected one of cpu"):
+        wa.render(rig, scene, device="cuda:99")
+
+
+def test_coverage_is_that_of_the_ground_around_the_vehicle():
+    from warpav.evaluation.coverage import Ground
+    from warpav.scene.device_scene import DeviceScene
+
+    (scene,) = wa.town([3])
+    rig = wa.Rig((wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, wa.CameraModel(64, 64, 1.6)),))
+    found = wa.coverage(rig, scene, heights_m=(1.1,), radius_m=8.0, cell_m=1.0)
+    expected = Ground.around(DeviceScene.pack(scene, device="cpu"), radius_m=8.0, cell_m=1.0).coverage(
+        rig.cameras, heights_m=(1.1,)
+    )
+    np.testing.assert_array_equal(found.count, expected.count)
+    assert 0.0 < found.covered_share[0] < 0.5
+    assert found.blind_area_m2.shape == (1,)
+    with pytest.raises(ValueError, match="heights_m must be positive"):
+        wa.coverage(rig, scene, heights_m=(0.0,))
+    with pytest.raises(wa.InputError, match="device: expected one of cpu"):
+        wa.coverage(rig, scene, device="cuda:99")
+
+
+def test_a_detector_is_read_as_a_placement_reads_it():
+    from warpav.runs.networks import load_detector
+
+    (scene,) = wa.town([3])
+    rig = wa.Rig((wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, wa.CameraModel(256, 256, 1.6)),))
+    image_rgb = wa.render(rig, scene)["front"].rgb[None]
+    (found,) = wa.read_detector().detect(image_rgb)
+    (expected,) = load_detector(wa.Config()).detect(image_rgb)
+    np.testing.assert_array_equal(found.box_px, expected.box_px)
+    assert len(found) > 0
+    least = float(np.median(found.confidence))
+    (sure,) = wa.read_detector(confidence_min=least).detect(image_rgb)
+    assert len(sure) == np.count_nonzero(found.confidence >= least)
+    (people,) = wa.read_detector(targets=["pedestrian"]).detect(image_rgb)
+    assert set(people.label) <= {"pedestrian"}
+    with pytest.raises(wa.InputError, match=r"detector\.label: expected one of .*did you mean detector\.labels"):
+        wa.read_detector(label=["car"])
+    with pytest.raises(wa.InputError, match=r"none\.onnx"):
+        wa.read_detector("none.onnx")
+
+
+def test_rigs_to_compare_with_need_no_search():
+    placement = wa.Placement(wa.town([0]), cameras=3)
+    highest = wa.highest_rig(placement)
+    assert len(highest.cameras) == 3
+    top_m = placement.mount.surface.height_m.max() + placement.config.rig.height_offset_m
+    assert max(camera.position_m[2] for camera in highest.cameras) == pytest.approx(top_m, abs=0.02)
+    first, again, other = (wa.random_rig(placement, seed) for seed in (4, 4, 5))
+    places = [np.array([camera.position_m for camera in rig.cameras]) for rig in (first, again, other)]
+    np.testing.assert_array_equal(places[0], places[1])
+    assert np.abs(places[0] - places[2]).max() > 0.01
+    for rig in (highest, first, other):
+        assert placement.objective.constraints.violation_m(rig) <= 1e-5
+
+
+def test_a_vehicle_is_read_into_the_ego_frame(tmp_path):
+    import trimesh
+
+    ego = wa.town([0])[0].ego
+    x, y, z = ego.vertex_m.astype(float).T
+    turned = 100.0 * np.stack([-y, x + 1.0, z], axis=1)  # centimetres, y forward, origin 1 m behind the axle
+    trimesh.Trimesh(turned, ego.triangle, process=False).export(tmp_path / "car.stl")
+    read = wa.read_vehicle(tmp_path / "car.stl", up="z", forward="y", scale=0.01)
+    np.testing.assert_allclose(read.bounds_m(), ego.bounds_m(), atol=0.05)
+    with pytest.raises(wa.InputError, match=r"car\.stl: units: .*right in centimetres; read it with scale=0\.01"):
+        wa.read_vehicle(tmp_path / "car.stl", up="z", forward="y")
+    with pytest.raises(wa.InputError, match="forward: expected an axis across z"):
+        wa.read_vehicle(tmp_path / "car.stl", up="z", forward="-z")
+    with pytest.raises(wa.InputError, match="up: expected one of x, y, z"):
+        wa.read_vehicle(tmp_path / "car.stl", up="w")

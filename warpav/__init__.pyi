@@ -5,6 +5,8 @@ from typing import Final
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.detection.detector import Detections, Detector
+from warpav.detection.images import render
+from warpav.evaluation.coverage import coverage
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation import losses
 from warpav.raster.camera import CameraModel
@@ -13,13 +15,16 @@ from warpav.rig.formats.convert import export_rig, import_rig
 from warpav.rig.presets import preset_rig as preset
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
+from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate
+from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
 from warpav.runs.result import Result
 from warpav.runs.run_folder import RunFolder, read_run
-from warpav.scene.collection import read_scenes, town
+from warpav.scene.collection import read_scenes, town, write_scenes
+from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.scene import Scene
 from warpav.view import plot
 
@@ -40,16 +45,23 @@ __all__ = [
     "RigEvaluation",
     "RunFolder",
     "Scene",
+    "coverage",
     "evaluate",
     "export_rig",
+    "highest_rig",
     "import_rig",
     "losses",
     "optimise",
     "plot",
     "preset",
+    "random_rig",
+    "read_detector",
     "read_rig",
     "read_run",
     "read_scenes",
+    "read_vehicle",
+    "render",
     "town",
     "write_rig",
+    "write_scenes",
 ]

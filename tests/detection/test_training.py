@@ -31,7 +31,7 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def _pictures(rng, count=4):
+def _labelled_images(rng, count=4):
     """Grey images with one coloured rectangle of each of two classes."""
     labels = data.Labels.empty(count)
     images_rgb = np.full((count, SIDE_PX, SIDE_PX, 3), 90, np.uint8)
@@ -128,7 +128,7 @@ def test_a_box_that_leaves_the_image_is_dropped_or_ignored():
 
 
 def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
-    torch_data = DeviceData.load([_pictures(rng, 1), _pictures(rng, 3)], torch.device("cpu"))
+    torch_data = DeviceData.load([_labelled_images(rng, 1), _labelled_images(rng, 3)], torch.device("cpu"))
     assert torch_data.images_rgb.shape == (4, SIDE_PX, SIDE_PX, 3)
     training = Training(torch.device("cpu"), step_count=16, learning_rate=4e-3)
     losses = [float(sum(training.train_step(torch_data, 4))) for _ in range(10)]
@@ -151,15 +151,15 @@ def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
         (16, b"PK nothing of the kind", "expected a checkpoint of this training, got another file"),
     ],
 )
-def test_a_checkpoint_of_another_training_is_refused_before_pictures_are_made(tmp_path, steps, content, message):
+def test_a_checkpoint_of_another_training_is_refused_before_images_are_made(tmp_path, steps, content, message):
     file = tmp_path / "checkpoint.pt"
     Training(torch.device("cpu"), step_count=16).save(file)
     if content is not None:
         file.write_bytes(content)
     settings = {"device": "cpu", "processes": 1, "batch_size": 2, "seed": 0, "stop_after_minutes": math.inf}
     with pytest.raises(InputError, match=message):
-        train_detector(tmp_path, pictures=tmp_path / "pictures", step_count=steps, **settings)
-    assert not (tmp_path / "pictures").exists()
+        train_detector(tmp_path, image_folder=tmp_path / "images", step_count=steps, **settings)
+    assert not (tmp_path / "images").exists()
 
 
 def test_the_exported_network_is_the_network(rng, tmp_path):
@@ -173,7 +173,7 @@ def test_the_exported_network_is_the_network(rng, tmp_path):
     assert path.stat().st_size < 8e6
     detector = OnnxDetector(path, confidence_min=0.0, targets=None)
     assert detector.names == CLASS_NAMES
-    assert all(len(found) for found in detector.detect(_pictures(rng, 2).images_rgb))
+    assert all(len(found) for found in detector.detect(_labelled_images(rng, 2).images_rgb))
 
 
 class _Told:
@@ -288,14 +288,14 @@ def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
     few = {256: 2, 384: 1, 640: 1}
     monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_000, 2, False, few))
     monkeypatch.setitem(data.SUBSETS, "train_reconstructed", data.Subset(1_000_100, 1, False, few))
-    settings = {"pictures": tmp_path / "pictures", "device": "cpu", "processes": 1, "step_count": 3, "batch_size": 2}
+    settings = {"image_folder": tmp_path / "images", "device": "cpu", "processes": 1, "step_count": 3, "batch_size": 2}
     assert train_detector(tmp_path, **settings, seed=0, stop_after_minutes=0.0) is None
     file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     assert OnnxDetector(file).names == CLASS_NAMES
     monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_001, 2, False, few))
     with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):
         train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
-    read = data.load_images(tmp_path / "pictures" / "train")
+    read = data.load_images(tmp_path / "images" / "train")
     assert list(read) == [256, 384, 640]
     assert len(read[256].images_rgb) == 4
     assert read[256].images_rgb.any(axis=(1, 2, 3)).all()

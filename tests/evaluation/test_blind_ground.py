@@ -25,7 +25,7 @@ def scene_with(rng, *blocks):
 def rig_of(fov_rad, yaw_rad=0.0, height_m=2.5):
     lens = Lens.PANORAMA if fov_rad > 3.0 else Lens.PINHOLE
     model = CameraModel(400, 400, fov_rad, lens=lens)
-    return Rig.create([RigCamera("eye", np.array([1.35, 0.0, height_m]), yaw_rad, 0.0, 0.0, model)])
+    return Rig([RigCamera("eye", np.array([1.35, 0.0, height_m]), yaw_rad, 0.0, 0.0, model)])
 
 
 @pytest.fixture

@@ -44,7 +44,7 @@ SCENES = (
 
 def rig_of(models=(MODEL, MODEL), yaw=(0.0, math.pi)):
     places = ([1.6, 0.0, 1.7], [0.6, 0.0, 1.7])
-    return Rig.create(
+    return Rig(
         [
             RigCamera(f"camera_{i}", np.array(place), angle, 0.0, 0.0, model)
             for i, (place, angle, model) in enumerate(zip(places, yaw, models, strict=True))
@@ -57,7 +57,7 @@ def truth_boxes(rig, scene):
     boxes = []
     for camera in rig.cameras:
         renderer = Renderer([camera.model], occlusion=Occlusion.EXACT)
-        views = views_of_rig(Rig.create([camera]), rotation_count=1, rotation_step_rad=0.0)
+        views = views_of_rig(Rig([camera]), rotation_count=1, rotation_step_rad=0.0)
         frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
         seen = observe(frame, scene, ConstantDetector.silent(1), forward_view=[0], confidence_min=0.1, iou_min=0.5)
         boxes.append(seen.truth_box_px[0])
@@ -167,7 +167,7 @@ def test_metrics_of_cameras_of_different_models(scenes):
 
 def test_metrics_of_a_rig_with_another_number_of_cameras(scenes):
     rig = rig_of()
-    one = Rig.create([rig.cameras[0]])
+    one = Rig([rig.cameras[0]])
     calls = [ConstantDetector([boxes[0]], [confidences[0]]) for boxes, confidences in answers(rig, scenes)]
     metrics = evaluate_rig(one, scenes, objective_of(ScriptedDetector(calls)))
     assert metrics.tp_detection_rate == pytest.approx(2 / 6)
@@ -235,7 +235,7 @@ def test_scenes_without_vehicles_have_no_rates():
 def test_violations_are_reported(scenes):
     rig = rig_of()
     moved = [dataclasses.replace(rig.cameras[0], position_m=np.array([0.6, 0.1, 1.7])), rig.cameras[1]]
-    metrics = evaluate_rig(Rig.create(moved), scenes[:1], objective_of(ConstantDetector.silent(2)))
+    metrics = evaluate_rig(Rig(moved), scenes[:1], objective_of(ConstantDetector.silent(2)))
     assert metrics.constraint_violation == pytest.approx(0.1)
     assert metrics.min_camera_distance_m == pytest.approx(0.1)
 

@@ -169,7 +169,7 @@ def test_the_least_iou_of_a_match_is_that_of_a_false_alarm():
 
 
 def too_small_box(rig, scene):
-    camera = Rig.create(rig.cameras[:1])
+    camera = Rig(rig.cameras[:1])
     renderer = Renderer([MODEL], occlusion=Occlusion.EXACT)
     views = views_of_rig(camera, rotation_count=1, rotation_step_rad=0.0)
     frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)

@@ -109,8 +109,8 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
 def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
     started = []
 
-    def begin(placement, *given, real=method_figures.Optimisation.begin):
-        optimisation = real(placement, *given)
+    def begin(placement, *, real=method_figures.Optimisation.begin, **given):
+        optimisation = real(placement, **given)
         started.append(placement.objective.mount.rig(optimisation.descent.start))
         return optimisation
 
@@ -185,14 +185,12 @@ def test_cameras_of_several_models_keep_their_places(folder):
     scene = next(load_scenes(config, (2,)))
     plain = find_rig("highest", config, scene.ego).cameras
     wide = dataclasses.replace(plain[0].model, fov_rad=2.0)
-    both = Rig.create(
-        [plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]]
-    )
+    both = Rig([plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]])
     with RunDisplay() as display:
         observer = method_figures._Observer(config, display)
         (mixed,), (alone,) = (
             observer.observe(both, [scene], "mixed"),
-            observer.observe(Rig.create(plain), [scene], "alone"),
+            observer.observe(Rig(plain), [scene], "alone"),
         )
     assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
     for here, there in ((0, 0), (3, 1)):
@@ -220,7 +218,7 @@ def test_covered_angle_is_that_of_the_union(fov_deg, turn_deg, expected_deg):
         for k, t in enumerate(turn_deg)
     ]
     # worst seen 6e-14 degrees
-    assert math.degrees(covered_rad(Rig.create(cameras))) == pytest.approx(expected_deg, abs=1e-9)
+    assert math.degrees(covered_rad(Rig(cameras))) == pytest.approx(expected_deg, abs=1e-9)
 
 
 # -------------------------------------------------------------------------------------------------- the command line

@@ -1,4 +1,4 @@
-"""The experiments of our own: tables, goals said both ways, correlations, rigs judged anew, the page of results."""
+"""The experiments of our own: tables, goals said both ways, correlations, rigs rescored, the page of results."""
 
 import json
 import shutil
@@ -275,7 +275,7 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
     )
 
 
-def test_rigs_are_judged_anew_and_stay_as_they_are(copied, capsys):
+def test_rigs_are_rescored_and_stay_as_they_are(copied, capsys):
     before = {file: file.read_bytes() for file in (copied / "results").iterdir()}
     words = ["experiment", "rescore", str(copied), "camera.width_px=176", "camera.height_px=176"]
     assert main(words) == 0

@@ -94,8 +94,10 @@ def in_frame_rotation_loss(new):
     pose = new(size=(CAMERAS, 7), low=-0.3, high=0.3)
     bearing = new([[0.9, 0.5], [0.0, 0.0], [2.9, 2.4]], wp.vec2)
     bearing.requires_grad = False
-    sight = new.integers([placement_losses.IN_FRAME, placement_losses.NEVER_SEEN, placement_losses.SEEN_OUT_OF_FRAME])
-    return CAMERAS, [pose, new.integers(ASSIGNED), bearing, sight, 0.3], [new(np.zeros(VEHICLES))]
+    frame_state = new.integers(
+        [placement_losses.IN_FRAME, placement_losses.NEVER_SEEN, placement_losses.SEEN_OUT_OF_FRAME]
+    )
+    return CAMERAS, [pose, new.integers(ASSIGNED), bearing, frame_state, 0.3], [new(np.zeros(VEHICLES))]
 
 
 def measures(new):

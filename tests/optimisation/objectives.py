@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpav.detection.detector import Detector
 from warpav.optimisation.assignment import AssignedScene
@@ -69,9 +70,11 @@ class OneScene:
         """Losses of cameras there, and the gradient of their weighted sum to the mount poses."""
         count = np.ones(len(self.weight))
         self.exchange.send(pose, np.zeros(0), LossSchedule(), weight=self.weight, count=count)
-        tape = self.views.place()
+        with wp.Tape() as tape:
+            self.views.mount.place(self.exchange.pose, self.views.rotation_count, into=self.views.placed)
         self.step.observe()
         self.step.set_boxes(box_px)
-        loss = self.step.loss_and_grad().value.numpy().copy()
+        self.step.loss_and_grad()
+        loss = self.step.losses.value.numpy().copy()
         tape.backward()
         return loss, self.exchange.pose.grad.numpy().copy()

@@ -31,7 +31,7 @@ def on_surface(place, surface, offset_m=0.25):
 def rig_at(place, surface):
     model = CameraModel(64, 64)
     points = on_surface(np.asarray(place, float), surface)
-    return Rig.create([RigCamera(f"camera_{i}", p, 0.0, 0.0, 0.0, model) for i, p in enumerate(points)])
+    return Rig([RigCamera(f"camera_{i}", p, 0.0, 0.0, 0.0, model) for i, p in enumerate(points)])
 
 
 @pytest.mark.parametrize("surface", [SURFACE, roof()], ids=["flat", "curved"])

@@ -97,10 +97,10 @@ def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
     pose = np.array([[1.6, 0.3, 0.15, 0.1, 0.02, 0.2, 0.3], [0.4, -0.3, 3.0, -0.6, 0.0, 0.9, -0.9]], np.float32)
     rig = mount_of().rig(pose)
     assert isinstance(rig, Rig)
-    kept = mount_of().start_pose_of_rig(rig)
+    kept = mount_of().within(mount_of().mount_pose_of_rig(rig, as_configured=True))
     np.testing.assert_allclose(kept[0], pose[0], atol=1e-6)
     assert_within(mount_of(), kept)
-    fixed = mount_of(free=None).start_pose_of_rig(rig)
+    fixed = mount_of(free=None).within(mount_of(free=None).mount_pose_of_rig(rig, as_configured=True))
     np.testing.assert_array_equal(fixed[:, [HEIGHT_DELTA_M, LOG_ZOOM]], 0.0)
     np.testing.assert_allclose(fixed[:, :5], pose[:, :5], atol=1e-6)
 

@@ -40,7 +40,7 @@ MAST = camera("mast", [0.7, -0.3, 2.6], -170.0, 10.0, model=NARROW)
 
 def frozen_mount(*cameras, names=("bumper",), free=None, model=MODEL, surface=None):
     mount = CameraMount(surface or roof(), camera=model, height_offset_m=0.25, free=free)
-    return mount.freezing(Rig.create(cameras or (BUMPER, ROOF)), names)
+    return mount.freezing(Rig(cameras or (BUMPER, ROOF)), names)
 
 
 def constraints_of(mount, **options):
@@ -77,7 +77,7 @@ def test_what_is_held_is_the_same_to_the_last_bit_whatever_the_pose(rng, tmp_pat
         rig = mount.rig(rng.normal(0.0, 2.0, (3, 7)) * [1, 1, 1, 1, 1, 1, 0])
         assert [each.name for each in rig.cameras] == ["mast", "roof", "bumper"]
         write_rig(rig, tmp_path / f"{k}.yaml")
-    write_rig(Rig.create((MAST, ROOF, BUMPER)), tmp_path / "start.yaml")
+    write_rig(Rig((MAST, ROOF, BUMPER)), tmp_path / "start.yaml")
     blocks = [(tmp_path / f"{name}.yaml").read_text().split("  - name: ") for name in (*range(5), "start")]
     for kept in (1, 3):
         assert len({block[kept] for block in blocks}) == 1
@@ -136,11 +136,11 @@ def test_the_place_of_what_is_held_breaks_nothing_but_others_keep_away_from_it()
     mount = frozen_mount(*pair, BUMPER, ROOF, names=("left", "right", "bumper"))
     constraints = constraints_of(mount)
     assert constraints.names == ("zone_3", "spacing_0_3", "spacing_1_3", "spacing_2_3")
-    assert constraints.violation_m(Rig.create((*pair, BUMPER, ROOF))) == 0.0
+    assert constraints.violation_m(Rig((*pair, BUMPER, ROOF))) == 0.0
     near = camera("roof", [0.6, 0.15, 1.75])
-    assert constraints.violation_m(Rig.create((*pair, BUMPER, near))) == pytest.approx(0.1, abs=1e-9)
+    assert constraints.violation_m(Rig((*pair, BUMPER, near))) == pytest.approx(0.1, abs=1e-9)
     outside = camera("roof", [3.9, 0.5, 0.51])
-    assert constraints.violation_m(Rig.create((*pair, BUMPER, outside))) > 1.0
+    assert constraints.violation_m(Rig((*pair, BUMPER, outside))) > 1.0
 
 
 def test_the_same_inequalities_as_without_holding(rng):
@@ -219,7 +219,7 @@ def test_all_starts_hold_it():
     mount = frozen_mount(ROOF, BUMPER)
     objective = objective_of(mount)
     space = SearchSpace.over(mount, 2, constraints=objective.constraints)
-    known = mount.start_pose_of_rig(Rig.create((ROOF, BUMPER)))
+    known = mount.within(mount.mount_pose_of_rig(Rig((ROOF, BUMPER)), as_configured=True))
     starts = evaluate_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
     for start in starts:
         np.testing.assert_array_equal(start.mount_pose[1], mount.frozen.mount_pose[1])
@@ -230,7 +230,7 @@ def test_all_starts_hold_it():
 
 
 def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
-    rig = Rig.create((ROOF, camera("bumper", BUMPER.position_m, 12.3, -4.5, 6.7)))
+    rig = Rig((ROOF, camera("bumper", BUMPER.position_m, 12.3, -4.5, 6.7)))
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25)
     frozen = mount.freezing(rig, ["bumper"])
     pose, scenes, stage = frozen.frozen.mount_pose, street_scenes(), LossSchedule(0.5, 0.0)
@@ -258,9 +258,9 @@ def test_no_gradient_flows_to_it_and_that_of_the_others_is_as_without_holding():
 
 @pytest.mark.parametrize("free", [None, FreeRanges((-0.3, 0.3), (0.05, 0.6), (math.radians(60), math.radians(110)))])
 def test_a_descent_leaves_it_alone_and_improves_the_others(free):
-    rig = Rig.create((camera("roof", [1.2, 0.3, 1.75], 160.0), BUMPER))
+    rig = Rig((camera("roof", [1.2, 0.3, 1.75], 160.0), BUMPER))
     mount = CameraMount(roof(), camera=MODEL, height_offset_m=0.25, free=free).freezing(rig, ["bumper"])
-    start = mount.start_pose_of_rig(rig)
+    start = mount.within(mount.mount_pose_of_rig(rig, as_configured=True))
     further = start.copy()
     further[0, YAW_RAD] = -1.0
     descent = Descent(

@@ -69,7 +69,7 @@ def test_a_camera_that_stands_on_the_surface_stays():
     place = np.array([1.1, 0.5, 0.0])
     place[2] = surface.height_at_m(place[:2]) + 0.25
     moved = move_to_vehicle(
-        Rig.create([camera("a", place)]),
+        Rig([camera("a", place)]),
         mount_on(surface),
         ego,
         constraints=BoundsAndSpacing(surface),
@@ -77,7 +77,7 @@ def test_a_camera_that_stands_on_the_surface_stays():
     assert moved.moved_m[0] <= PLACE_STEP_M
     # beyond the rear end: to the nearest place of the edge
     moved = move_to_vehicle(
-        Rig.create([camera("a", [-3.0, 0.5, 1.7])]),
+        Rig([camera("a", [-3.0, 0.5, 1.7])]),
         mount_on(surface),
         ego,
         constraints=BoundsAndSpacing(surface),
@@ -88,7 +88,7 @@ def test_a_camera_that_stands_on_the_surface_stays():
 def test_a_camera_goes_where_the_vehicle_does_not_hide_its_view():
     # on a bonnet before the cabin; the cabin reaches from x = 0 to 2.2, y = -0.8 to 0.8, up to EGO_TOP_M
     ego, bonnet = street().ego, flat_surface([2.3, -0.8], [3.5, 0.8], height_m=1.0)
-    rig = Rig.create([camera("front", [2.4, 0.0, 1.25]), camera("rear", [2.4, 0.0, 1.25], yaw_deg=180.0, fov_deg=20.0)])
+    rig = Rig([camera("front", [2.4, 0.0, 1.25]), camera("rear", [2.4, 0.0, 1.25], yaw_deg=180.0, fov_deg=20.0)])
     moved = move_to_vehicle(rig, mount_on(bonnet), ego, constraints=BoundsAndSpacing(bonnet))
     front, rear = moved.rig.cameras
     np.testing.assert_allclose(front.position_m[:2], [2.4, 0.0], atol=PLACE_STEP_M)
@@ -102,7 +102,7 @@ def test_a_camera_goes_where_the_vehicle_does_not_hide_its_view():
 
 
 def test_cameras_at_one_place_are_parted():
-    rig = Rig.create([camera(f"camera_{i}", [1.1, 0.0, 1.7], 90.0 * i) for i in range(4)])
+    rig = Rig([camera(f"camera_{i}", [1.1, 0.0, 1.7], 90.0 * i) for i in range(4)])
     moved = move_to_vehicle(
         rig, mount_on(roof()), street().ego, constraints=BoundsAndSpacing(roof(), min_spacing_m=0.3)
     )
@@ -111,7 +111,7 @@ def test_cameras_at_one_place_are_parted():
 
 
 def test_cameras_that_do_not_fit_are_refused():
-    rig = Rig.create([camera(f"camera_{i}", [1.1, 0.0, 1.7]) for i in range(3)])
+    rig = Rig([camera(f"camera_{i}", [1.1, 0.0, 1.7]) for i in range(3)])
     small = mount_on(flat_surface([0.0, 0.0], [0.2, 0.2]))
     with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
         move_to_vehicle(rig, small, street().ego, constraints=BoundsAndSpacing(small.surface, min_spacing_m=0.5))

@@ -36,7 +36,7 @@ WEIGHT = np.array([1.0, 1.0, 0.1])
 def assigned_scenes(device):
     scenes = [packed_street(device), packed_street(device, 10, 1)]
     # cars ahead, beside and behind: the camera that looks their way
-    camera_of_car = np.array([0, 0, 0, -1, 2, 2, 1, 2, 1, 2], np.int32)  # but car 7 is out of its camera's sight
+    camera_of_car = np.array([0, 0, 0, -1, 2, 2, 1, 2, 1, 2], np.int32)  # but car 7 is outside its camera's image
     return [AssignedScene(scene, camera_of_car) for scene in scenes]
 
 
@@ -154,7 +154,7 @@ def test_value_is_the_mean_of_the_printed_losses(device):
     for row, item in zip(expected, scenes, strict=True):
         observation, measures, alone = look(objective, item)
         value = measures.value.numpy()
-        cars, sights = np.flatnonzero(item.assigned_camera >= 0), []
+        cars, bearings = np.flatnonzero(item.assigned_camera >= 0), []
         for k in cars:
             views = value[4 * item.assigned_camera[k] : 4 * item.assigned_camera[k] + 4, k]
             around = views[:, VISIBLE_AREA].sum()
@@ -166,8 +166,8 @@ def test_value_is_the_mean_of_the_printed_losses(device):
             ends = thesis.merged_bearings(
                 *views[:, [AMODAL_AREA, LEFT, RIGHT]].T, yaw_rad=yaw, fov_rad=math.pi / 2, width_px=MODEL.width_px
             )
-            sights.append(ends and (*ends, yaw, views[0, AMODAL_AREA] > 0))
-        row[0] = thesis.in_frame_rotation_loss(sights, 1e-3)
+            bearings.append(ends and (*ends, yaw, views[0, AMODAL_AREA] > 0))
+        row[0] = thesis.in_frame_rotation_loss(bearings, 1e-3)
         assert alone == pytest.approx(row[0] + 10.0 * row[1], rel=1e-5)
     np.testing.assert_allclose(result.terms["detected_area"], expected[:, 1].mean(), rtol=1e-5)
     np.testing.assert_allclose(result.terms["in_frame_rotation"], expected[:, 0].mean(), rtol=1e-4)

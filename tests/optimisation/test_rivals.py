@@ -69,19 +69,19 @@ def search(method, camera_count=2, *, seed=0, renders=600, each=4, value=None, *
     return run_search(method, budget, np.random.default_rng(seed))
 
 
-def sights_near(place):
+def detected_near(place):
     """Cameras see the objects towards which they look, from places close enough: objects stand at ``place``."""
 
-    def sights(pose):
+    def detected_objects(pose):
         towards = place[None, :, :] - pose[:, None, [X_M, Y_M]]
         bearing = np.arctan2(towards[..., 1], towards[..., 0]) - pose[:, None, YAW_RAD]
         return np.abs(np.angle(np.exp(1j * bearing))) < math.pi / 4
 
-    return sights
+    return detected_objects
 
 
 RING = 8.0 * np.stack([np.cos(np.arange(12) * math.pi / 6), np.sin(np.arange(12) * math.pi / 6)], axis=1)
-GREEDY = functools.partial(greedy_cover, sights=sights_near(RING))
+GREEDY = functools.partial(greedy_cover, detected_objects=detected_near(RING))
 
 
 @pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])
@@ -347,9 +347,9 @@ def test_greedy_covers_what_single_cameras_see():
 
     def value(pose):
         rigs.append(pose)
-        return float(np.count_nonzero(~sights_near(objects)(pose).any(axis=0)))
+        return float(np.count_nonzero(~detected_near(objects)(pose).any(axis=0)))
 
-    method = functools.partial(greedy_cover, sights=sights_near(objects))
+    method = functools.partial(greedy_cover, detected_objects=detected_near(objects))
     result = search(method, 3, renders=60, each=1, value=value)
     assert result.value == 0.0
     assert len(rigs) == 1
@@ -359,9 +359,9 @@ def test_greedy_never_chooses_worse_than_the_bound():
     # 1 - 1/e of the best cover, which is at most everything
     for seed in range(5):
         objects = np.random.default_rng(seed).normal(0.0, 8.0, (40, 2))
-        sees = sights_near(objects)
+        sees = detected_near(objects)
         result = search(
-            functools.partial(greedy_cover, sights=sees),
+            functools.partial(greedy_cover, detected_objects=sees),
             2,
             seed=seed,
             renders=50,
@@ -440,7 +440,7 @@ def test_renders_are_counted_as_they_are_made(method, renders):
     if method in (gradient_search, cma_then_gradient):
         options["stage"] = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     if method is greedy_cover:
-        options |= {"sights": detections_of(objective, scenes), "yaw_count": 4}
+        options |= {"detected_objects": detections_of(objective, scenes), "yaw_count": 4}
     result = run_search(functools.partial(method, **options), budget, np.random.default_rng(0))
     assert result.error is None
     assert result.renders == objective.renders <= renders
@@ -504,7 +504,7 @@ def test_searches_stay_in_a_zone_in_parts(name):
     constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.05)
     asked, looked = [], []
 
-    def sights(pose):
+    def detected_objects(pose):
         asked.extend(pose)
         return np.abs(pose[:, [X_M]] - [0.4, 1.8]) < 0.1
 
@@ -513,7 +513,7 @@ def test_searches_stay_in_a_zone_in_parts(name):
         return float(np.abs(pose[:, X_M] - 1.1).sum())
 
     search = {
-        "greedy": functools.partial(greedy_cover, sights=sights, yaw_count=2),
+        "greedy": functools.partial(greedy_cover, detected_objects=detected_objects, yaw_count=2),
         "random": random_search,
         "sobol": sobol_search,
     }[name]

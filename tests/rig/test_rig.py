@@ -61,7 +61,7 @@ def test_level_camera_looks_along_its_yaw():
 
 
 def test_written_rig_follows_the_contract(tmp_path):
-    rig = Rig.create([camera("front", (1.25, -0.0, 1.5), -math.pi), camera("rear", yaw_rad=math.radians(30.0))])
+    rig = Rig([camera("front", (1.25, -0.0, 1.5), -math.pi), camera("rear", yaw_rad=math.radians(30.0))])
     write_rig(rig, tmp_path / "rig.yaml")
     data = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     assert data["frame"] == "ego"
@@ -95,7 +95,7 @@ def test_written_rig_follows_the_contract(tmp_path):
 )
 def test_rig_survives_the_file_and_gives_the_same_bytes_again(tmp_path_factory, numbers):
     folder = tmp_path_factory.mktemp("rig")
-    rig = Rig.create(
+    rig = Rig(
         RigCamera(f"camera_{i}", np.array(position), yaw, pitch, roll, CameraModel(width, height, math.radians(fov)))
         for i, (position, yaw, pitch, roll, fov, width, height) in enumerate(numbers)
     )
@@ -124,7 +124,7 @@ LENSES = (
 
 
 def test_lenses_survive_the_file(tmp_path):
-    rig = Rig.create(camera(f"camera_{i}", width_px=200, height_px=120, **lens) for i, lens in enumerate(LENSES))
+    rig = Rig(camera(f"camera_{i}", width_px=200, height_px=120, **lens) for i, lens in enumerate(LENSES))
     write_rig(rig, tmp_path / "a.yaml")
     back = read_rig(tmp_path / "a.yaml")
     for before, after in zip(rig.cameras, back.cameras, strict=True):
@@ -140,28 +140,28 @@ def test_lenses_survive_the_file(tmp_path):
 
 @pytest.mark.parametrize("name", ["no", "On", "1", "1e3", "null", "2026-01-01", "0x1F", "007", "_1", "1_000", "a.b-c"])
 def test_names_that_yaml_would_misread_stay_text(tmp_path, name):
-    write_rig(Rig.create([camera(name)]), tmp_path / "rig.yaml")
+    write_rig(Rig([camera(name)]), tmp_path / "rig.yaml")
     assert read_rig(tmp_path / "rig.yaml").cameras[0].name == name
     assert yaml.safe_load((tmp_path / "rig.yaml").read_text())["cameras"][0]["name"] == name
 
 
 def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
     file = tmp_path / "rig.yaml"
-    write_rig(Rig.create([camera("old")]), file)
+    write_rig(Rig([camera("old")]), file)
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match=r"rig\.yaml: expected a writable path .*No space left"):
-        write_rig(Rig.create([camera("new")]), file)
+    with pytest.raises(InputError, match=r"rig\.yaml: expected a place to write to.*No space left"):
+        write_rig(Rig([camera("new")]), file)
     assert read_rig(file).cameras[0].name == "old"
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_writing_rejects_a_missing_folder(tmp_path):
-    with pytest.raises(InputError, match="expected a writable path for the rig, got: No such file"):
-        write_rig(Rig.create([camera()]), tmp_path / "missing" / "rig.yaml")
+    with pytest.raises(InputError, match="expected a place to write to, got: No such file"):
+        write_rig(Rig([camera()]), tmp_path / "missing" / "rig.yaml")
 
 
 @pytest.mark.parametrize(
@@ -253,25 +253,44 @@ def test_reading_rejects_a_file_that_is_no_text(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    ("cameras", "message"),
+    ("names", "message"),
     [
-        ([], "my rig: expected at least one camera, got none"),
-        ([camera("a"), camera("b"), camera("A")], r"cameras\[2\]\.name: expected every name once, .*cameras\[0\]"),
-        ([camera("a/b")], "name: expected a name of letters"),
-        ([camera("")], "name: expected a name of letters"),
-        ([camera(position_m=(0, 0, math.nan))], "position_m: expected three finite numbers"),
-        ([camera(position_m=(0, 0))], "position_m: expected three finite numbers"),
-        ([camera(yaw_rad=math.inf)], "yaw_rad: expected a finite number, got inf"),
+        ([], "rig: expected at least one camera, got none"),
+        (["a", "b", "A"], r"cameras\[2\]\.name: expected every name once, .*cameras\[0\]"),
     ],
 )
-def test_rig_rejects_cameras_that_cannot_be_used(cameras, message):
+def test_rig_rejects_cameras_that_do_not_make_one(names, message):
     with pytest.raises(InputError, match=message):
-        Rig.create(cameras, name="my rig")
+        Rig(camera(name) for name in names)
+    with pytest.raises(TypeError, match="cameras: expected cameras of a rig, got str"):
+        Rig(["front"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "a/b"}, "name: expected a name of letters"),
+        ({"name": ""}, "name: expected a name of letters"),
+        ({"position_m": (0, 0, math.nan)}, "position_m: expected three finite numbers"),
+        ({"position_m": (0, 0)}, "position_m: expected three finite numbers"),
+        ({"yaw_rad": math.inf}, "yaw_rad: expected a finite number, got inf"),
+    ],
+)
+def test_camera_rejects_what_cannot_be_used(arguments, message):
+    with pytest.raises(InputError, match=message):
+        camera(**arguments)
+
+
+def test_a_name_that_is_there_twice_names_the_file(tmp_path):
+    write_rig(Rig([camera("front"), camera("rear")]), tmp_path / "rig.yaml")
+    file = written((tmp_path / "rig.yaml").read_text().replace("rear", "front"), tmp_path)
+    with pytest.raises(InputError, match=r"rig\.yaml: rig: cameras\[1\]\.name: expected every name once"):
+        read_rig(file)
 
 
 def test_a_notebook_shows_the_cameras_as_a_table():
     left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
-    page = Rig.create([camera(), left])._repr_html_()
+    page = Rig([camera(), left])._repr_html_()
     assert "Rig of 2 cameras" in page
     rows = [
         re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page.partition("tbody")[2])
@@ -283,7 +302,7 @@ def test_a_notebook_shows_the_cameras_as_a_table():
 
 def test_showing_a_rig_as_a_table_imports_nothing_heavy():
     code = (
-        "import sys; from warpav.rig.rig import Rig; Rig(())._repr_html_(); "
+        "import sys; from warpav.rig.rig import Rig, RigCamera; Rig([RigCamera('front', (0, 0, 1))])._repr_html_(); "
         "print([name for name in ('warp', 'pyvista', 'matplotlib', 'pandas') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -19,6 +19,7 @@ from warpav.runs.config import (
     placed_config,
 )
 from warpav.runs.mounts import camera_model, free_ranges
+from warpav.runs.rig_source import read_start
 
 
 @pytest.fixture
@@ -269,10 +270,6 @@ FILE_MISTAKES = [
         "scenes:\n  train_seeds: 0..9\n  test_seeds: 8..12\n",
         "mine.yaml:3: scenes.test_seeds: expected test scenes that are not trained on, got 2 seed(s) in both",
     ),
-    (
-        "rig: {start: nowhere.yaml}\n",
-        "mine.yaml:1: rig.start: expected random, highest, a preset, a run folder or the path of a rig YAML, got",
-    ),
     ("detector: {model: no.onnx}\n", "mine.yaml:1: detector.model: expected builtin or the path of an ONNX file, got"),
     (
         "optimiser: {schedule: cosin}\n",
@@ -457,3 +454,10 @@ def test_sections_made_in_python_take_old_names_too():
     with pytest.warns(FutureWarning, match="missed is called expected_miss_rate now"):
         part = LossSettings(missed=2.0)
     assert whole.losses == part == LossSettings(expected_miss_rate=2.0)
+
+
+def test_a_start_that_is_nowhere_is_named_where_it_stands(yaml_file):
+    message = r"^mine.yaml:1: rig.start: expected random, highest, a preset, a run folder or .*; no such file$"
+    config = yaml_file("rig: {start: nowhere.yaml}\n")
+    with pytest.raises(InputError, match=message), placed_config(config) as settings:
+        read_start(settings)

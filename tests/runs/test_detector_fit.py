@@ -7,6 +7,7 @@ import pytest
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.detection import probability
 from warpav.detection.probability import DetectionProbability
 from warpav.runs import detector_fit
@@ -80,8 +81,8 @@ def test_bad_words_are_refused(capsys, words, message):
 def test_too_few_objects_are_refused(capsys, monkeypatch):
     monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 2)
     line = refused(capsys, "--scenes", "1", "--held-out", "2", "camera.width_px=64", "camera.height_px=64")
-    assert "p(detected): expected at least 200 visible objects" in line
-    assert line.endswith("give more scenes by --scenes, or other sizes of image")
+    assert "detection probability: --scenes: expected at least 200 visible objects" in line
+    assert line.endswith("give more --scenes, or other sizes of image")
 
 
 @pytest.fixture
@@ -122,3 +123,31 @@ def test_a_fit_is_written_and_used_again(small_fit, own_cache, capsys):
 def test_without_a_fit_the_error_says_what_to_run():
     with pytest.raises(InputError, match="run warpav detector fit with the same configuration"):
         DetectionProbability.find(detector_use(load_config("quick", ["camera.fov_deg=77"])))
+
+
+def test_a_fit_without_progress_is_announced_in_the_log(monkeypatch, caplog):
+    """Who called without progress learns why it takes minutes; the fit itself is cut short here."""
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(*_, **__):
+        raise StoppedError
+
+    monkeypatch.setattr(detector_fit, "_sample_scenes", stop)
+    config = load_config("quick", ["camera.fov_deg=77"])
+    with pytest.raises(StoppedError):
+        detector_fit.ensure_fit(config)
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "fitting it once, in 80 scenes; the fit is stored for later runs; this takes minutes" in line
+    caplog.clear()
+    said = []
+
+    class Said(NullProgress):
+        def say(self, text):
+            said.append(text)
+
+    with pytest.raises(StoppedError):
+        detector_fit.ensure_fit(config, progress=Said())
+    assert caplog.records == []
+    assert "in 80 scenes" in said[0]

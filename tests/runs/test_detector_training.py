@@ -22,7 +22,7 @@ def working_directory(working_directory):
 
 
 @pytest.fixture(autouse=True)
-def few_pictures(monkeypatch):
+def few_images(monkeypatch):
     for name, seed in (("test", 3_000_000), ("test_reconstructed", 3_000_001)):
         monkeypatch.setitem(data.SUBSETS, name, data.Subset(seed, 1, False, SIDES_PX))
 
@@ -42,12 +42,19 @@ def refused(capsys, *words):
         (["--processes", "0"], "(--processes): expected at least 1, got 0"),
         (["--out", "file"], "(--out): expected a folder to write to, got 'file' (File exists)"),
         (["--out", "/dev/null/out"], "(--out): expected a folder to write to, got '/dev/null/out' (Not a directory)"),
-        (["--pictures", "file"], "(--pictures): expected a folder to write to, got 'file' (File exists)"),
+        (["--image-folder", "file"], "(--image-folder): expected a folder to write to, got 'file' (File exists)"),
     ],
 )
 def test_an_evaluation_with_wrong_words_is_refused(capsys, words, expected):
     out = [] if "--out" in words else ["--out", "out"]
     assert refused(capsys, "evaluate", *out, *words) == f"command line {expected}"
+
+
+def test_the_old_name_of_the_folder_works_and_warns(capsys, working_directory):
+    assert main(["detector", "evaluate", "--out", "out", "--pictures", "file"]) == 2
+    warning, error = capsys.readouterr().err.splitlines()
+    assert warning == "--pictures: is called --image-folder now; the old name goes in the next version"
+    assert error == "command line (--image-folder): expected a folder to write to, got 'file' (File exists)"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs PyTorch")
@@ -77,7 +84,7 @@ def test_training_without_pytorch_says_what_to_install(capsys, monkeypatch):
     assert refused(capsys, "train", "--out", "out").endswith("got no such module; pip install 'warpav[train]'")
 
 
-def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_directory):
+def test_an_evaluation_counts_and_uses_its_images_again(capsys, working_directory):
     words = ["detector", "evaluate", "--out", "out", "--processes", "1"]
     assert main([*words]) == 0
     capsys.readouterr()
@@ -87,11 +94,11 @@ def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_direct
         "reconstructed": ["64", "96"],
     }
     assert report["direct"]["64"]["images"] == 2
-    pictures = data.load_images(working_directory / "out/pictures/test")
-    labels = pictures[64].labels
+    labelled = data.load_images(working_directory / "out/images/test")
+    labels = labelled[64].labels
     is_vehicle = (labels.class_index >= 0) & (labels.class_index < 4) & ~labels.ignored
     assert report["direct"]["64"].get("vehicle", {"objects": 0})["objects"] == is_vehicle.sum()
-    file = working_directory / "out/pictures/test/images_64.npy"
+    file = working_directory / "out/images/test/images_64.npy"
     written = file.stat().st_mtime_ns
     assert main([*words, "--images", "1"]) == 0
     assert file.stat().st_mtime_ns == written
@@ -99,8 +106,8 @@ def test_an_evaluation_counts_and_uses_its_pictures_again(capsys, working_direct
     assert report["direct"]["64"]["images"] == 1
 
 
-def test_damaged_pictures_are_named(capsys, working_directory):
-    folder = working_directory / "out/pictures/test"
+def test_damaged_images_are_named(capsys, working_directory):
+    folder = working_directory / "out/images/test"
     data.write_images(data.SUBSETS["test"], folder, processes=1)
     for side_px in SIDES_PX:
         (folder / f"labels_{side_px}.npz").write_text("no labels")

@@ -38,7 +38,7 @@ def test_a_failing_check_is_a_finding_and_the_exit_status(monkeypatch, capsys):
 
 
 def test_a_warning_does_not_fail(monkeypatch):
-    monkeypatch.setattr(doctor, "CHECKS", {"opengl": lambda: doctor.Finding("opengl", "warning", "no picture")})
+    monkeypatch.setattr(doctor, "CHECKS", {"opengl": lambda: doctor.Finding("opengl", "warning", "no image")})
     assert doctor.examine() == 0
 
 

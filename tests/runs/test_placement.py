@@ -6,6 +6,7 @@ import pytest
 import warpav as wa
 from warpav.cli.app import main
 from warpav.detection.detector import Detections
+from warpav.rig.rig import write_rig
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.run_folder import RunFolder
@@ -202,6 +203,8 @@ def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scene
     same = found.difference("start", "start")
     assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
     assert "recall of the rig" in str(found.table())
+    assert str(found.table()).splitlines()[-1].endswith("difference() is a mean over scenes, each counting alike.")
+    assert "<caption" in found._repr_html_()
     assert found._repr_html_().startswith("<table>")
     with pytest.raises(wa.InputError, match="other: expected one of start, optimised, got 'best'"):
         found.difference("start", "best")
@@ -296,7 +299,7 @@ def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(con
         name="run",
         own_detector="LowerHalf",
     )
-    folder.write_rig("best", wa.preset("nuscenes"))
+    write_rig(wa.preset("nuscenes"), folder.rig_path("best"))
     assert main(["evaluate", str(folder.path)]) == 2
     error = capsys.readouterr().err
     assert "detector.model: expected the ONNX file of the run's detector" in error

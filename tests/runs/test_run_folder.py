@@ -31,7 +31,7 @@ def _record(iteration, loss=1.0):
 
 
 def _rig(x_m=1.0):
-    return Rig.create([RigCamera("front", np.array([x_m, 0.0, 1.7]), 0.0, 0.0, 0.0, CameraModel(64, 48))])
+    return Rig([RigCamera("front", np.array([x_m, 0.0, 1.7]), 0.0, 0.0, 0.0, CameraModel(64, 48))])
 
 
 @pytest.fixture
@@ -166,21 +166,21 @@ def test_a_line_that_is_no_iteration_is_named(folder, line, message):
 def test_rigs_come_back_and_the_rig_of_the_run_is_one_file(folder):
     with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; the run has none yet"):
         folder.rig()
-    folder.write_rig("initial", _rig(1.0))
+    write_rig(_rig(1.0), folder.rig_path("initial"))
     assert folder.rig().cameras[0].position_m[0] == 1.0  # stopped before the first look
-    folder.write_rig("final", _rig(2.0))
-    folder.write_rig("best", _rig(3.0))
+    write_rig(_rig(2.0), folder.rig_path("final"))
+    write_rig(_rig(3.0), folder.rig_path("best"))
     assert folder.rig().cameras[0].position_m[0] == 3.0
     assert folder.rig("final").cameras[0].position_m[0] == 2.0
     last = RunFolder.create(load_config("quick", ["optimiser.keep=last"]), name="last")
-    last.write_rig("best", _rig(3.0))
-    last.write_rig("final", _rig(2.0))
+    write_rig(_rig(3.0), last.rig_path("best"))
+    write_rig(_rig(2.0), last.rig_path("final"))
     assert last.rig().cameras[0].position_m[0] == 3.0  # rig_best.yaml is the rig of the run whatever is kept
 
 
 def test_what_a_run_that_has_ended_has_lost_is_missed(folder):
     for role in ("initial", "best", "final"):
-        folder.write_rig(role, _rig())
+        write_rig(_rig(), folder.rig_path(role))
     for iteration in range(3):
         folder.append_event(_record(iteration))
     folder.write_evaluation({"descent": {"iterations": 4}})

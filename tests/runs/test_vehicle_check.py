@@ -21,7 +21,7 @@ from warpav.runs.networks import detector_use
 from warpav.runs.scene_set import load_scene_set, load_scenes, own_vehicle
 from warpav.runs.vehicle_check import zone_parts
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.own_vehicle import Reading, read_vehicle, write_vehicle
+from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle, town_scene
 
@@ -69,23 +69,23 @@ def test_a_good_vehicle_is_described_and_can_be_used(car, tmp_path, capsys):
         ("roof.ply", Reading("-z", "x"), "--up -z"),
     ],
 )
-def test_the_suggested_command_mends_the_file(car, tmp_path, capsys, name, reading, words):
+def test_the_suggested_command_fixes_the_file(car, tmp_path, capsys, name, reading, words):
     save(car, tmp_path / name, reading=reading)
     assert check(name) == 2
     told = capsys.readouterr().err.splitlines()
     assert all(line.startswith(f"{name}: ") for line in told)
-    mended = f"{name.partition('.')[0]}_ego.glb"
-    command = f"warpav vehicle check {name} {words} --out {mended}"
+    fixed = f"{name.partition('.')[0]}_ego.glb"
+    command = f"warpav vehicle check {name} {words} --out {fixed}"
     assert told[-1] == f"{name}: to fix it: {command}"
     assert main(shlex.split(command)[1:]) == 0
-    assert check(mended) == 0
-    file = read_vehicle(mended)
+    assert check(fixed) == 0
+    file = read_vehicle_file(fixed)
     np.testing.assert_allclose(
         np.sort(file.in_ego_frame(file.usual).bounds_m(), axis=0), np.sort(car.bounds_m(), axis=0), atol=0.01
     )
 
 
-def test_what_is_not_mended_yet_is_not_written(car, tmp_path, capsys):
+def test_what_is_not_fixed_yet_is_not_written(car, tmp_path, capsys):
     save(car, tmp_path / "car.glb", reading=Reading("z", "x", 0.01))
     assert check("car.glb", "--scale", "0.01", "--out", "out.glb") == 2
     assert not (tmp_path / "out.glb").exists()
@@ -116,7 +116,7 @@ def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
             ["car.ply", "--rear-axle", "9"],
             "(--rear-axle): expected a distance from the rear end of up to 4.70 m",
         ),
-        (["car.ply", "--picture", "car.bmp"], "car.bmp: expected a name that ends in .png"),
+        (["car.ply", "--image", "car.bmp"], "car.bmp: expected a name that ends in .png"),
         (["car.ply", "mount.cel_m=1"], "command line (mount.cel_m=1): mount.cel_m: expected one of cell_m"),
         (["car.ply", "--out", "none/car.glb"], "none/car.glb: cannot write the vehicle: No such file or directory"),
     ],
@@ -138,15 +138,25 @@ def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
 
 
 @needs_opengl
-def test_the_picture_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
+def test_the_image_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
     write_vehicle(car, tmp_path / "car.glb")
-    assert check("car.glb", "--picture", "car.png") == 0
+    assert check("car.glb", "--image", "car.png") == 0
     assert "wrote car.png" in capsys.readouterr().out
-    picture = np.asarray(Image.open(tmp_path / "car.png").convert("RGB")).astype(int)
+    shown_rgb = np.asarray(Image.open(tmp_path / "car.png").convert("RGB")).astype(int)
     yellow, violet = np.array([253, 231, 37]), np.array([68, 1, 84])
-    upper = picture[:560]  # without the scale of heights
+    upper = shown_rgb[:560]  # without the scale of heights
     assert (np.abs(upper - yellow).sum(axis=-1) < 60).sum() > 2000  # the roof, the highest
     assert (np.abs(upper - violet).sum(axis=-1) < 60).sum() > 500  # the bonnet's front edge
+
+
+@needs_opengl
+def test_the_old_name_of_the_image_works_and_warns(car, tmp_path, capsys):
+    write_vehicle(car, tmp_path / "car.glb")
+    assert check("car.glb", "--picture", "car.png") == 0
+    said = capsys.readouterr()
+    assert "wrote car.png" in said.out
+    assert said.err == "--picture: is called --image now; the old name goes in the next version\n"
+    assert (tmp_path / "car.png").is_file()
 
 
 @pytest.mark.parametrize(
@@ -209,7 +219,7 @@ def test_who_stands_at_its_place_is_left_out_and_that_is_said(car):
     assert [each.instance_id for each in scene.around(car).vehicles] == [1, 2, 3]
 
 
-def test_left_out_road_users_are_told(tmp_path, monkeypatch):
+def test_left_out_road_users_are_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("warpav.runs.scene_set.town_scenes", lambda seeds: map(town_like, seeds))
     bus = of_kind("bus").transformed(np.eye(3), np.array([4.2, 0.0, 0.0]))  # to 9.6 m, and a vehicle begins at 9 m
     write_vehicle(bus, tmp_path / "bus.glb")
@@ -220,14 +230,14 @@ def test_left_out_road_users_are_told(tmp_path, monkeypatch):
     assert told == ["s1: 1 road user left out, where the vehicle of scenes.ego stands"]
 
 
-def test_an_unfit_vehicle_is_refused_with_the_command_that_tells_more(car, tmp_path, capsys):
+def test_an_unfit_vehicle_is_rejected_with_the_command_that_examines_it(car, tmp_path, capsys):
     save(car, tmp_path / "cm.glb", reading=Reading("y", "x", 0.01))
     assert main(["inspect", "highest", "scenes.ego=cm.glb", "--out", "x.png"]) == 2
     err = capsys.readouterr().err
     assert err.startswith(
         "command line (scenes.ego=cm.glb): scenes.ego: cm.glb: units: expected a vehicle of 2 to 20 m"
     )
-    assert err.endswith("; warpav vehicle check cm.glb says how to mend it\n")
+    assert err.endswith("; warpav vehicle check cm.glb says how to fix it\n")
     assert main(["inspect", "highest", "scenes.ego=none.glb", "--out", "x.png"]) == 2
     assert (
         "scenes.ego: expected the path of a mesh file, or null, got 'none.glb'; no such file" in capsys.readouterr().err

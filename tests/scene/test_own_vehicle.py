@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.glb import vertex_coloured, write_scene
-from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle, unit_of, wheels_of, write_vehicle
+from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle_file, unit_of, wheels_of, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
@@ -37,7 +37,7 @@ def save(mesh, path, *, reading=None, shift=(0.0, 0.0, 0.0)):
 
 
 def checked(path, **options):
-    file = read_vehicle(path)
+    file = read_vehicle_file(path)
     return examine(file, options.pop("reading", file.usual), **options)
 
 
@@ -85,7 +85,7 @@ def test_the_shape_tells_axes_and_units_and_what_it_suggests_mends_them(car, tmp
     assert bool(found.problems) == (truth != Reading("z", "x") and (up, forward, scale) != ("z", "-x", 1.0))
     remedy = {name: value for problem in found.problems for name, value in problem.remedy.items()}
     assert float(remedy.get("scale", 1.0)) == scale
-    usual = read_vehicle(path).usual
+    usual = read_vehicle_file(path).usual
     corrected = Reading(remedy.get("up", usual.up), remedy.get("forward", usual.forward), scale)
     if (up, forward) == ("z", "-x"):  # backwards is a hint, no more: pickups look like that
         assert any("`forward` -x" in hint for hint in found.hints)
@@ -163,7 +163,7 @@ def test_a_stated_rear_axle_counts_more_than_the_wheels(car, tmp_path):
 def test_a_mended_vehicle_can_be_used_and_stays_the_same_bit_for_bit(car, tmp_path):
     first = checked(save(of_kind("van"), tmp_path / "van.obj")).corrected
     write_vehicle(first, tmp_path / "van.glb", source="van.obj")
-    file = read_vehicle(tmp_path / "van.glb")
+    file = read_vehicle_file(tmp_path / "van.glb")
     found = examine(file, file.usual)
     assert found.problems == ()
     np.testing.assert_array_equal(found.corrected.vertex_m, first.vertex_m)
@@ -176,7 +176,7 @@ def test_a_mended_vehicle_can_be_used_and_stays_the_same_bit_for_bit(car, tmp_pa
 def test_a_declared_vehicle_keeps_axes_and_origin_that_its_shape_does_not_show(car, tmp_path):
     backwards = car.transformed(np.diag([-1.0, -1.0, 1.0]), np.array([0.4, 0.0, 0.0]))
     write_vehicle(backwards, tmp_path / "odd.glb")
-    file = read_vehicle(tmp_path / "odd.glb")
+    file = read_vehicle_file(tmp_path / "odd.glb")
     assert file.is_declared
     assert examine(file, file.usual).problems == ()
 
@@ -185,7 +185,7 @@ def test_the_ego_vehicle_of_a_scene_is_taken(car, tmp_path):
     road = Mesh.create([[-60, -7, 0], [60, -7, 0], [60, 7, 0]], [[0, 1, 2]], (110, 110, 112))
     other = Vehicle(1, "van", of_kind("van"), Box(np.array([9.0, 0, 1]), np.ones(3), 0.0))
     write_scene(Scene("s", road, car, (other,)), tmp_path / "scene.glb")
-    file = read_vehicle(tmp_path / "scene.glb")
+    file = read_vehicle_file(tmp_path / "scene.glb")
     np.testing.assert_array_equal(file.in_ego_frame(file.usual).vertex_m, car.vertex_m)
 
 
@@ -199,7 +199,7 @@ def test_parts_in_places_of_their_own_become_one_mesh(car, tmp_path):
         part.apply_transform(np.linalg.inv(matrix))
         scene.add_geometry(part, node_name=name, transform=matrix)
     scene.export(tmp_path / "parts.glb")
-    file = read_vehicle(tmp_path / "parts.glb")
+    file = read_vehicle_file(tmp_path / "parts.glb")
     read = file.in_ego_frame(Reading("z", "x"))
     # the file holds single precision
     np.testing.assert_allclose(
@@ -216,10 +216,10 @@ def test_textures_materials_and_colours_are_kept(tmp_path):
         uv=np.zeros((8, 2)), material=trimesh.visual.material.PBRMaterial(baseColorFactor=[200, 10, 20, 255])
     )
     box.export(tmp_path / "painted.glb")
-    assert (read_vehicle(tmp_path / "painted.glb").vertex_rgb == [200, 10, 20]).all()
+    assert (read_vehicle_file(tmp_path / "painted.glb").vertex_rgb == [200, 10, 20]).all()
     box.visual = trimesh.visual.ColorVisuals(box)
     box.export(tmp_path / "plain.stl")
-    assert np.ptp(read_vehicle(tmp_path / "plain.stl").vertex_rgb.astype(int), axis=0).max() == 0
+    assert np.ptp(read_vehicle_file(tmp_path / "plain.stl").vertex_rgb.astype(int), axis=0).max() == 0
 
 
 def test_open_edges_and_triangles_without_area_are_counted(car, tmp_path):
@@ -241,7 +241,7 @@ def test_wheels_are_seen_where_there_are_some():
     body = box * [1.0, 1.0, 0.8] + [0.0, 0.0, 0.3]
     found = wheels_of(np.concatenate([body, np.repeat(feet, 50, axis=0)]))
     np.testing.assert_allclose(found.axle_m, [0.0, 2.7])
-    assert found.middle_m == 0.0
+    assert found.centre_y_m == 0.0
 
 
 def test_a_body_without_wheels_is_asked_for_its_rear_axle(tmp_path):

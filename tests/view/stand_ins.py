@@ -43,7 +43,7 @@ def ego():
 def rig(count=4, fov_deg=80.0):
     model = CameraModel(fov_rad=math.radians(fov_deg))
     turn = np.arange(count) * 2 * math.pi / count
-    return Rig.create(
+    return Rig(
         RigCamera(f"cam_{i}", np.array([1.3 + 0.8 * math.cos(a), 0.6 * math.sin(a), 1.58]), a, 0.0, 0.0, model)
         for i, a in enumerate(turn)
     )

@@ -102,7 +102,7 @@ def test_a_plain_vehicle_gets_a_box_and_a_colour():
 
 def test_a_run_is_start_path_end_and_scene():
     frames = [
-        Rig.create(
+        Rig(
             [
                 dataclasses.replace(camera, position_m=camera.position_m + np.array([0.1 * k, 0, 0]))
                 for camera in rig(2).cameras

@@ -30,7 +30,7 @@ FOUND_PX = [[100.0, 110.0, 150.0, 150.0]]
 def frames(count=3):
     whole = rig()
     return [
-        Rig.create(
+        Rig(
             [
                 dataclasses.replace(camera, position_m=camera.position_m - [0.02 * (count - 1 - k), 0.0, 0.0])
                 for camera in whole.cameras
@@ -90,7 +90,7 @@ def test_a_moved_camera_stays_on_the_surface(state):
 
 def test_a_camera_from_elsewhere_is_put_on_the_surface(state):
     elsewhere = dataclasses.replace(state.rig.cameras[0], position_m=np.array([3.5, 0.0, 0.6]))
-    state._set(Rig.create([elsewhere, *state.rig.cameras[1:]]))
+    state._set(Rig([elsewhere, *state.rig.cameras[1:]]))
     np.testing.assert_allclose(state.move(0, np.array([2.0, 0.0])).position_m, [2.0, 0.0, 1.5 + HEIGHT_M], atol=1e-5)
 
 
@@ -267,7 +267,7 @@ def test_a_key_that_fails_says_so_in_the_window(inspector, tmp_path, capfd):
     (tmp_path / "mine.yaml").mkdir()  # in the way of the rig
     press(inspector, "Return")
     said = "".join(inspector._numbers.input.split())
-    assert "mine.yaml:expectedawritablepathfortherig,got:" in said
+    assert "mine.yaml:expectedaplacetowriteto,got:" in said
     assert "Traceback" not in capfd.readouterr().err
     press(inspector, "c")
     assert "mine.yaml" not in inspector._numbers.input

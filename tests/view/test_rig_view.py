@@ -7,7 +7,6 @@ import pytest
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.rig.rig import Rig
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista
@@ -173,5 +172,5 @@ def test_mount_surface_is_draped_at_its_height(draw):
 
 
 def test_scene_without_cameras_is_drawn(draw):
-    plotter = draw(Rig(()), ego=ego(), scene=scene(vehicle(1, 8.0, 3.4)))
+    plotter = draw(None, ego=ego(), scene=scene(vehicle(1, 8.0, 3.4)))
     assert set(plotter.actors) == {"ego", "ground", "scene/ground", "scene/vehicles"}

@@ -74,7 +74,7 @@ def test_a_lens_that_sees_a_circle_has_no_corners(packed):
 
 def test_vehicles_have_the_colour_of_what_becomes_of_them(draw):
     outcomes = [ObjectOutcome.MISSED, ObjectOutcome.DETECTED]
-    plotter = draw(Rig(()), ego=ego(), scene=STREET, outcomes=outcomes)
+    plotter = draw(None, ego=ego(), scene=STREET, outcomes=outcomes)
     plotter.camera.zoom(0.5)
     image = render_rgb(plotter).astype(float)
     for car, outcome in zip(STREET.vehicles, outcomes, strict=True):
@@ -97,9 +97,9 @@ def test_the_ground_has_the_colour_of_how_many_cameras_see_it(draw, packed):
     count = np.asarray(surface.cell_data["cameras_1.1m"])
     np.testing.assert_array_equal(surface.cell_data["blind_1.1m"], count == 0)
     assert (count == 1).sum() == coverage.is_seen[0, 0].sum() > 10
-    plotter = draw(Rig(()), ego=ego())
+    plotter = draw(None, ego=ego())
     visibility_view.add_coverage(plotter, coverage, height_m=1.7, legend=False)
-    plain = render_rgb(draw(Rig(()), ego=ego())).astype(float)
+    plain = render_rgb(draw(None, ego=ego())).astype(float)
     image = render_rgb(plotter).astype(float)
     for x_m, cameras in ((5.5, 1), (-3.0, 0)):
         column, row = project_px(plotter, np.array([[x_m, 0.0, 0.04]]))[0].astype(int)
@@ -120,6 +120,6 @@ def test_drawing_again_replaces(draw, packed):
     assert sum(name.startswith("legend/") for name in names) == len(COVERAGE_RGB)
     assert {"coverage", "visibility/cam_0", "visibility/cam_1"} <= set(names)
     # whoever looks into the air sees nothing below the pictures' top
-    up = Rig.create([RigCamera("cam_0", np.array([1.3, 0.0, 3.0]), 0.0, -1.5, 0.0, CameraModel())])
+    up = Rig([RigCamera("cam_0", np.array([1.3, 0.0, 3.0]), 0.0, -1.5, 0.0, CameraModel())])
     visibility_view.add_visibility(plotter, up, packed)
     assert "visibility/cam_0" not in plotter.actors

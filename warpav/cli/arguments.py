@@ -27,7 +27,7 @@ FileFormat = Annotated[
 FileOrigin = Annotated[
     Triple | None,
     Parameter(
-        help="Where the file's origin lies, from the ground below the middle of the rear axle: x y z.", negative=""
+        help="Where the file's origin lies, from the ground below the centre of the rear axle: x y z.", negative=""
     ),
 ]
 FileTurn = Annotated[
@@ -62,6 +62,11 @@ def complain(text: str) -> None:
     """Print to stderr."""
     for line in text.splitlines():
         sys.stderr.write(f"{line}\n")
+
+
+def warn_renamed(old: str, new: str) -> None:
+    """Print that an argument has another name, under which it will be known alone."""
+    complain(f"{old}: is called {new} now; the old name goes in the next version")
 
 
 def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from warpav.cli.arguments import (
     Config,
     Overrides,
     say,
+    warn_renamed,
 )
 
 detector_app = App(
@@ -24,11 +25,11 @@ def detector_check(
     file: Annotated[str, Parameter(help="ONNX file, or builtin.")],
     /,
     *overrides: Overrides,
-    image: Annotated[Path | None, Parameter(help="Picture to find road users in.")] = None,
-    out: Annotated[Path | None, Parameter(help="PNG to draw them into; by default <picture>_boxes.png.")] = None,
+    image: Annotated[Path | None, Parameter(help="Image to find road users in.")] = None,
+    out: Annotated[Path | None, Parameter(help="PNG to draw them into; by default <image>_boxes.png.")] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> None:
-    """Tell how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
+    """Report how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
     from warpav.runs.config import placed_config
     from warpav.runs.detector_check import check_detector
 
@@ -43,7 +44,7 @@ def detector_fit(
     /,
     *overrides: Overrides,
     scenes: Annotated[str | None, Parameter(help="Seeds of scenes to fit, such as 500000..500049.")] = None,
-    held_out: Annotated[str | None, Parameter(help="Seeds of other scenes, to judge the fit by.")] = None,
+    held_out: Annotated[str | None, Parameter(help="Seeds of other scenes, to evaluate the fit on.")] = None,
     out: Annotated[Path | None, Parameter(help="Folder; by default beside the model, else the user's cache.")] = None,
     again: Annotated[bool, Parameter(help="Fit even if there is a stored fit.", negative="")] = False,
 ) -> None:
@@ -77,8 +78,9 @@ def detector_fit(
 def detector_evaluate(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="Folder for evaluation.json and evaluation.md.")],
-    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
-    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
+    pictures: Annotated[Path | None, Parameter(show=False)] = None,
+    processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
     images: Annotated[int | None, Parameter(help="Only so many images of every size.")] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> None:
@@ -87,27 +89,29 @@ def detector_evaluate(
     from warpav.runs.detector_training import measure_detector
 
     with placed_config(config, overrides) as settings:
-        measure_detector(settings, out, pictures=pictures, processes=processes, image_count=images, say=say)
+        folder = _image_folder(image_folder, pictures)
+        measure_detector(settings, out, image_folder=folder, processes=processes, image_count=images, say=say)
 
 
 @detector_app.command(name="train")
 def detector_train(
     *,
     out: Annotated[Path, Parameter(help="Folder for checkpoint.pt and detector.onnx.")],
-    pictures: Annotated[Path | None, Parameter(help="Folder of the pictures; by default OUT/pictures.")] = None,
+    image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
+    pictures: Annotated[Path | None, Parameter(show=False)] = None,
     device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
-    processes: Annotated[int, Parameter(help="Processes that render the pictures.")] = 2,
+    processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
     steps: Annotated[int, Parameter(help="Length of the training.")] = 11_000,
     batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
     seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
-    stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command goes on.")] = float("inf"),
+    stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),
 ) -> None:
-    """Train the shipped detector on pictures of town scenes; an interrupted training goes on where it stopped."""
+    """Train the shipped detector on images of town scenes; the same command resumes an interrupted training."""
     from warpav.runs.detector_training import train_detector
 
     train_detector(
         out,
-        pictures=pictures,
+        image_folder=_image_folder(image_folder, pictures),
         device=device,
         processes=processes,
         steps=steps,
@@ -116,3 +120,10 @@ def detector_train(
         stop_after_minutes=stop_after_minutes,
         say=say,
     )
+
+
+def _image_folder(folder: Path | None, pictures: Path | None) -> Path | None:
+    """The folder of the images, under its old name as well."""
+    if pictures is not None:
+        warn_renamed("--pictures", "--image-folder")
+    return folder or pictures

@@ -22,7 +22,7 @@ def experiment(
     name: Annotated[
         Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation"],
         Parameter(
-            help="A table of the thesis; open: all ways to find a rig at equal budgets; ablations: the default method "
+            help="A table of the thesis; open: all methods at equal budgets; ablations: the default method "
             "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does."
         ),
     ],
@@ -80,16 +80,16 @@ def experiment_rescore(
     workers: Annotated[int | None, Parameter(help="Rigs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
 ) -> int:
-    """Judge the rigs of an experiment by another detector, image size or source of scenes.
+    """Evaluate the rigs of an experiment with another detector, image size or source of scenes.
 
     Such as detector.model=FILE.onnx camera.width_px=640 camera.height_px=640, or scenes.source=captured. Prints the
-    same table, and whether the arms come in the same order; writes to FOLDER/rescored_NAME.
+    same table, and whether the arms rank in the same order; writes to FOLDER/rescored_NAME.
     """
-    from warpav.experiments.rescore import check_judging, config_file, folder_name, run_rescore
+    from warpav.experiments.rescore import check_rescored_options, config_file, folder_name, run_rescore
     from warpav.runs.config import placed_config
     from warpav.runs.progress import RunDisplay
 
-    check_judging(overrides)
+    check_rescored_options(overrides)
     name = folder_name(name, overrides)
     given = executor_overrides(executor, workers, address)
     with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:

@@ -48,7 +48,7 @@ def rig_import(
     intrinsics: Annotated[Path | None, Parameter(help="camera_info YAML, or a folder of such, for the lenses.")] = None,
     part: Annotated[str | None, Parameter(help="Which rig: scene of nuScenes, vehicle of the ros-bridge.")] = None,
     accept_mirrored: Annotated[
-        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+        bool, Parameter(help="Accept cameras called left that lie or point to the right, and vice versa.", negative="")
     ] = False,
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
@@ -108,7 +108,7 @@ def rig_check(
     /,
     *,
     accept_mirrored: Annotated[
-        bool, Parameter(help="Take cameras called left that lie or look right, and the other way.", negative="")
+        bool, Parameter(help="Accept cameras called left that lie or point to the right, and vice versa.", negative="")
     ] = False,
 ) -> int:
     """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""

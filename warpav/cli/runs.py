@@ -15,6 +15,7 @@ from warpav.cli.arguments import (
     SceneSource,
     complain,
     say,
+    warn_renamed,
 )
 
 
@@ -92,7 +93,7 @@ def inspect(
     from warpav.runs.rig_source import config_for
 
     if show == "sight":
-        complain("--show sight: is called --show visibility now; the old name goes in the next version")
+        warn_renamed("--show sight", "--show visibility")
         show = "visibility"
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)

@@ -15,6 +15,7 @@ from warpav.cli.arguments import (
     Overrides,
     complain,
     say,
+    warn_renamed,
     with_flags,
 )
 
@@ -36,22 +37,27 @@ def vehicle_check(
     ] = None,
     scale: Annotated[float | None, Parameter(help="Metres for each unit of the file, 0.01 for centimetres.")] = None,
     rear_axle: Annotated[
-        float | None, Parameter(help="Metres from the vehicle's rear end to its rear axle; by default its wheels tell.")
+        float | None,
+        Parameter(help="Metres from the vehicle's rear end to its rear axle; by default read from the wheels."),
     ] = None,
     out: Annotated[Path | None, Parameter(help="GLB to write the corrected vehicle to, for scenes.ego.")] = None,
-    picture: Annotated[Path | None, Parameter(help="PNG to draw it into, with the places for cameras.")] = None,
+    image: Annotated[Path | None, Parameter(help="PNG to draw it into, with the zone for cameras.")] = None,
+    picture: Annotated[Path | None, Parameter(show=False)] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> int:
-    """Tell whether a vehicle can carry the cameras: units, axes, ground, origin, faces, places for cameras.
+    """Check whether a vehicle can carry the cameras: units, axes, ground, origin, faces, zone for cameras.
 
     Status 0: scenes.ego takes it as it is, or the file of --out; 2: something has to be corrected, and how.
     """
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_check import check_vehicle
 
+    if picture is not None:
+        warn_renamed("--picture", "--image")
+        image = image or picture
     with placed_config(config, overrides) as settings:
         report = check_vehicle(
-            file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, picture=picture
+            file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, image=image
         )
     for line in report.lines:
         say(with_flags(line))

@@ -1,11 +1,11 @@
-"""The one exception that means: the user's input is wrong, and here is how to mend it."""
+"""The one exception that means: the user's input is wrong, and here is how to fix it."""
 
 
 class InputError(ValueError):
     """The user's input cannot be used.
 
     The text is one line that says where it stands (file and line, or the override), which field, what was expected,
-    what came, and how to mend it. The command line prints it without a traceback and leaves with status 2.
+    what came, and how to fix it. The command line prints it without a traceback and leaves with status 2.
     """
 
 
@@ -17,7 +17,7 @@ class OptionError(InputError):
     """
 
     def __init__(self, option: str, text: str) -> None:
-        """The error; ``text`` says what was expected, what came, and how to mend it."""
+        """The error; ``text`` says what was expected, what came, and how to fix it."""
         super().__init__(f"{option}: {text}")
         self.option = option
 

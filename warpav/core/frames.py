@@ -4,7 +4,7 @@
 Frame     Axes                                           Used by
 ========= ============================================== ==========================================================
 ``ego``   x forward, y left, z up, right-handed [m];     everything in warpav and in its files (ISO 8855); the origin
-          yaw left positive, pitch nose-down positive    lies on the ground below the middle of the rear axle
+          yaw left positive, pitch nose-down positive    lies on the ground below the centre of the rear axle
 link      the axes of ``ego``, at a camera               ROS ``camera_link``
 camera    x right, y down, z along the optical axis      OpenCV; pixel centres lie at +0.5
 thesis    x left, y up, z forward, right-handed          the thesis plans in x and z, and y is the height (it renders

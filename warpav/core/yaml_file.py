@@ -42,37 +42,29 @@ for _tag, _pattern, _first in (
 _Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _Yaml12Loader.construct_decimal)
 
 
-def read_yaml(file: Path) -> tuple[Any, dict[Location, int]]:
-    """The data in a YAML file, and the line (from 1) of every value; see :func:`parse_yaml`.
-
-    Raises:
-        InputError: The file cannot be read, is not YAML, or gives a key twice.
-    """
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(f"{file}: expected a readable YAML file, got: {reason}") from None
-    return parse_yaml(text, str(file))
-
-
-def parse_yaml(text: str, place: str, *, has_lines: bool = True) -> tuple[Any, dict[Location, int]]:
-    """The data in a YAML text, and the line (from 1) of every value.
+def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[Location, int]]:
+    """The data in a YAML file or a YAML text, and the line (from 1) of every value.
 
     Numbers follow YAML 1.2 (``1e-3`` is a number, ``no`` and ``1:30`` are text); keys are always text.
 
     Args:
-        text: One YAML document.
-        place: What messages call the text.
-        has_lines: Whether messages name lines; False for a text that the user gave on the command line.
+        source: The file, or a text of one document, which messages quote without lines.
+        place: What messages call the source; None: by the file's name.
 
     Returns:
         None, bool, int, float, str, list and dict; the line of every key and list item.
 
     Raises:
-        InputError: The text is not YAML, or gives a key twice.
+        InputError: The file cannot be read, the text is not YAML, or a key is there twice.
     """
     line_of: dict[Location, int] = {}
+    has_lines = isinstance(source, Path)
+    place = str(source) if place is None else place
+    try:
+        text = source.read_text(encoding="utf-8") if isinstance(source, Path) else source
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InputError(f"{place}: expected a readable YAML file, got: {reason}") from None
 
     def at(line: int) -> str:
         return f"{place}:{line}" if has_lines else place

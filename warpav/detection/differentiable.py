@@ -178,8 +178,8 @@ class DifferentiableDetector:
         loss = torch.stack(parts).sum(dim=0).cpu().numpy()
         if weight is None:
             return DetectionLoss(loss, None, None)
-        to_picture, to_truth = (torch.stack(each).sum(dim=0) for each in zip(*gradients, strict=True))
-        return DetectionLoss(loss, wp.from_torch(to_picture.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
+        to_image, to_truth = (torch.stack(each).sum(dim=0) for each in zip(*gradients, strict=True))
+        return DetectionLoss(loss, wp.from_torch(to_image.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
 
     def _raw_output(self, rgb: Any) -> Any:  # noqa: ANN401 (tensors; PyTorch is no import of this module)
         """The network's output for colours [image, 3, row, column], checked."""

@@ -1,4 +1,4 @@
-"""Images of a scene from given cameras, on the host."""
+"""Images of a scene from given cameras, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpav.core.devices import checked_device
 from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import RigCamera
+from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene, object_index_of
 from warpav.scene.scene import Scene
 
@@ -36,6 +37,25 @@ class CameraImage:
     amodal_area_px: np.ndarray
 
 
+def render(rig: Rig, scene: Scene, *, supersampling: int = 1, device: str = "cpu") -> dict[str, CameraImage]:
+    """What every camera of a rig sees of a scene; without gradients, for which there is `warpav.raster`.
+
+    Args:
+        rig: Cameras of any lens and image size.
+        scene: The scene.
+        supersampling: As of `render_images`.
+        device: Warp device.
+
+    Returns:
+        Images by the camera's name.
+
+    Raises:
+        InputError: The device is not there.
+    """
+    images = render_images(scene, rig.cameras, supersampling=supersampling, device=checked_device(device))
+    return {camera.name: image for camera, image in zip(rig.cameras, images, strict=True)}
+
+
 def render_images(
     scene: Scene | DeviceScene,
     cameras: Sequence[RigCamera],
@@ -58,7 +78,7 @@ def render_images(
         One image per camera, in order.
     """
     packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
-    pictures: dict[int, CameraImage] = {}
+    image_of: dict[int, CameraImage] = {}
     for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in cameras):
         group = [i for i, c in enumerate(cameras) if (c.model.width_px, c.model.height_px) == size]
         renderer = Renderer(
@@ -78,7 +98,7 @@ def render_images(
         depth_m, object_index = frame.depth_m.numpy(), object_index_of(frame.object_id.numpy())
         value = frame.measure().value.numpy()
         for k, i in enumerate(group):
-            pictures[i] = CameraImage(
+            image_of[i] = CameraImage(
                 rgb[k], depth_m[k], object_index[k], value[k, :, VISIBLE_AREA], value[k, :, AMODAL_AREA]
             )
-    return [pictures[i] for i in range(len(cameras))]
+    return [image_of[i] for i in range(len(cameras))]

@@ -16,7 +16,9 @@ import numpy as np
 
 from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS, Detections
-from warpav.detection.families import Letterbox, NetworkFile, Tensor, metadata_labels, recognise
+from warpav.detection.families.letterbox import Letterbox
+from warpav.detection.families.network_file import NetworkFile, Tensor, metadata_labels
+from warpav.detection.families.recognise import recognise
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

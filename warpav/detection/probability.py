@@ -84,7 +84,6 @@ class Appearance:
         scene: DeviceScene,
         *,
         measures: Measures | None = None,
-        image: wp.array | None = None,
     ) -> Appearance:
         """Measure the last render; nothing is taped.
 
@@ -92,24 +91,9 @@ class Appearance:
             frame: All content of ``scene``.
             scene: The scene.
             measures: Of this render, from `Frame.measure`; None: they are taken here.
-            image: Its colours in all views, 0..1, vec3 [view, row, column]; None: they are drawn here.
         """
-        device = frame.device
-        if measures is None:
-            measures = frame.measure()
-        in_frame = frame.window_area(visible=False)
-        if image is None:
-            image = frame.colours()
-        _, object_id = frame.depths_and_ids()
-        contrast = wp.zeros((frame.view_count, scene.vehicle_count), dtype=float, device=device)
-        wp.launch(
-            kernels.find_contrast_kernel,
-            dim=contrast.shape,
-            inputs=[image, object_id, measures.value],
-            outputs=[contrast],
-            device=device,
-            record_tape=False,
-        )
+        measures = frame.measure() if measures is None else measures
+        in_frame, contrast = frame.window_area(visible=False), frame.contrast(measures.value)
         return cls(measures, in_frame, contrast, scene.upright_box, frame.width_px, frame.height_px)
 
 
@@ -128,7 +112,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class DetectorUse:
-    """A detector, and everything about its surroundings on which its chances depend.
+    """A detector, and everything about its surroundings on which its detection probability depends.
 
     Attributes:
         model: Path of its ONNX file.
@@ -203,6 +187,10 @@ class DetectionProbability:
             raise ValueError("expected finite numbers and positive steps between knots")
         object.__setattr__(self, "_on_device", {})
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it travels to another process: without what is on a device."""
+        return DetectionProbability, (self.start, self.step, self.coefficient, self.constant, dict(self.record))
+
     def curve(self, feature: int, value: np.ndarray) -> np.ndarray:
         """What a feature adds to the logit, at given values of it, float64 [value]."""
         knots = self.coefficient.shape[1]
@@ -243,6 +231,24 @@ class DetectionProbability:
             appearance.contrast,
             width_px=appearance.width_px,
             height_px=appearance.height_px,
+        )
+
+    def of_coverage(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> Seen:
+        """Probabilities in the views of a render, the same numbers as `on_tape` gives; nothing is taped.
+
+        Args:
+            frame: Of ``scene``, of content coverage or all.
+            scene: The scene.
+            position_ego_m: Camera centres [m], vec3 [view].
+        """
+        coverage = frame.coverage()
+        return self.of_measures(
+            coverage.value,
+            coverage.solid_angle_sr,
+            whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count),
+            frame.contrast(coverage.value),
+            width_px=frame.width_px,
+            height_px=frame.height_px,
         )
 
     def of_measures(

@@ -155,7 +155,7 @@ def sample_detections(
         confidence_min=confidence_min,
         iou_min=iou_min,
     )
-    appearance = Appearance.of(frame, scene, image=image)
+    appearance = Appearance.of(frame, scene)
     seen = DetectionProbability.blank().on_tape(appearance, position_ego_m, camera_from_ego)
     is_visible = appearance.measures.value.numpy()[:, :, VISIBLE_AREA] >= 1.0
     is_detected = observation.match[is_visible] >= 0

@@ -15,9 +15,11 @@ from functools import cache, cached_property
 import numpy as np
 import warp as wp
 
+from warpav.core.devices import checked_device
 from warpav.raster.buffers import available_cores
-from warpav.rig.rig import RigCamera
+from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
+from warpav.scene.scene import Scene
 from warpav_kernels.evaluation import ground as kernels
 
 HEIGHTS_M = (1.1, 1.7)
@@ -27,6 +29,34 @@ RADIUS_M = 25.0
 CELL_M = 0.5
 STEP_M = 0.3
 """Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
+
+
+def coverage(
+    rig: Rig,
+    scene: Scene,
+    *,
+    heights_m: Sequence[float] = HEIGHTS_M,
+    radius_m: float = RADIUS_M,
+    cell_m: float = CELL_M,
+    device: str = "cpu",
+) -> Coverage:
+    """Where around the vehicle the cameras of a rig see a person, with occlusion by everything in the scene.
+
+    Args:
+        rig: Cameras of any lens.
+        scene: The street, the traffic, and the vehicle that carries the rig (`Scene.around` puts another there).
+        heights_m: Heights of the persons above the ground [m], at least one, positive.
+        radius_m: Radius around the ego vehicle's centre [m], positive.
+        cell_m: Size of a ground cell [m], positive.
+        device: Warp device.
+
+    Raises:
+        InputError: The device is not there.
+        ValueError: A size or a height is not positive.
+    """
+    packed = DeviceScene.pack(scene, device=checked_device(device))
+    return Ground.around(packed, radius_m=radius_m, cell_m=cell_m).coverage(rig.cameras, heights_m=heights_m)
+
 
 _HIGHEST_M, _GRADE_MAX = 0.6, 0.08  # maximum height of the ground at the vehicle, and its increase per metre: slopes
 _DEPTH_M = 30.0  # maximum depth of a downhill street

@@ -258,7 +258,7 @@ class RigObserver:
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         self._groups: list[tuple[Renderer, Rig]] = []
         for model in models:
-            part = Rig.create([camera for camera in rig.cameras if camera.model == model])
+            part = Rig([camera for camera in rig.cameras if camera.model == model])
             renderer = Renderer(
                 [model] * len(part.cameras), supersampling=supersampling, occlusion=occlusion, device=device
             )

@@ -32,6 +32,9 @@ TABLE_ROWS = {
 """Metrics that a table shows, and their headings."""
 
 
+CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
+
+
 @dataclass(frozen=True)
 class SeenObject:
     """An object of a scene before several rigs.
@@ -39,7 +42,7 @@ class SeenObject:
     Attributes:
         scene: Name of the scene.
         category: What it is.
-        distance_m: From the middle of the ego vehicle to the middle of its box, seen from above [m].
+        distance_m: From the centre of the ego vehicle to the centre of its box, seen from above [m].
         bearing_deg: Direction in which it is, left positive [deg].
         outcome: What becomes of it, by rig.
         seen_by: Names of the cameras that see enough of it for a ground-truth box, by rig.
@@ -62,10 +65,12 @@ class Table:
     Attributes:
         columns: Headings; the first is that of the rows.
         rows: Their cells.
+        caption: A line below it; empty: none.
     """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
 
     def __str__(self) -> str:
         every = [self.columns, *self.rows]
@@ -77,7 +82,8 @@ class Table:
             )
             for row in every
         ]
-        return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+        lines = [lines[0], "-" * len(lines[0]), *lines[1:]]
+        return "\n".join([*lines, self.caption] if self.caption else lines)
 
     def __repr__(self) -> str:
         return str(self)
@@ -90,7 +96,8 @@ class Table:
             + "</tr>"
             for row in self.rows
         )
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        caption = f"<caption style='caption-side:bottom'>{html.escape(self.caption)}</caption>" if self.caption else ""
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +124,10 @@ class RigEvaluation:
     def difference(self, one: str, other: str, metric: str = "rig_recall") -> Difference:
         """How a rig differs from another on the same scenes, one - other, with a 95 % interval.
 
-        The scenes are resampled, together for both rigs, so the interval speaks of other scenes like these.
+        It is the mean over scenes of the difference within each scene, and every scene counts alike. The recalls of
+        `table` pool the objects of all scenes, so a scene with many counts more there, and the difference of two
+        recalls is another number than this. The scenes are resampled, together for both rigs, so the interval speaks
+        of other scenes like these.
 
         Args:
             one: Name of a rig.
@@ -135,12 +145,15 @@ class RigEvaluation:
         return paired_difference(self.metrics[one].per_scene[metric], self.metrics[other].per_scene[metric])
 
     def table(self) -> Table:
-        """Metrics by rig: text when printed, HTML in a notebook."""
+        """Metrics by rig: text when printed, HTML in a notebook.
+
+        The recalls pool the objects of all scenes; `difference` is a mean over scenes.
+        """
         rows = [
             (heading, *(_cell(getattr(metrics, field)) for metrics in self.metrics.values()))
             for field, heading in TABLE_ROWS.items()
         ]
-        return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows))
+        return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), CAPTION)
 
     def to_pandas(self) -> pandas.DataFrame:
         """The metrics as a table of pandas: one row a rig, one column a metric.

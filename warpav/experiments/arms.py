@@ -39,7 +39,7 @@ from warpav.optimisation.segregation import BatchChooser
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.optimise import Optimisation, descent_from, start_pose
+from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.rig_source import read_start
 
@@ -264,6 +264,11 @@ def _within(placement: Placement, render_budget: int | None) -> Placement:
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
+def _from_one_start(placement: Placement) -> Placement:
+    """The same placement, whose descent tries no other starts."""
+    return placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
+
+
 def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     batch_size = placement.config.run.batch_size
@@ -294,9 +299,8 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
 def _start(placement: Placement, render_budget: int | None) -> FoundRig:
     """The rig that the gradient method starts from."""
     del render_budget
-    pose = start_pose(placement)
-    rig = placement.objective.mount.rig(pose)
-    return FoundRig(rig, None if placement.config.rig.start == "random" else rig, 0, {}, mount_pose=pose)
+    begun = Optimisation.begin(_from_one_start(placement))
+    return FoundRig(begun.start, begun.began_as, 0, {}, mount_pose=begun.descent.start)
 
 
 def _random_rig(placement: Placement, render_budget: int | None) -> FoundRig:
@@ -386,9 +390,9 @@ def _cma_then_gradient(placement: Placement, render_budget: int | None) -> Found
     if first.error is not None:
         raise RuntimeError(f"the search ended early: {first.error}")
     # its start is found already
-    alone = placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
-    rest = _within(alone, whole - first.renders)
-    second = _descended(rest, descent_from(rest, first.mount_pose, rest.frozen_rig), rest.frozen_rig)
+    rest = _within(_from_one_start(placement), whole - first.renders)
+    begun = Optimisation.begin(rest, start=first.mount_pose, began_as=rest.frozen_rig)
+    second = _descended(rest, begun.descent, rest.frozen_rig)
     both = _columns(first.history)
     for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
         both[name] += [None if number is None else number + shift for number in second.history[name]]
@@ -435,7 +439,9 @@ def _columns(history: Sequence[SearchRecord]) -> dict[str, list[float | None]]:
 
 
 def _greedy(placement: Placement, scenes: Sequence[Any]) -> Search:
-    return partial(greedy_cover, sights=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS)
+    return partial(
+        greedy_cover, detected_objects=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS
+    )
 
 
 METHODS: dict[str, Finder] = {

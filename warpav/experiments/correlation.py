@@ -27,7 +27,7 @@ RIGS_MIN = 100
 """Minimum number of random rigs for the goal to be measured."""
 
 ALL_RANDOM = "all random rigs"
-EVERY = "with the good ones"
+EVERY = "all rigs"
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class Correlations:
         head = ["rigs", "number", "objective", *(COMPARED[metric] for metric in HELD_OUT)]
         lines = ["| " + " | ".join(head) + " |", "| --- | ---: | --- | ---: | ---: |"]
         lines += ["| " + " | ".join(cells) + " |" for cells in self._lines()]
-        picture = ["", f"![Objective and held-out metrics of every rig]({self.figure})"] if self.figure else []
-        return "\n".join([*lines, *picture, "", *(f"- {note}" for note in self.notes), ""])
+        figure = ["", f"![Objective and held-out metrics of every rig]({self.figure})"] if self.figure else []
+        return "\n".join([*lines, *figure, "", *(f"- {note}" for note in self.notes), ""])
 
     def terminal(self) -> Group:
         """The table for the console."""
@@ -92,7 +92,7 @@ def correlate(results: Results, figure: Path | None = None, *, resamples: int = 
     """Rank correlations over the rigs of an experiment.
 
     Args:
-        results: Results by arm; those of `RANDOM_GROUPS` are random rigs, all others good ones.
+        results: Results by arm; those of `RANDOM_GROUPS` are random rigs.
         figure: PNG file to draw them to.
         resamples: Of the bootstrap.
     """

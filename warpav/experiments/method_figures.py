@@ -24,7 +24,7 @@ from warpav.runs.config import Config, changed_config
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
 from warpav.runs.networks import load_detector, load_networks
-from warpav.runs.optimise import Optimisation, descent_from
+from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement, needed_fit, placement_on
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
@@ -102,7 +102,8 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
         began_as = None if placement.has_ordered_start else began
         kept = OptimisedRig(began, path_m, run.rig("final"))
     loose = placement_on(traffic, changed_config(config, _UNCONSTRAINED), networks, probability)
-    free = _optimised(loose, descent_from(loose, start, began_as), progress, "without constraints")
+    freed = Optimisation.begin(loose, start=start, began_as=began_as)
+    free = _optimised(loose, freed.descent, progress, "without constraints")
 
     steps = len(free.trajectory_m) - 1
     return rigs.without_and_with_constraints(

@@ -47,10 +47,10 @@ from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
 
 SCHEMA = 1
-JUDGING = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
+RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
-JUDGING_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
+RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
 
 _REFERENCE = "gradient"
@@ -93,7 +93,7 @@ def config_file(folder: Path) -> Path:
     return folder / "config.yaml"
 
 
-def check_judging(overrides: Sequence[str]) -> None:
+def check_rescored_options(overrides: Sequence[str]) -> None:
     """Reject overrides that would change rigs, or nothing.
 
     Raises:
@@ -106,10 +106,10 @@ def check_judging(overrides: Sequence[str]) -> None:
         )
     for override in overrides:
         option = overridden_option(override)
-        if option.partition(".")[0] not in JUDGING and option not in JUDGING_OPTIONS:
+        if option.partition(".")[0] not in RESCORED_SECTIONS and option not in RESCORED_OPTIONS:
             raise InputError(
                 f"command line ({override}): {option}: expected an evaluation option: of "
-                f"{', '.join(JUDGING)}, or {', '.join(JUDGING_OPTIONS)}; rigs stay as they are"
+                f"{', '.join(RESCORED_SECTIONS)}, or {', '.join(RESCORED_OPTIONS)}; rigs stay as they are"
             )
 
 
@@ -255,7 +255,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
 def resized(rig: Rig, config: Config) -> Rig:
     """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
     camera = config.camera
-    return Rig.create(
+    return Rig(
         [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
     )
 

@@ -14,23 +14,17 @@ class AdamW:
     """Adam with bias correction, weight decay decoupled from the gradient, in single precision.
 
     Source: Loshchilov and Hutter, Decoupled Weight Decay Regularization, 2019, algorithm 2.
+
+    Attributes:
+        value: The numbers now, float32; every step makes a new array.
     """
 
     def __init__(self, value: np.ndarray, *, weight_decay: float) -> None:
         """State for ``value``, any shape."""
         self._weight_decay = np.float32(weight_decay)
-        self._value = np.array(value, np.float32)
-        self._first_moment, self._second_moment = np.zeros_like(self._value), np.zeros_like(self._value)
+        self.value = np.array(value, np.float32)
+        self._first_moment, self._second_moment = np.zeros_like(self.value), np.zeros_like(self.value)
         self._step_number = 0
-
-    @property
-    def value(self) -> np.ndarray:
-        """The numbers now, a copy."""
-        return self._value.copy()
-
-    @value.setter
-    def value(self, value: np.ndarray) -> None:
-        self._value = np.array(value, np.float32)
 
     def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
         """One step; a negative step size ascends, 0 leaves a number and its moments alone. Shapes as ``value``."""
@@ -44,43 +38,43 @@ class AdamW:
         unbiased_first, unbiased_second = (
             moment / (one - beta ** np.float32(self._step_number)) for moment, beta in ((first, beta1), (second, beta2))
         )
-        decayed = self._value * (one - np.abs(rate) * self._weight_decay)
+        decayed = self.value * (one - np.abs(rate) * self._weight_decay)
         stepped = decayed - rate * unbiased_first / (np.sqrt(unbiased_second) + EPSILON)
-        for kept, new in ((self._first_moment, first), (self._second_moment, second), (self._value, stepped)):
-            kept[moves] = new[moves]
+        self._first_moment = np.where(moves, first, self._first_moment)
+        self._second_moment = np.where(moves, second, self._second_moment)
+        self.value = np.where(moves, stepped, self.value)
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `restore` needs."""
         return {
             "value": self.value,
-            "first_moment": self._first_moment.copy(),
-            "second_moment": self._second_moment.copy(),
+            "first_moment": self._first_moment,
+            "second_moment": self._second_moment,
             "step_number": np.array(self._step_number),
         }
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from a state."""
-        self._value = np.array(state["value"], np.float32)
+        self.value = np.array(state["value"], np.float32)
         self._first_moment = np.array(state["first_moment"], np.float32)
         self._second_moment = np.array(state["second_moment"], np.float32)
         self._step_number = int(state["step_number"])
 
 
 class MultiplierAscent:
-    """Plain gradient steps on the multipliers of inequalities, which are never negative."""
+    """Plain gradient steps on the multipliers of inequalities, which are never negative.
+
+    Attributes:
+        value: The multipliers now, float32; every step makes a new array.
+    """
 
     def __init__(self, value: np.ndarray) -> None:
         """State for ``value``, any shape, at least 0."""
-        self._value = np.array(value, np.float32)
-
-    @property
-    def value(self) -> np.ndarray:
-        """The numbers now, a copy."""
-        return self._value.copy()
+        self.value = np.array(value, np.float32)
 
     def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
         """One step, as `AdamW.step` counts them: a negative step size ascends. Shapes as ``value``."""
-        self._value = np.maximum(self._value - np.asarray(step_size * gradient, np.float32), np.float32(0.0))
+        self.value = np.maximum(self.value - np.asarray(step_size * gradient, np.float32), np.float32(0.0))
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `restore` needs."""
@@ -88,4 +82,4 @@ class MultiplierAscent:
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from a state."""
-        self._value = np.array(state["value"], np.float32)
+        self.value = np.array(state["value"], np.float32)

@@ -131,6 +131,25 @@ class Constraints(ABC):
         violation = float(self._excess_m(position_m[~is_frozen, :2]).sum() + missing)
         return violation if violation > _ROUNDING_M else 0.0
 
+    def slack_m(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
+        """By how much cameras keep more than they must, each from the border and each pair from each other [m].
+
+        Args:
+            place_m: x and y of the cameras [m], float [camera, 2].
+            height_delta_m: Height above the surface of each over that of the others [m], float [camera].
+
+        Returns:
+            Borders, then pairs; negative where a constraint is broken. Frozen cameras have none of their own. float64.
+        """
+        place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
+        is_frozen = self._put_frozen(place, height_delta)
+        point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
+        one, other = np.triu_indices(len(place), 1)
+        counts = ~(is_frozen[one] & is_frozen[other])
+        apart_m = np.linalg.norm(point_m[one[counts]] - point_m[other[counts]], axis=-1)
+        border_m = self._border_distance_m(place[~is_frozen])
+        return np.concatenate([border_m - self.margin_m, apart_m - self.min_spacing_m])
+
     def margins(self, rig: Rig) -> list[Margin]:
         """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.
 

@@ -33,7 +33,7 @@ class Descent:
         objective: What is minimised.
         scenes: The training scenes with their assigned cameras.
         settings: How to step.
-        start: Mount poses to start from, float [camera, 7].
+        start: Mount poses to start from, float [camera, 7]; brought within the mount's free ranges.
         rng: Chooses the batches.
         iterations: Number of steps, at least 1.
         batch_size: Scenes per step, at least 1.
@@ -63,6 +63,7 @@ class Descent:
         self.iteration = 0
         self.descent = 0
         self._mount: CameraMount = self.objective.mount
+        self.start, *self.further_starts = (self._mount.within(pose) for pose in (self.start, *self.further_starts))
         self._begin(self.start)
         chooser = BatchChooser if self.objective.needs_panorama else ShuffledBatches
         self._batches = chooser(self.scenes, len(self.start), self.rng)
@@ -92,7 +93,7 @@ class Descent:
         self._begun_at = self.iteration
         left = self.settings.descents - self.descent
         self._schedule = Schedule(self.settings, round((self.iterations - self.iteration) / left))
-        self._pose = AdamW(self._mount.within(start), weight_decay=self.settings.weight_decay)
+        self._pose = AdamW(start, weight_decay=self.settings.weight_decay)
         multiplier = np.zeros(len(constraints.names), np.float32)
         self._multiplier: AdamW | MultiplierAscent = (
             MultiplierAscent(multiplier)
@@ -103,7 +104,7 @@ class Descent:
     @property
     def mount_pose(self) -> np.ndarray:
         """Mount poses now, float32 [camera, 7]; they may break the constraints."""
-        return self._pose.value
+        return self._pose.value.copy()
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -132,10 +133,10 @@ class Descent:
         if self.descent < len(self.further_starts) and (
             self._steps >= self._schedule.step_count or self._out_of_patience
         ):
-            self._check(self.mount_pose)
+            self._check(self._pose.value)
             self.descent += 1
             self._begin(self.further_starts[self.descent - 1])
-        checked = self._check(self.mount_pose) if self._schedule.is_time_to_check(self._steps) else None
+        checked = self._check(self._pose.value) if self._schedule.is_time_to_check(self._steps) else None
         pose, multiplier = self._pose.value, self._multiplier.value
         result = self.objective.evaluate(
             pose,
@@ -166,7 +167,7 @@ class Descent:
         After several descents one more rig is evaluated, made of the best cameras of what they found.
         """
         if not self.candidates or self.candidates[-1].iteration != self.iteration:
-            self._check(self.mount_pose)
+            self._check(self._pose.value)
             if self.further_starts:
                 self._check_mixture()
         return self.best if self.settings.keep == "best" else self.candidates[-1]
@@ -223,7 +224,7 @@ class Descent:
 
     def _check(self, mount_pose: np.ndarray) -> Candidate:
         """Evaluate the feasible poses nearest to these on all validation scenes."""
-        pose = mount_pose
+        pose = mount_pose.copy()
         pose[:, [X_M, Y_M]] = self.objective.constraints.project(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
         scenes, is_mixed = self.validation or self.scenes, bool(self.further_starts)
         found = self.objective.evaluate(pose, scenes, detection_probability=is_mixed)

@@ -11,6 +11,7 @@ import warp as wp
 
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import MOUNT_POSE_SIZE
+from warpav.raster.renderer import Renderer
 from warpav_kernels.placement import exchange
 
 
@@ -24,6 +25,7 @@ class Fetched:
         batch_loss: Every loss on the device, summed over the scenes of the batch, float64 [loss].
         constraint_loss: Every constraint's, float64 [constraint].
         total: The Lagrangian.
+        needed_samples: Of each renderer, for `Renderer.grew`.
     """
 
     pose_gradient: np.ndarray
@@ -31,6 +33,7 @@ class Fetched:
     batch_loss: np.ndarray
     constraint_loss: np.ndarray
     total: float
+    needed_samples: tuple[int, ...]
 
 
 class Exchange:
@@ -65,7 +68,8 @@ class Exchange:
         self.host_weight: tuple[float, ...] = ()
         self.batch_loss = wp.zeros(loss_count, dtype=wp.float64, device=device)
         self._mean_loss = wp.zeros(loss_count, dtype=float, device=device)
-        self._gathered = wp.zeros(int(ends[2]) + loss_count + constraint_count + 1, dtype=wp.float64, device=device)
+        self._fetched_count = int(ends[2]) + loss_count + constraint_count + 1
+        self._gathered = wp.zeros(self._fetched_count, dtype=wp.float64, device=device)
 
     def send(
         self,
@@ -121,25 +125,38 @@ class Exchange:
         )
         return self._mean_loss
 
-    def fetch(self, constraint_loss: wp.array, total: wp.array) -> Fetched:
+    def fetch(self, constraint_loss: wp.array, total: wp.array, renderers: Sequence[Renderer]) -> Fetched:
         """End a step: one copy to the host, the only one that waits for the device."""
+        size = self._fetched_count + len(renderers)
+        if len(self._gathered) != size:
+            self._gathered = wp.zeros(size, dtype=wp.float64, device=self._device)
+        for k, renderer in enumerate(renderers):
+            wp.launch(
+                exchange.gather_needed_samples_kernel,
+                dim=1,
+                inputs=[renderer.needed_samples, self._fetched_count + k],
+                outputs=[self._gathered],
+                device=self._device,
+                record_tape=False,
+            )
         wp.launch(
             exchange.gather_step_kernel,
-            dim=self._gathered.shape,
+            dim=self._fetched_count,
             inputs=[self._gradient, self.batch_loss, constraint_loss, total],
             outputs=[self._gathered],
             device=self._device,
             record_tape=False,
         )
         gathered = self._gathered.numpy()
-        sizes = [self._shape[0] * self._shape[1], len(self.multiplier), len(self.batch_loss), len(self.multiplier)]
-        pose, multiplier, batch_loss, constraints, total_loss = np.split(gathered, np.cumsum(sizes))
+        sizes = [self._shape[0] * self._shape[1], len(self.multiplier), len(self.batch_loss), len(self.multiplier), 1]
+        pose, multiplier, batch_loss, constraints, total_loss, needed = np.split(gathered, np.cumsum(sizes))
         return Fetched(
             pose.astype(np.float32).reshape(self._shape),
             multiplier.astype(np.float32),
             batch_loss.copy(),
             constraints.copy(),
             float(total_loss[0]),
+            tuple(int(each) for each in needed),
         )
 
 

@@ -228,7 +228,7 @@ class CameraMount:
         Args:
             mount_pose: Of every camera, float [camera, 7].
             rotation_count: Views of every camera; None: all rotational additions.
-            into: Arrays to write to; None: new ones.
+            into: Arrays to write to, their gradients set to 0; None: new ones.
 
         Raises:
             ValueError: Not so many numbers for a camera.
@@ -238,6 +238,7 @@ class CameraMount:
         camera_count = mount_pose.shape[0]
         rotation_count = self.rotation_count if rotation_count is None else rotation_count
         views = PlacedViews.zeros(mount_pose, rotation_count) if into is None else into
+        views.zero_grad()
         wp.launch(
             kernels.place_on_surface_kernel,
             dim=camera_count,
@@ -298,7 +299,7 @@ class CameraMount:
         height_m = (
             self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
         )
-        return Rig.create(
+        return Rig(
             [
                 frozen.camera[i]
                 if frozen is not None and frozen.is_frozen[i]
@@ -314,10 +315,15 @@ class CameraMount:
             ]
         )
 
-    def mount_pose_of_rig(self, rig: Rig) -> np.ndarray:
+    def mount_pose_of_rig(self, rig: Rig, *, as_configured: bool = False) -> np.ndarray:
         """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
 
         Cameras of another model than the mount's give the zoom at which the mount's has their focal length.
+
+        Args:
+            rig: The rig.
+            as_configured: Whether height and field of view are as configured where they are not free, whatever the
+                rig's are.
         """
         rows = []
         for camera in rig.cameras:
@@ -325,18 +331,10 @@ class CameraMount:
             height_delta_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
             log_zoom = camera.model.log_zoom_over(self.camera)
             rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, height_delta_m, log_zoom])
-        return np.array(rows, np.float32)
-
-    def start_pose_of_rig(self, rig: Rig) -> np.ndarray:
-        """The mount poses nearest to a rig's cameras that this mount allows, float32 [camera, 7].
-
-        Height and field of view are as configured where they are not free.
-        """
-        pose = self.mount_pose_of_rig(rig)
-        for number in (HEIGHT_DELTA_M, LOG_ZOOM):
-            if not self.is_free[number]:
-                pose[:, number] = 0.0
-        return self.within(pose)
+        pose = np.array(rows, np.float32)
+        if as_configured:
+            pose[:, [n for n in (HEIGHT_DELTA_M, LOG_ZOOM) if not self.is_free[n]]] = 0.0
+        return pose
 
 
 def views_of_rig(

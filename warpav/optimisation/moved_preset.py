@@ -42,7 +42,7 @@ def move_to_vehicle(
 ) -> MovedPreset:
     """Put every camera of a rig on the nearest place of a vehicle's mount surface that keeps its direction free.
 
-    Both vehicles' frames are laid over each other: origins below the middle of the rear axle, nothing is scaled. A
+    Both vehicles' frames are laid over each other: origins below the centre of the rear axle, nothing is scaled. A
     direction is free if the middle row of the image does not meet the vehicle, over the whole field of view. Cameras
     are placed in the order of the rig, each apart from those before it.
 
@@ -79,7 +79,7 @@ def move_to_vehicle(
         moved_m.append(distance_m[best])
         blocked_share.append(share[best])
         is_taken |= np.linalg.norm(place_m - place_m[best], axis=1) < constraints.min_spacing_m
-    return MovedPreset(Rig.create(cameras), np.array(moved_m), np.array(blocked_share))
+    return MovedPreset(Rig(cameras), np.array(moved_m), np.array(blocked_share))
 
 
 def _places(mount: CameraMount, constraints: Constraints) -> np.ndarray:

@@ -68,12 +68,12 @@ class _Observed:
 
     Attributes:
         step: Its step; the step's renderer holds the render.
-        sight: What the cameras see of its vehicles; None where no loss asks for it.
+        seen: What the cameras see of its vehicles; None where no loss asks for it.
         camera: Cameras whose images go to the detector.
     """
 
     step: SceneStep
-    sight: VisibleObjects | None
+    seen: VisibleObjects | None
     camera: list[int]
 
 
@@ -239,7 +239,8 @@ class RigObjective:
                 count=[count[loss.name] for loss in device],
                 host_weight=[share[loss.name] for loss in host],
             )
-            tape = views.place()
+            with wp.Tape() as tape:
+                self.mount.place(exchange.pose, views.rotation_count, into=views.placed)
             losses = self._losses(pose, views, scenes, schedule, seconds, gradient=gradient)
             closed = time.perf_counter()
             with tape if with_constraints else contextlib.nullcontext():
@@ -247,9 +248,10 @@ class RigObjective:
                 total = self._lagrangian.on_tape(exchange.mean_loss(), constraint_loss, exchange.multiplier)
             if gradient:
                 tape.backward(total if with_constraints else None)
-            fetched = exchange.fetch(constraint_loss, total)
+            fetched = exchange.fetch(constraint_loss, total, views.renderers)
             seconds["backward"] += time.perf_counter() - closed
-            grown = [renderer.grew() for renderer in views.renderers]
+            asked = zip(views.renderers, fetched.needed_samples, strict=True)
+            grown = [renderer.grew(needed) for renderer, needed in asked]
             if not any(grown):
                 break
 
@@ -300,7 +302,9 @@ class RigObjective:
                 count=np.ones(len(device)),
                 host_weight=[0.0] * len(self._objective.host),
             )
-            return views.place()
+            with wp.Tape() as tape:
+                self.mount.place(exchange.pose, views.rotation_count, into=views.placed)
+            return tape
 
         def fetched(tape: wp.Tape, constraint: int | None = None) -> np.ndarray:
             if constraint is not None:
@@ -317,11 +321,13 @@ class RigObjective:
             result = {loss.name: np.zeros((self.camera_count, MOUNT_POSE_SIZE), np.float32) for loss in device}
             for scene in scenes:
                 send(np.zeros(len(device)))
-                [observed], answers = self._observe(pose, views, [(scene, 0)], schedule, {"render": 0.0, "detect": 0.0})
-                self._match(observed, answers())
+                step = self._step_of(views, scene, 0)
+                step.observe()
+                observed, images = self._observed(step, scene, pose, schedule)
+                self._match(observed, self._loop.ask(images)())
                 for k, loss in enumerate(device):
                     tape = send(np.where(np.arange(len(device)) == k, share[k], 0.0))
-                    observed.step.loss_and_grad()
+                    step.loss_and_grad()
                     result[loss.name] += fetched(tape)
             if not views.renderers[0].grew():
                 break
@@ -376,53 +382,61 @@ class RigObjective:
         per_question = max(1, slots // 2)
         asked: deque[tuple[list[_Observed], Callable[[], list[Detections]]]] = deque()
         losses: list[SceneLosses] = []
-        for first in range(0, len(scenes), per_question):
-            while (len(asked) + 1) * per_question > slots:  # until their renderers are free
-                losses += self._finish(*asked.popleft(), seconds, gradient=gradient)
-            group = range(first, min(first + per_question, len(scenes)))
-            asked.append(self._observe(pose, views, [(scenes[k], k % slots) for k in group], schedule, seconds))
-        while asked:
-            losses += self._finish(*asked.popleft(), seconds, gradient=gradient)
+
+        groups = [range(k, min(k + per_question, len(scenes))) for k in range(0, len(scenes), per_question)]
+        for group in [*groups, range(0)]:
+            while asked and (not group or (len(asked) + 1) * per_question > slots):  # until their renderers are free
+                observed, answers = asked.popleft()
+                started = time.perf_counter()
+                found = iter(answers())
+                for each in observed:
+                    self._match(each, [next(found) for _ in each.camera])
+                    matched = time.perf_counter()
+                    (each.step.loss_and_grad if gradient else each.step.loss)()
+                    losses.append(each.step.losses)
+                    seconds["detect"] += matched - started
+                    started = time.perf_counter()
+                    seconds["backward"] += started - matched
+            if not group:
+                break
+            started = time.perf_counter()
+            observed, images = [], []
+            for k in group:
+                step = self._step_of(views, scenes[k], k % slots)
+                step.observe()
+                seen, shown = self._observed(step, scenes[k], pose, schedule)
+                observed.append(seen)
+                images += shown
+            rendered = time.perf_counter()
+            asked.append((observed, self._loop.ask(images)))
+            seconds["render"] += rendered - started
+            seconds["detect"] += time.perf_counter() - rendered
         return losses
 
-    def _observe(
-        self,
-        pose: np.ndarray,
-        views: RigViews,
-        scenes: Sequence[tuple[AssignedScene, int]],
-        schedule: LossSchedule,
-        seconds: dict[str, float],
-    ) -> tuple[list[_Observed], Callable[[], list[Detections]]]:
-        """Render scenes, each on its renderer, and ask the detector about the images that can matter."""
-        observed, images = [], []
-        started = time.perf_counter()
+    def _observed(
+        self, step: SceneStep, assigned: AssignedScene, pose: np.ndarray, schedule: LossSchedule
+    ) -> tuple[_Observed, list[RenderedImage]]:
+        """A scene that its step has rendered, and the images of it that the detector is asked about."""
         needs = self._needs(schedule)
-        for assigned, slot in scenes:
-            step = self._step_of(views, assigned, slot)
-            step.observe()
-            sight, cameras = None, []
-            if needs.detections or needs.true_boxes:
-                sight = visible_objects(step.frame, step.scene, forward_view=views.ahead)
-                step.set_true_boxes(sight.truth_box_px)
-                cameras = self._cameras_that_matter(sight, assigned, needs.detections)
-            observed.append(_Observed(step, sight, cameras))
-            images += [
-                RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
-                for camera in cameras
-            ]
-        rendered = time.perf_counter()
-        answers = self._loop.ask(images)
-        seconds["render"] += rendered - started
-        seconds["detect"] += time.perf_counter() - rendered
-        return observed, answers
+        if not (needs.detections or needs.true_boxes):
+            return _Observed(step, None, []), []
+        seen = visible_objects(step.frame, step.scene, forward_view=step.ahead)
+        step.set_true_boxes(seen.truth_box_px)
+        cameras = self._cameras_that_matter(seen, assigned, needs.detections)
+        if cameras:
+            step.draw()
+        return _Observed(step, seen, cameras), [
+            RenderedImage(assigned, camera, pose[camera].tobytes(), step.image[camera : camera + 1])
+            for camera in cameras
+        ]
 
     def _cameras_that_matter(
-        self, sight: VisibleObjects, assigned: AssignedScene, detections: DetectedImages
+        self, seen: VisibleObjects, assigned: AssignedScene, detections: DetectedImages
     ) -> list[int]:
         """Cameras that see enough of an object that some loss asks them for."""
         if detections is DetectedImages.NONE:
             return []
-        is_seen = np.isfinite(sight.truth_box_px[..., 0])
+        is_seen = np.isfinite(seen.truth_box_px[..., 0])
         if detections is DetectedImages.ASSIGNED:
             is_seen &= assigned.assigned_camera == np.arange(self.camera_count)[:, None]
         return [int(camera) for camera in np.nonzero(is_seen.any(axis=1))[0]]
@@ -434,36 +448,14 @@ class RigObjective:
             steps[slot] = SceneStep(views, views.renderers[slot], assigned, self._exchange, self._objective)
         return steps[slot]
 
-    def _finish(
-        self,
-        observed: Sequence[_Observed],
-        answers: Callable[[], list[Detections]],
-        seconds: dict[str, float],
-        *,
-        gradient: bool,
-    ) -> list[SceneLosses]:
-        """Match, measure, differentiate scenes that were observed."""
-        started = time.perf_counter()
-        found = iter(answers())
-        seconds["detect"] += time.perf_counter() - started
-        losses = []
-        for each in observed:
-            start = time.perf_counter()
-            self._match(each, [next(found) for _ in each.camera])
-            matched = time.perf_counter()
-            losses.append(each.step.loss_and_grad() if gradient else each.step.loss())
-            seconds["detect"] += matched - start
-            seconds["backward"] += time.perf_counter() - matched
-        return losses
-
     def _match(self, observed: _Observed, found: Sequence[Detections]) -> None:
         """Hand what matches a vehicle to the scene's step; ``found`` in the order of ``observed.camera``."""
-        if observed.sight is None:
+        if observed.seen is None:
             return
         detections = [Detections.none()] * self.camera_count
         for camera, each in zip(observed.camera, found, strict=True):
             detections[camera] = each
-        match = observed.sight.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
+        match = observed.seen.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
         observed.step.set_boxes(matched_boxes_px(match, detections))
         observed.step.set_detected(match >= 0)
 
@@ -506,7 +498,6 @@ class RigObjective:
             wp.array([self.final_schedule.panorama_share], dtype=float, device=self.device),
             wp.array([self.final_schedule.detector_share], dtype=float, device=self.device),
             at.ahead,
-            observation.image,
             self._objective.camera_probability,
             observation.truth_box_px,
         )

@@ -1,6 +1,6 @@
 """Rival searches: they need nothing of an objective but its value, and all get the same budget of renders.
 
-Each is a `Search`: it looks at rigs through a `BudgetedValue` until the budget is spent. Those that take options are
+Each is a `Search`: it evaluates rigs through a `BudgetedValue` until the budget is spent. Those that take options are
 bound with `functools.partial`.
 """
 
@@ -27,11 +27,11 @@ FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
 SEEN_SHARE = 0.9
-"""How surely a camera of a greedy rig is taken to see what it once saw; the rest rewards a second sight."""
+"""Assumed probability that a camera of a greedy rig sees again what it once saw; the rest rewards a second camera."""
 
 
 def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
-    """The cameras around the highest point; costs one look, whatever the budget."""
+    """The cameras around the highest point; costs one evaluation, whatever the budget."""
     del rng
     space = value.space
     pose = highest_mount_pose(space.constraints, space.camera_count)
@@ -95,7 +95,7 @@ def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> No
 
 
 class _Stopped(Exception):  # noqa: N818 (it ends a loop of SciPy's and is no error)
-    """A look at a rig raised; what it raised is kept aside."""
+    """The evaluation of a rig raised; what it raised is kept aside."""
 
 
 def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray | None = None) -> None:
@@ -107,7 +107,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
     mean over the numbers. Yaws without ends just go round.
 
     Args:
-        value: Where to look.
+        value: Evaluates rigs.
         rng: Random numbers; NumPy's global ones are left alone.
         start: Where the first search starts, float [camera, 7]; None, and after a restart: at the best of as many
             random rigs as a generation has, since where nothing is seen nothing can be learnt.
@@ -164,33 +164,35 @@ def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray
     return np.where(is_finite, value, worst + (high - low)) + (high - low) * squared_distance
 
 
-Sights = Callable[[np.ndarray], np.ndarray]
+DetectedObjects = Callable[[np.ndarray], np.ndarray]
 """What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
 
 
-def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Sights:
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> DetectedObjects:
     """Which objects the detector finds in the images of which camera; costs as many renders as there are scenes."""
 
-    def sights(mount_pose: np.ndarray) -> np.ndarray:
+    def detected_objects(mount_pose: np.ndarray) -> np.ndarray:
         rig = objective.mount.rig(mount_pose)
         return np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
 
-    return sights
+    return detected_objects
 
 
-def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sights, yaw_count: int = 8) -> None:
+def greedy_cover(
+    value: BudgetedValue, rng: np.random.Generator, *, detected_objects: DetectedObjects, yaw_count: int = 8
+) -> None:
     """Greedy set cover on a discretised mount surface.
 
     Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they see; a render of a rig
     asks for as many of them as it has cameras. Then one camera after the other is chosen, the one that adds most
     objects; one that was seen before adds a little, which breaks ties. A place may be chosen several times: in the end
-    the rig is moved to the nearest feasible one and looked at. The grid is as fine as the budget allows; the last
-    look is paid from it as well.
+    the rig is moved to the nearest feasible one and evaluated. The grid is as fine as the budget allows; the last
+    evaluation is paid from it as well.
 
     Args:
-        value: Where to look.
+        value: Evaluates rigs.
         rng: Breaks the last ties.
-        sights: See `detections_of`; a call costs what a value costs.
+        detected_objects: See `detections_of`; a call costs what a value costs.
         yaw_count: Directions at each place, at least 1, the first at yaw 0.
 
     Raises:
@@ -212,16 +214,16 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, sights: Sigh
         asked = candidate[first : first + space.camera_count]
         filled = np.concatenate([asked, np.repeat(asked[-1:], space.camera_count - len(asked), axis=0)])
         value.spend(value.renders_per_value)
-        rows.append(sights(filled)[: len(asked)])
+        rows.append(detected_objects(filled)[: len(asked)])
     seen = np.concatenate(rows)
-    chance_missed = np.ones(seen.shape[1])
+    miss_probability = np.ones(seen.shape[1])
     chosen = []
     order = rng.permutation(len(seen))
     for _ in range(space.camera_count):
-        gain = seen @ (SEEN_SHARE * chance_missed)
+        gain = seen @ (SEEN_SHARE * miss_probability)
         best = order[np.argmax(np.round(gain[order], 9))]
         chosen.append(best)
-        chance_missed[seen[best]] *= 1.0 - SEEN_SHARE
+        miss_probability[seen[best]] *= 1.0 - SEEN_SHARE
     value(space.in_order(candidate[chosen]))
 
 
@@ -261,14 +263,14 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
 
 
 def gradient_renders(settings: OptimiserSettings, scene_count: int, *, iterations: int, batch_size: int) -> int:
-    """Scene renders of a whole run at most, with all looks at all of so many scenes on which its rigs are compared."""
-    looks = settings.starts if settings.starts > 1 else 0
-    looks += 2 * settings.descents  # before the first step and after the last
-    looks += settings.descents > 1  # at the mixture of what the descents found
+    """Scene renders of a whole run at most, with all evaluations on the scenes on which its rigs are compared."""
+    evaluations = settings.starts if settings.starts > 1 else 0
+    evaluations += 2 * settings.descents  # before the first step and after the last
+    evaluations += settings.descents > 1  # at the mixture of what the descents found
     if settings.keep == "best":
         # as many as there can be: patience may end a descent early and leave its steps to the next
-        looks += max(iterations - settings.descents, 0) // settings.check_every
-    return iterations * batch_size + looks * scene_count
+        evaluations += max(iterations - settings.descents, 0) // settings.check_every
+    return iterations * batch_size + evaluations * scene_count
 
 
 def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int, *, batch_size: int) -> int:
@@ -283,8 +285,8 @@ def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders
 class GradientStage:
     """The gradient method as a search: as many iterations as the budget pays for.
 
-    An iteration costs a render for each scene of its batch, a look at all scenes as much as a value. Going back through
-    a render is no render.
+    An iteration costs a render for each scene of its batch, an evaluation on all scenes as much as a value. Going back
+    through a render is no render.
 
     Attributes:
         objective: What is lowered; on ``scenes`` it is the value of the search.
@@ -299,7 +301,7 @@ class GradientStage:
     batch_size: int = 4
 
     def iterations(self, renders: int) -> int:
-        """Number of iterations that so many renders pay for, with all looks."""
+        """Number of iterations that so many renders pay for, with all evaluations."""
         return affordable_iterations(self.settings, len(self.scenes), renders, batch_size=self.batch_size)
 
     def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
@@ -356,11 +358,11 @@ def cma_then_gradient(
     """CMA-ES with a share of the budget, then the gradient method from the best rig with the rest.
 
     Args:
-        value: Where to look.
+        value: Evaluates rigs.
         rng: Random numbers.
         stage: The gradient method.
         start: See `cma_es`.
-        cma_share: Share of the budget that CMA-ES may spend, in (0, 1); it looks at one rig at least.
+        cma_share: Share of the budget that CMA-ES may spend, in (0, 1); it evaluates one rig at least.
     """
     renders = int(cma_share * (value.render_budget - value.renders))
     with value.within(max(renders, value.renders_per_value)):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -54,18 +56,6 @@ class RigViews:
         self.placed = PlacedViews.zeros(pose, rotation_count)
         self.steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
 
-    def place(self) -> wp.Tape:
-        """Place the views at the present poses, their gradients 0.
-
-        Returns:
-            The tape: its backward pass turns the gradients of the views into those of the mount poses.
-        """
-        self.placed.zero_grad()
-        tape = wp.Tape()
-        with tape:
-            self.mount.place(self.placed.mount_pose, self.rotation_count, into=self.placed)
-        return tape
-
 
 class SceneLosses(NamedTuple):
     """What the cameras are worth on a scene; of a `SceneStep` until it is asked again.
@@ -85,9 +75,10 @@ class SceneLosses(NamedTuple):
 class SceneStep:
     """Observes a scene from the present views, then adds up what its losses are there.
 
-    `observe` decides what every view sees and draws what the cameras see ahead. The caller may run a detector on
-    ``image`` and hand its boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
-    and adds the gradient of their weighted sum to the views' gradients. Nothing in between waits for the device, unless
+    `observe` decides what every view sees. The caller may `draw` what the cameras see ahead, run a detector on its
+    ``image`` and hand the boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
+    and adds the gradient of their weighted sum to the views' gradients; `loss` does so without the gradient. What they
+    find stands in ``losses``. Nothing in between waits for the device, unless
     a loss is computed on the host.
 
     What a recorded launch allocates and does not free belongs to its recording, at least 32 MiB of CUDA's memory, so
@@ -95,8 +86,13 @@ class SceneStep:
 
     Attributes:
         scene: The scene.
+        ahead: The view of each camera in which it really looks.
         observe: Renders the scene from the present views.
-        image: What the cameras see ahead after `observe`, until the renderer's next, 0..1, vec3 [camera, row, column].
+        loss_and_grad: Takes the losses of what was observed and adds their gradient to that of the views.
+        loss: The same without a gradient.
+        losses: What the last of these found.
+        draw: Draws what the cameras saw ahead at the last `observe`.
+        image: What `draw` has drawn, until the renderer's next, 0..1, vec3 [camera, row, column].
         frame: The render of the last `observe`; stale after the renderer's next.
     """
 
@@ -121,6 +117,7 @@ class SceneStep:
             recorded: Whether to record the launches; None: on a GPU. Losses of the host are never recorded.
         """
         self.scene = scene = assigned.scene
+        self.ahead = views.ahead
         self._views, self._renderer = views, renderer
         self._exchange, self._objective = exchange, objective
         device, camera_count = renderer.device, len(views.ahead)
@@ -131,15 +128,15 @@ class SceneStep:
         self._assigned_on_device = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self.image = renderer.kept_image(camera_count)
         has_probability = objective.camera_probability is not None and scene.vehicle_count > 0
-        self._losses = SceneLosses(
+        self.losses = SceneLosses(
             wp.zeros(len(objective.device), dtype=float, device=device),
             wp.zeros_like(self._detected) if has_probability else None,
         )
-        self._host_value: tuple[float, ...] = ()
         self.observe = Recording(self._render, renderer, enabled=recorded)
+        self.draw = Recording(self._draw, renderer, enabled=recorded)
         recorded = False if objective.host else recorded
-        self._with_gradient = Recording(self._differentiate, renderer, enabled=recorded)
-        self._without_gradient = Recording(self._evaluate, renderer, enabled=recorded)
+        self.loss_and_grad = Recording(partial(self._take_losses, gradient=True), renderer, enabled=recorded)
+        self.loss = Recording(partial(self._take_losses, gradient=False), renderer, enabled=recorded)
 
     def set_boxes(self, ahead_box_px: np.ndarray) -> None:
         """Boxes of the detections matched to every vehicle ahead (0 for none) [px], float [camera, vehicle, 4]."""
@@ -155,68 +152,50 @@ class SceneStep:
         """True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]."""
         self._truth_box_px = truth_box_px
 
-    def loss_and_grad(self) -> SceneLosses:
-        """The losses of what was observed; their gradient is added to the views'."""
-        self._with_gradient()
-        return self._losses._replace(host_value=self._host_value)
-
-    def loss(self) -> SceneLosses:
-        """The losses of what was observed, without a gradient."""
-        self._without_gradient()
-        return self._losses._replace(host_value=self._host_value)
-
     def _render(self) -> None:
         views = self._views.placed
         self.frame = self._renderer.render(
             self.scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom
         )
-        self.frame.colours(views=self._views.ahead, into=self.image)
 
-    def _on_tape(self) -> SceneOnTape:
-        return SceneOnTape(
-            self._views.mount,
-            self.frame,
-            self.scene,
-            self._views.placed,
-            self.frame.measure(self._box_px),
-            self._assigned_camera,
-            self._assigned_on_device,
-            self._detected,
-            self._exchange.panorama_share,
-            self._exchange.detector_share,
-            self._views.ahead,
-            self.image,
-            self._objective.camera_probability,
-            self._truth_box_px,
-        )
+    def _draw(self) -> None:
+        self.frame.colours(views=self.ahead, into=self.image)
 
-    def _differentiate(self) -> None:
-        tape = wp.Tape()
-        with tape:
-            scene = self._on_tape()
-            losses = [loss.on_tape(scene) for loss in self._objective.device]
-            gradients: dict[wp.array, wp.array] = {}
-            values = []
-            for loss, weight in zip(self._objective.host, self._exchange.host_weight, strict=True):
-                value, gradient = loss.on_host(scene, weight, tape)
-                values.append(value)
-                for array, part in gradient.items():
+    def _take_losses(self, *, gradient: bool) -> None:
+        tape = wp.Tape() if gradient else None
+        views, exchange, objective = self._views, self._exchange, self._objective
+        gradients: dict[wp.array, wp.array] = {}
+        host_value = []
+        with tape or contextlib.nullcontext():
+            scene = SceneOnTape(
+                views.mount,
+                self.frame,
+                self.scene,
+                views.placed,
+                self.frame.measure(self._box_px),
+                self._assigned_camera,
+                self._assigned_on_device,
+                self._detected,
+                exchange.panorama_share,
+                exchange.detector_share,
+                views.ahead,
+                objective.camera_probability,
+                self._truth_box_px,
+            )
+            losses = [loss.on_tape(scene) for loss in objective.device]
+            for loss, weight in zip(objective.host, exchange.host_weight, strict=True):
+                value, of_arrays = loss.on_host(scene, weight if gradient else None, tape)
+                host_value.append(value)
+                for array, part in of_arrays.items():
                     gradients[array] = part if array not in gradients else _sum(gradients[array], part)
-        tape.backward(grads={**dict(zip(losses, self._exchange.weights, strict=True)), **gradients})
-        self._keep(scene, losses, values)
-
-    def _evaluate(self) -> None:
-        scene = self._on_tape()
-        losses = [loss.on_tape(scene) for loss in self._objective.device]
-        self._keep(scene, losses, [loss.on_host(scene, None, None)[0] for loss in self._objective.host])
-
-    def _keep(self, scene: SceneOnTape, losses: Sequence[wp.array], host_value: Sequence[float]) -> None:
+        if tape is not None:
+            tape.backward(grads={**dict(zip(losses, exchange.weights, strict=True)), **gradients})
         for k, loss in enumerate(losses):
-            wp.copy(self._losses.value, loss, dest_offset=k, count=1)
-        self._exchange.add_scene(self._losses.value)
-        if self._losses.detection_probability is not None:
-            wp.copy(self._losses.detection_probability, scene.detection_probability)
-        self._host_value = tuple(host_value)
+            wp.copy(self.losses.value, loss, dest_offset=k, count=1)
+        exchange.add_scene(self.losses.value)
+        if self.losses.detection_probability is not None:
+            wp.copy(self.losses.detection_probability, scene.detection_probability)
+        self.losses = self.losses._replace(host_value=tuple(host_value))
 
 
 def _sum(one: wp.array, other: wp.array) -> wp.array:

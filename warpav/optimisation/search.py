@@ -217,7 +217,7 @@ class BudgetedValue:
     Attributes:
         space: The rigs that may be tried.
         renders_per_value: Scene renders that a look costs.
-        render_budget: Scene renders that all looks together may cost.
+        render_budget: Scene renders that all evaluations together may cost.
         renders: Scene renders so far.
         history: One entry for each rig that was looked at.
     """

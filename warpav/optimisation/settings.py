@@ -34,7 +34,7 @@ else:
 class SegregationSettings(Section):
     """Which camera is responsible for which vehicle."""
 
-    rotations: int = Field(default=16, ge=2, le=360, description="directions looked at from the origin")
+    rotations: int = Field(default=16, ge=2, le=360, description="orientations tried around the origin")
 
 
 class LossSettings(LossWeights):
@@ -140,7 +140,9 @@ class OptimiserSettings(Section):
         default=None, ge=0.0, description="damping of the multipliers, 0 is the plain method; null: the method's"
     )
     keep: Literal["last", "best"] = Field(default="best", description="the iterate that becomes the result")
-    check_every: int = Field(default=10, ge=1, description="iterations between two looks at all validation scenes")
+    check_every: int = Field(
+        default=10, ge=1, description="iterations between two evaluations on all validation scenes"
+    )
     panorama_until: float = Field(
         default=0.0,
         ge=0.0,
@@ -151,19 +153,19 @@ class OptimiserSettings(Section):
         default=0.7,
         ge=0.0,
         le=1.0,
-        description="expected_miss_rate: share of the run from which the detector has a say",
+        description="expected_miss_rate: share of the run from which the detector counts",
     )
     starts: int = Field(
-        default=16, ge=1, le=100_000, description="rigs that are looked at before the run starts from the best of them"
+        default=16, ge=1, le=100_000, description="starting rigs that are evaluated; the run begins with the best"
     )
     descents: int = Field(
         default=1,
         ge=1,
         le=1000,
-        description="parts of the run, each from the next best of the rigs that were looked at before it",
+        description="descents of the run, each from the next best of the starting rigs",
     )
     patience: int | None = Field(
-        default=None, ge=1, description="looks without a better rig after which a descent ends; null: it never does"
+        default=None, ge=1, description="evaluations without a better rig after which a descent ends; null: unlimited"
     )
 
     @model_validator(mode="after")

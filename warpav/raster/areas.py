@@ -11,7 +11,7 @@ from warpav.core.errors import InputError
 from warpav.raster.buffers import Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import extent, linearise, measure, window
+from warpav_kernels.raster import coverage, extent, linearise, measure, shade, window
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
 AMODAL_AREA = int(measure.AMODAL_AREA)
@@ -189,6 +189,67 @@ class WindowMeasures(Measures):
             device=still.device,
         )
         return result
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What every object covers in every view, without Jacobians, on the device.
+
+    Attributes:
+        value: As `Measures.value` of `Frame.measure`, float [view, object, measure]; BOX_AREA is 0.
+        solid_angle_sr: Solid angle of every object alone inside the image [sr], as `Frame.window_area` gives it for all
+            directions, float [view, object, 1].
+    """
+
+    value: wp.array
+    solid_angle_sr: wp.array
+
+
+def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
+    """See `Frame.coverage`."""
+    pairs = (buffers.view_count, scene.object_count)
+    result = Coverage(buffers.zeros((*pairs, MEASURE_COUNT), float), buffers.zeros((*pairs, 1), float))
+    rows, columns = buffers.lanes
+    covered = buffers.kept("coverage", (*pairs, rows * columns), coverage.Coverage)
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            coverage.measure_coverage_kernel,
+            (count, scene.object_count, rows * columns),
+            inputs=[
+                buffers.view, buffers.layers, buffers.hiding, buffers.width, buffers.height, first, rows, columns,
+            ],
+            outputs=[covered],
+        ),
+    )  # fmt: skip
+    buffers.launch(
+        coverage.sum_coverage_kernel,
+        pairs,
+        inputs=[covered, buffers.width, buffers.height, buffers.supersampling],
+        outputs=[result.value, result.solid_angle_sr],
+    )
+    return result
+
+
+def measure_contrast(buffers: Buffers, scene: Scene, value: wp.array) -> wp.array:
+    """See `Frame.contrast`."""
+    pairs = (buffers.view_count, scene.object_count)
+    if value.shape != (*pairs, MEASURE_COUNT):
+        raise InputError(f"value: expected measures of shape {(*pairs, MEASURE_COUNT)}, got {value.shape}")
+    contrast = buffers.zeros(pairs, float)
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            shade.measure_contrast_kernel,
+            (count, scene.object_count),
+            inputs=[
+                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, scene.layer_body,
+                value, buffers.width_px, buffers.height_px, buffers.supersampling, first,
+            ],
+            outputs=[contrast],
+        ),
+    )  # fmt: skip
+    return contrast
 
 
 def measure_all(buffers: Buffers, scene: Scene, box_px: wp.array | None, into: Measures | None) -> Measures:

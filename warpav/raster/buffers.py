@@ -50,6 +50,7 @@ class Content(Enum):
     ALL = "all"  # images, and every object alone
     IMAGES = "images"  # depth, ids and colours only
     OBJECTS = "objects"  # every object alone only: nothing is hidden, and there are no images
+    COVERAGE = "coverage"  # what objects cover, what hides them and what is around them: no outlines and no images
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,8 @@ class Buffers:
         position_world_m: Their centres, vec3 [view].
         camera_from_world: Their rotations, mat33 [view].
         log_focal: Logarithms of their focal lengths over the lenses', float [view].
+        scissor: Which part of every view's grid is rendered: first column, first row, and those after the last, vec4i
+            [view].
         key: Nearest surface of every sample, int64 [view, row, column]; empty until a render asks for images.
         layers: The atlas (struct of the kernels).
         hiding: What hides the objects (struct of the kernels).
@@ -153,9 +156,10 @@ class Buffers:
         self.position_world_m = self.zeros(self.view_count, wp.vec3)
         self.camera_from_world = self.zeros(self.view_count, wp.mat33)
         self.log_focal = self.zeros(self.view_count, float)
+        self.scissor = self.zeros(self.view_count, wp.vec4i)
         self.key = self.zeros((0, 0, 0), wp.int64)
         self._sample_count = self.zeros(1, wp.int64)
-        self._needed_samples = self.zeros(1, wp.int64)
+        self.needed_samples = self.zeros(1, wp.int64)
         self.strip = self.zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = layers.Layers()
@@ -273,8 +277,11 @@ class Buffers:
         self._capacity = room
         self.generation += 1
 
-    def place_layers(self, scene: Scene, layer_count: int) -> None:
-        """Rectangles and places of the first layers; the atlas grows where it is too small."""
+    def place_layers(self, scene: Scene, layer_count: int, *, is_whole: bool) -> None:
+        """Rectangles and places of the first layers; the atlas grows where it is too small.
+
+        The scissors are the whole grids, or with ``is_whole`` False what holds the objects and their surroundings.
+        """
         shape = (self.view_count, layer_count)
         self.layers.rectangle = self.kept("rectangle", shape, wp.vec4i)
         self.layers.offset = self.kept("offset", shape, wp.int32)
@@ -284,15 +291,23 @@ class Buffers:
                 layers.place_layers_kernel,
                 shape,
                 inputs=[self.view, scene.layer_bounds_world_m, self.width, self.height, self._capacity],
-                outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self._needed_samples],
+                outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self.needed_samples],
             )
             # a recording cannot be asked; see `grew`
             if self.device.is_capturing or not self.grew():
-                return
+                break
+        self.launch(
+            layers.place_scissors_kernel,
+            self.view_count,
+            inputs=[
+                self.layers.rectangle, scene.object_count, int(is_whole), self.width, self.height, self.supersampling,
+            ],
+            outputs=[self.scissor],
+        )  # fmt: skip
 
-    def grew(self) -> bool:
+    def grew(self, needed_samples: int | None = None) -> bool:
         """See `Renderer.grew`."""
-        needed = int(self._needed_samples.numpy()[0])
+        needed = int(self.needed_samples.numpy()[0]) if needed_samples is None else needed_samples
         if needed <= self._capacity:
             return False
         limit = MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more

@@ -38,47 +38,64 @@ def decide(
     layer_count = scene.object_count
     if content is Content.IMAGES:
         layer_count = 0
-    elif content is Content.ALL and (occlusion is Occlusion.PAIRWISE or foreground_layer):
+    elif content is not Content.OBJECTS and (
+        occlusion is Occlusion.PAIRWISE or (foreground_layer and content is Content.ALL)
+    ):
         layer_count = scene.layer_count
-    buffers.place_layers(scene, layer_count)
+    has_outlines = content is not Content.COVERAGE
+    buffers.place_layers(scene, layer_count, is_whole=has_outlines)
     state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
     has_key = content is not Content.OBJECTS
     if has_key:
         if buffers.key.size == 0:
             buffers.key = buffers.zeros((buffers.view_count, buffers.height, buffers.width), wp.int64)
-        buffers.key.zero_()
+        if has_outlines:
+            buffers.key.zero_()
+        else:
+            buffers.over_views(
+                buffers.view_count,
+                lambda first, count: buffers.launch(
+                    rasterise.clear_keys_kernel,
+                    (count, buffers.row_lanes),
+                    inputs=[buffers.scissor, first, buffers.row_lanes],
+                    outputs=[buffers.key],
+                ),
+            )
     buffers.layers.inverse_depth_bits.zero_()
-    buffers.layers.crossing_key.zero_()
+    if has_outlines:
+        buffers.layers.crossing_key.zero_()
     buffers.hiding.bits.zero_()
     buffers.strip_count.zero_()
-    sizes = [layer_count, buffers.width, buffers.height]
     buffers.over_views(
         buffers.view_count,
         lambda first, count: buffers.launch(
             rasterise.scatter_triangles_kernel,
             (count, scene.cluster_count, buffers.cluster_lanes),
-            inputs=[buffers.view, scene.triangles, *sizes, first, int(has_key), buffers.cluster_lanes],
+            inputs=[
+                buffers.view, scene.triangles, layer_count, buffers.scissor, first, int(has_key), int(has_outlines),
+                buffers.cluster_lanes,
+            ],
             outputs=[buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
         ),
-    )
+    )  # fmt: skip
     if buffers.strip.size:
         buffers.launch(
             rasterise.fill_strips_kernel,
             (CUDA_STRIP_GROUPS, CUDA_STRIP_LANES),
             inputs=[
-                buffers.view, scene.triangles, *sizes, int(has_key), buffers.strip, buffers.strip_count,
-                CUDA_STRIP_GROUPS, CUDA_STRIP_LANES,
+                buffers.view, scene.triangles, layer_count, buffers.scissor, int(has_key), buffers.strip,
+                buffers.strip_count, CUDA_STRIP_GROUPS, CUDA_STRIP_LANES,
             ],
             outputs=[buffers.key, buffers.layers],
         )  # fmt: skip
     if buffers.traced:
-        _trace(buffers, scene, layer_count, has_key=has_key)
-    if scene.object_count and content is Content.ALL:
+        _trace(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
+    if scene.object_count and content in (Content.ALL, Content.COVERAGE):
         _hide(buffers, scene, occlusion)
     return state
 
 
-def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
     """Fill the buffers of the views whose lenses are no pinholes, by ray queries."""
     mesh, traced, count = scene.mesh.id, buffers.traced_view, len(buffers.traced)
     if has_key:
@@ -87,7 +104,7 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -
             lambda first, count: buffers.launch(
                 trace.trace_keys_kernel,
                 (count, buffers.height, buffers.width),
-                inputs=[buffers.view, mesh, traced, first],
+                inputs=[buffers.view, mesh, traced, buffers.scissor, first],
                 outputs=[buffers.key],
             ),
         )
@@ -106,12 +123,13 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -
             ],
             outputs=[buffers.layers],
         )  # fmt: skip
-        buffers.launch(
-            trace.trace_crossings_kernel,
-            dim,
-            inputs=[buffers.view, mesh, scene.layer_body, traced, first, rows, columns],
-            outputs=[buffers.layers],
-        )
+        if has_outlines:
+            buffers.launch(
+                trace.trace_crossings_kernel,
+                dim,
+                inputs=[buffers.view, mesh, scene.layer_body, traced, first, rows, columns],
+                outputs=[buffers.layers],
+            )
 
     buffers.over_views(count, launch)
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.raster import areas, images
-from warpav.raster.areas import AREA_COUNT, Areas, Measures, WindowMeasures
+from warpav.raster.areas import AREA_COUNT, Areas, Coverage, Measures, WindowMeasures
 from warpav.raster.buffers import Buffers, Content, RenderState
 from warpav.raster.decide import hide_by_foreground
 from warpav.raster.poses import ViewPoses, view_poses
@@ -67,16 +67,16 @@ class Frame:
         """Samples per pixel along each axis."""
         return self._buffers.supersampling
 
-    def _require(self, content: Content) -> None:
-        """Check that the buffers still hold this render, and that it holds what is asked for."""
+    def _require(self, *contents: Content) -> None:
+        """Check that the buffers still hold this render, and that it holds what is asked for: one of some contents."""
         if self._buffers.state is not self._state:
             raise InputError(
                 "frame: expected the last render of its renderer, got a stale one, whose buffers hold a later render; "
                 "ask it before its renderer renders again, or use raster.render, whose frames own their buffers"
             )
-        if self._state.content not in (content, Content.ALL):
+        if self._state.content not in (*contents, Content.ALL):
             raise InputError(
-                f"frame: expected a render with content {content.value}, got one that holds "
+                f"frame: expected a render with content {contents[0].value}, got one that holds "
                 f"{self._state.content.value} only"
             )
 
@@ -150,6 +150,32 @@ class Frame:
         """
         self._require(Content.OBJECTS)
         return areas.measure_all(self._buffers, self.scene, box_px, into)
+
+    def coverage(self) -> Coverage:
+        """Areas, extents and solid angles of every object in every view, without Jacobians.
+
+        The values are those of `measure` and `window_area`, at a fraction of their time.
+
+        Raises:
+            InputError: The frame is stale, or holds images or objects only.
+        """
+        self._require(Content.COVERAGE)
+        return areas.measure_coverage(self._buffers, self.scene)
+
+    def contrast(self, value: wp.array) -> wp.array:
+        """Distance of every object's mean colour from that of its surroundings in every view, float [view, object].
+
+        Of what is seen of it and of what else is seen in its extent, enlarged by a quarter and 2 pixels on every side;
+        RGB in 0..1; 0 where either is not seen. No gradient.
+
+        Args:
+            value: Of this render's `measure` or `coverage`, float [view, object, measure].
+
+        Raises:
+            InputError: The frame is stale, or holds images or objects only, or measures of another shape.
+        """
+        self._require(Content.COVERAGE)
+        return areas.measure_contrast(self._buffers, self.scene, value)
 
     def weighted_area(
         self,

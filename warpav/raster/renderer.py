@@ -16,7 +16,7 @@ from warpav.raster.decide import Occlusion, decide
 from warpav.raster.frame import Frame
 from warpav.raster.poses import view_poses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import extent, hide, image_flow, layers, measure, rasterise, shade, view, window
+from warpav_kernels.raster import coverage, extent, hide, image_flow, layers, measure, rasterise, shade, view, window
 
 
 class Renderer:
@@ -59,7 +59,7 @@ class Renderer:
         self.occlusion = occlusion
         self._foreground_layer = foreground_layer
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, layers, rasterise, hide, measure, extent, window, shade, image_flow):
+        for module in (view, layers, rasterise, hide, coverage, measure, extent, window, shade, image_flow):
             wp.load_module(module, device=self.device)
 
     @property
@@ -134,16 +134,24 @@ class Renderer:
         self._buffers.state = state
         return Frame(self._buffers, state, has_foreground_layer=self._foreground_layer)
 
-    def grew(self) -> bool:
+    @property
+    def needed_samples(self) -> wp.array:
+        """How many samples the renders since the last `grew` have needed at most, int64 [1], always the same array."""
+        return self._buffers.needed_samples
+
+    def grew(self, needed_samples: int | None = None) -> bool:
         """Whether a render since the last call needed more samples than there was room for, and had to leave some out.
 
-        If so, there is room now, and the render has to be done again. Only recorded launches need this question; it
-        waits for the device.
+        If so, there is room now, and the render has to be done again. Only recorded launches need this question.
+
+        Args:
+            needed_samples: The number in `needed_samples`, where it has been fetched already; None: it is fetched,
+                which waits for the device.
 
         Raises:
             InputError: The silhouettes together do not fit into one buffer.
         """
-        return self._buffers.grew()
+        return self._buffers.grew(needed_samples)
 
     def kept_image(self, count: int) -> wp.array:
         """An array for ``into`` of `Frame.colours`, the same one at every call, vec3 [image, row, column]."""

@@ -16,6 +16,23 @@ from warpav_kernels.raster.rasterise import Triangles
 
 CLUSTER_SIZE = 64
 
+_TYPES: dict[str, object] = {
+    "vertex_world_m": wp.vec3,
+    "triangle": wp.vec3i,
+    "triangle_body": wp.int32,
+    "triangle_plane": wp.vec4,
+    "neighbour": wp.vec3i,
+    "body_layer": wp.int32,
+    "cluster_first": wp.int32,
+    "cluster_count": wp.int32,
+    "cluster_layer": wp.int32,
+    "cluster_sphere_world_m": wp.vec4,
+    "layer_body": wp.int32,
+    "layer_bounds_world_m": wp.vec3,
+    "vertex_rgb": wp.vec3,
+}
+"""Arrays of a scene on its device: the members of `Triangles`, then the scene's own."""
+
 BACKGROUND_ID = -1
 """What ids say where nothing is hit. Object k is k, occluder j is ``-2 - j``; the foreground is the last occluder."""
 
@@ -137,15 +154,50 @@ class Scene:
             if not isinstance(mesh, Mesh):
                 raise TypeError(f"{name}: expected a raster.Mesh, got {type(mesh).__name__}")
             mesh.check(name)
-        self.device = _device(device)
-        self.object_names = tuple(objects)
-        self.object_count, self.occluder_count = len(objects), len(occluders)
-        self.foreground_layer = -1 if foreground is None else self.object_count
-        self.layer_count = self.object_count + (foreground is not None)
+        self._name(tuple(objects), len(occluders), has_foreground=foreground is not None)
         self.background_rgb = _background(background_rgb)
-        self._pack(list(named.values()))
+        self._place(self._packed(list(named.values())), device)
 
-    def _pack(self, meshes: list[Mesh]) -> None:
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All that the scene is, on the host, for `of_arrays`."""
+        on_device = {name: getattr(self.triangles if name in Triangles.vars else self, name) for name in _TYPES}
+        return {
+            "object_names": np.array(self.object_names, str),
+            "occluder_count": np.array(self.occluder_count),
+            "has_foreground": np.array(self.foreground_layer >= 0),
+            "background_rgb": np.array([list(rgb) for rgb in self.background_rgb], np.float32),
+            "source_triangle": self.source_triangle,
+            **{name: array.numpy() for name, array in on_device.items()},
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], *, device: str | wp.Device | None = "cpu") -> Scene:
+        """The scene that `arrays` told of; nothing is sorted again.
+
+        Args:
+            arrays: Of a scene, maybe on another device or in another process.
+            device: Warp device.
+
+        Raises:
+            KeyError: One is missing.
+        """
+        load_warp()
+        scene = cls.__new__(cls)
+        names = tuple(str(name) for name in arrays["object_names"])
+        scene._name(names, int(arrays["occluder_count"]), has_foreground=bool(arrays["has_foreground"]))
+        horizon, zenith = arrays["background_rgb"]
+        scene.background_rgb = wp.vec3(*horizon), wp.vec3(*zenith)
+        scene._place(arrays, device)
+        return scene
+
+    def _name(self, object_names: tuple[str, ...], occluder_count: int, *, has_foreground: bool) -> None:
+        self.object_names = object_names
+        self.object_count, self.occluder_count = len(object_names), occluder_count
+        self.foreground_layer = self.object_count if has_foreground else -1
+        self.layer_count = self.object_count + has_foreground
+
+    def _packed(self, meshes: list[Mesh]) -> dict[str, np.ndarray]:
+        """Arrays of the meshes: occluders, then objects."""
         whole = merge(meshes)
         body = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
         order = morton_order(whole.vertex_m[whole.triangle].mean(axis=1), body)
@@ -169,26 +221,33 @@ class Scene:
         layer_of_body[layer_body] = np.arange(len(layer_body))
         bounds_m = np.array([meshes[i].bounds_m() for i in layer_body], np.float32).reshape(-1, 2, 3)
 
-        def put(array: np.ndarray, dtype: object) -> wp.array:
-            return wp.array(array, dtype=dtype, device=self.device)
+        return {
+            "vertex_world_m": whole.vertex_m,
+            "triangle": triangle,
+            "triangle_body": body,
+            "triangle_plane": planes(corner_m.reshape(-1, 3, 3)),
+            "neighbour": neighbours(whole.vertex_m, triangle, layer_of_body[body] >= 0),
+            "body_layer": layer_of_body,
+            "cluster_first": first.astype(np.int32),
+            "cluster_count": count.astype(np.int32),
+            "cluster_layer": layer_of_body[body[first]],
+            "cluster_sphere_world_m": np.c_[centre, radius].astype(np.float32),
+            "layer_body": layer_body,
+            "layer_bounds_world_m": bounds_m,
+            "vertex_rgb": whole.vertex_rgb.astype(np.float32) / 255.0,
+            "source_triangle": order,
+        }
 
-        triangles = Triangles()
-        triangles.vertex_world_m = put(whole.vertex_m, wp.vec3)
-        triangles.triangle = put(triangle, wp.vec3i)
-        triangles.triangle_body = put(body, wp.int32)
-        triangles.triangle_plane = put(planes(corner_m.reshape(-1, 3, 3)), wp.vec4)
-        triangles.neighbour = put(neighbours(whole.vertex_m, triangle, layer_of_body[body] >= 0), wp.vec3i)
-        triangles.body_layer = put(layer_of_body, wp.int32)
-        triangles.cluster_first = put(first.astype(np.int32), wp.int32)
-        triangles.cluster_count = put(count.astype(np.int32), wp.int32)
-        triangles.cluster_layer = put(layer_of_body[body[first]], wp.int32)
-        triangles.cluster_sphere_world_m = put(np.c_[centre, radius].astype(np.float32), wp.vec4)
-        self.triangles: Any = triangles  # the struct is no type to a checker
-        self.layer_body = put(layer_body, wp.int32)
-        self.layer_bounds_world_m = put(bounds_m, wp.vec3)
-        self.vertex_rgb = put(whole.vertex_rgb.astype(np.float32) / 255.0, wp.vec3)
-        self.cluster_count, self.triangle_count = len(first), len(triangle)
-        self.source_triangle = order
+    def _place(self, arrays: Mapping[str, np.ndarray], device: str | wp.Device | None) -> None:
+        self.device = _device(device)
+        on_device = {name: wp.array(arrays[name], dtype=kind, device=self.device) for name, kind in _TYPES.items()}  # pyright: ignore[reportArgumentType]
+        self.triangles: Any = Triangles()  # the struct is no type to a checker
+        for name in Triangles.vars:
+            setattr(self.triangles, name, on_device[name])
+        self.layer_body, self.vertex_rgb = on_device["layer_body"], on_device["vertex_rgb"]
+        self.layer_bounds_world_m = on_device["layer_bounds_world_m"]
+        self.cluster_count, self.triangle_count = len(arrays["cluster_first"]), len(arrays["triangle"])
+        self.source_triangle = arrays["source_triangle"]
 
     @cached_property
     def mesh(self) -> wp.Mesh:

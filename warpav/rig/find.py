@@ -1,4 +1,4 @@
-"""Rigs that a name means without a run: a rig YAML or a preset."""
+"""Files of rigs that a name means without a run: a rig YAML or a preset."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import difflib
 from pathlib import Path
 
 from warpav.core.errors import InputError
-from warpav.rig.presets import preset_names, preset_rig
-from warpav.rig.rig import Rig, read_rig
+from warpav.rig.presets import preset_file, preset_names
 
 HIGHEST = "highest"
 """The name of the thesis's baseline, cameras around the highest point; it needs a vehicle to stand on."""
@@ -18,20 +17,21 @@ def is_preset(source: str) -> bool:
     return source in preset_names()
 
 
-def find_rig_file(source: str) -> Rig:
-    """The rig of a rig YAML or a preset, as its file has it.
+def find_rig_file(source: str) -> Path:
+    """The file of a rig YAML or a preset.
 
     Args:
         source: Path of the file, or name of the preset; a file wins over a preset of the same name.
 
     Raises:
-        InputError: It means none, or the file cannot be used.
+        InputError: It means none.
     """
-    if Path(source).is_file():
-        return read_rig(source)
+    file = Path(source).expanduser()
+    if file.is_file():
+        return file
     names = preset_names()
     if source in names:
-        return preset_rig(source)
+        return preset_file(source)
     near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)
     hint = f"; did you mean {near[0]}?" if near else ""
     raise InputError(

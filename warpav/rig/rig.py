@@ -15,8 +15,9 @@ import numpy as np
 
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
-from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, wrap_angle_rad, yaw_pitch_roll_from_rotation
-from warpav.core.yaml_file import Location, dotted, parse_yaml, read_yaml
+from warpav.core.files import writing
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
+from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 
@@ -27,6 +28,8 @@ MAX_IMAGE_PX = 16384
 """Maximum image width and height [px]: no detector reads larger images, so a larger size is a typing error."""
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")  # camera names become file names
+_NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
+_QUICK_MODEL = CameraModel(256, 256, fov_rad=math.pi / 2)
 _DECIMALS = 6  # micrometres and microdegrees: below what any mount holds
 
 
@@ -40,15 +43,32 @@ class RigCamera:
         yaw_rad: Turn to the left about z [rad].
         pitch_rad: Nose down [rad].
         roll_rad: Right side down [rad].
-        model: Image size and lens.
+        model: Image size and lens; by default a pinhole of 256 x 256 px and 90 degrees.
+
+    Raises:
+        InputError: The name is unfit, or a number is not finite.
     """
 
     name: str
     position_m: np.ndarray
-    yaw_rad: float
-    pitch_rad: float
-    roll_rad: float
-    model: CameraModel
+    yaw_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+    model: CameraModel = _QUICK_MODEL
+
+    def __post_init__(self) -> None:
+        location = f"camera {self.name!r}"
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+            raise InputError(f"{location}: name: expected {_NAME_TEXT}, got {self.name!r}")
+        position_m = np.array(self.position_m, dtype=np.float64)
+        if position_m.shape != (3,) or not np.isfinite(position_m).all():
+            raise InputError(f"{location}: position_m: expected three finite numbers, got {self.position_m!r}")
+        object.__setattr__(self, "position_m", position_m)
+        for field in ("yaw_rad", "pitch_rad", "roll_rad"):
+            angle_rad = float(getattr(self, field))
+            if not math.isfinite(angle_rad):
+                raise InputError(f"{location}: {field}: expected a finite number, got {angle_rad!r}")
+            object.__setattr__(self, field, angle_rad)
 
     @classmethod
     def at(cls, name: str, ego_from_camera: np.ndarray, model: CameraModel) -> RigCamera:
@@ -71,43 +91,36 @@ class RigCamera:
         return transform
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, init=False)
 class Rig:
     """The cameras of a vehicle.
 
     Attributes:
-        cameras: At least one, in a fixed order, with unique names.
+        cameras: At least one, in a fixed order, with unique names; kept as a tuple.
+
+    Raises:
+        InputError: There is no camera, or a name is there twice.
+        TypeError: Something is no camera.
     """
 
     cameras: tuple[RigCamera, ...]
 
-    @classmethod
-    def create(cls, cameras: Iterable[RigCamera], *, name: str = "rig") -> Rig:
-        """A rig of these cameras, checked.
-
-        Args:
-            cameras: At least one.
-            name: What the rig is called in messages.
-
-        Returns:
-            The rig, with positions as float64 arrays.
-
-        Raises:
-            InputError: No camera, a name that is unfit or there twice, or a number that is not finite.
-        """
-        checked = tuple(_checked(camera, name) for camera in cameras)
-        if not checked:
-            raise InputError(f"{name}: expected at least one camera, got none")
+    def __init__(self, cameras: Iterable[RigCamera]) -> None:
+        """A rig of these cameras, in this order."""
+        object.__setattr__(self, "cameras", tuple(cameras))
+        if not self.cameras:
+            raise InputError("rig: expected at least one camera, got none")
         first_of: dict[str, int] = {}
-        for i, camera in enumerate(checked):
+        for i, camera in enumerate(self.cameras):
+            if not isinstance(camera, RigCamera):
+                raise TypeError(f"cameras: expected cameras of a rig, got {type(camera).__name__}")
             # File systems that ignore case would lose one of two images.
             first = first_of.setdefault(camera.name.casefold(), i)
             if first != i:
                 raise InputError(
-                    f"{name}: cameras[{i}].name: expected every name once, got {camera.name!r} again "
+                    f"rig: cameras[{i}].name: expected every name once, got {camera.name!r} again "
                     f"(first as cameras[{first}])"
                 )
-        return cls(checked)
 
     def __repr__(self) -> str:
         return f"Rig({', '.join(camera.name for camera in self.cameras)})"
@@ -175,23 +188,7 @@ def _table_row(camera: RigCamera) -> list[str]:
     return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens)]
 
 
-def _checked(camera: RigCamera, rig_name: str) -> RigCamera:
-    location = f"{rig_name}: camera {camera.name!r}"
-    if not _NAME.fullmatch(camera.name):
-        raise InputError(f"{location}: name: expected {_NAME_TEXT}, got {camera.name!r}")
-    position_m = np.array(camera.position_m, dtype=np.float64)
-    if position_m.shape != (3,) or not np.isfinite(position_m).all():
-        raise InputError(f"{location}: position_m: expected three finite numbers, got {camera.position_m!r}")
-    for field in ("yaw_rad", "pitch_rad", "roll_rad"):
-        if not math.isfinite(getattr(camera, field)):
-            raise InputError(f"{location}: {field}: expected a finite number, got {getattr(camera, field)!r}")
-    return RigCamera(
-        camera.name, position_m, float(camera.yaw_rad), float(camera.pitch_rad), float(camera.roll_rad), camera.model
-    )
-
-
 _OTHER_TOOLS_TEXT = "files of other tools are read by warpav rig import FILE --format NAME"
-_NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"
 _ANGLE_TEXT = "a finite number in degrees, such as 90.0"
 _FOV_TEXT = "a number of degrees between 0 and 180, up to 360 for a fisheye or a panorama, such as 90.0"
@@ -217,7 +214,7 @@ def rig_text(rig: Rig) -> str:
     """A rig as YAML, as `write_rig` writes it."""
     lines = [
         "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
-        "# middle of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
+        "# centre of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
         "# horizontal field of view.",
     ]
     if any(camera.model.focal_px for camera in rig.cameras):
@@ -249,20 +246,9 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     Raises:
         InputError: The folder does not exist or cannot be written to.
     """
-    replace_file(Path(path), rig_text(rig).encode())
-
-
-def replace_file(file: Path, content: bytes) -> None:
-    """Write a file that appears whole or not at all.
-
-    Raises:
-        InputError: The folder does not exist or cannot be written to.
-    """
-    try:
-        with atomic_write(file) as draft:
-            draft.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{file}: expected a writable path for the rig, got: {error.strerror}") from None
+    file = Path(path)
+    with writing(file), atomic_write(file) as draft:
+        draft.write_text(rig_text(rig), encoding="utf-8")
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -282,7 +268,15 @@ def read_rig(path: str | Path) -> Rig:
     """
     file = Path(path).expanduser()
     data, line_of = read_yaml(file)
-    return _RigReader(str(file), line_of).rig(data)
+    reader = _RigReader(str(file), line_of)
+    items = reader.cameras(data)
+    cameras = [reader.camera(item, ("cameras", str(i))) for i, item in enumerate(items)]
+    if reader.mistakes:
+        raise InputError("\n".join(reader.mistakes))
+    try:
+        return Rig(camera for camera in cameras if camera)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def _number(value: float) -> str:
@@ -294,7 +288,7 @@ def _number(value: float) -> str:
 
 def _angle(angle_rad: float) -> str:
     """The angle [deg] in (-180, 180], after rounding."""
-    text = _number(math.degrees(wrap_angle_rad(angle_rad)))
+    text = _number(math.remainder(math.degrees(angle_rad), 360.0))
     return "180.0" if text == "-180.0" else text
 
 
@@ -306,7 +300,7 @@ def _coefficient(value: float) -> str:
 
 def _name(name: str) -> str:
     """The name, quoted where YAML would read it as something else than text (``no``, ``1e3``, ``2026-01-01``)."""
-    is_plain = name[0].isalpha() and name.casefold() not in _YAML_WORDS and parse_yaml(name, "name")[0] == name
+    is_plain = name[0].isalpha() and name.casefold() not in _YAML_WORDS and read_yaml(name)[0] == name
     return name if is_plain else f'"{name}"'
 
 
@@ -333,7 +327,8 @@ class _RigReader:
         self.line_of = line_of
         self.mistakes: list[str] = []
 
-    def rig(self, data: object) -> Rig:
+    def cameras(self, data: object) -> list[Any]:
+        """What the file says of each camera."""
         if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
             is_config = isinstance(data, dict) and "rig" in data
             hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
@@ -346,10 +341,7 @@ class _RigReader:
         if not isinstance(cameras, list) or not cameras:
             self.report(("cameras",), "a list of at least one camera", cameras)
             cameras = []
-        read = [self.camera(item, ("cameras", str(i))) for i, item in enumerate(cameras) if "cameras" in root]
-        if self.mistakes:
-            raise InputError("\n".join(self.mistakes))
-        return Rig.create((camera for camera in read if camera), name=self.location)
+        return cameras if "cameras" in root else []
 
     def camera(self, data: object, location: Location) -> RigCamera | None:
         known_count = len(self.mistakes)
@@ -364,7 +356,7 @@ class _RigReader:
             return None
         return RigCamera(
             item["name"],
-            np.array(item["position_m"], dtype=np.float64),
+            item["position_m"],
             math.radians(item["yaw_deg"]),
             math.radians(item["pitch_deg"]),
             math.radians(item["roll_deg"]),

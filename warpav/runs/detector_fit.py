@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import shlex
 import time
 import weakref
@@ -43,11 +44,13 @@ if TYPE_CHECKING:
 TOWN_SEEDS = tuple(range(500_000, 500_050))
 TOWN_HELD_OUT = tuple(range(500_050, 500_080))
 VIEWS_PER_SCENE = 24
-LEAST_FIT_SCENES = 20
-"""Training scenes of the user's own on which a fit can be made and judged."""
+MIN_FIT_SCENES = 20
+"""Training scenes of the user's own with which a model can be fitted and evaluated."""
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""
+
+_logger = logging.getLogger(__name__)
 
 # streams of random numbers
 _CAMERAS, _FOLDS = 11, 12
@@ -93,19 +96,19 @@ def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[in
     if not seeds.held_out:
         raise ArgumentError(
             "scenes.train_seeds",
-            f"expected at least 4 scenes to fit and to judge by, got {len(seeds.fit)}; give `scenes` and `held_out`",
+            f"expected at least 4 scenes to fit and to evaluate, got {len(seeds.fit)}; give `scenes` and `held_out`",
         )
     return seeds
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model of detection probability, and what it was fitted on and judged by.
+    """A fitted model of detection probability, and what it was fitted and evaluated on.
 
     Attributes:
         model: The model, with its record.
         known: What the detector made of the scenes that it was fitted on.
-        unseen: The same of those that it was judged by.
+        unseen: The same of those that it was evaluated on.
         probability: What it says of these, float64 [sighting].
         scores: How good that is.
     """
@@ -133,34 +136,47 @@ def ensure_fit(
         config: Detector, camera, scenes.
         detector: The detector, where it is an object and not ``config.detector``.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        progress: Told that it has to be fitted, and how far that is.
+        progress: Reports that it has to be fitted, and how far that is. Where it shows nothing, a warning is logged:
+            a fit takes minutes.
 
     Raises:
-        InputError: It cannot be fitted or read, or was fitted on scenes that a result is judged by.
+        InputError: It cannot be fitted or read, or was fitted on test scenes of a result.
     """
     progress = progress or NullProgress()
     scene_count = len(config.scenes.train_seeds)
-    if config.scenes.source != "town" and scene_count < LEAST_FIT_SCENES:
+    if config.scenes.source != "town" and scene_count < MIN_FIT_SCENES:
         progress.say(
-            f"detection probability is that of the embedded scenes: to fit it on others takes {LEAST_FIT_SCENES}, "
+            f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {scene_count}"
         )
         config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
     use = detector_use(config, ego)
-    fitting = "detection probability has not been fitted for this detector and camera yet; that is done once, now"
     if detector is not None:
         kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
         if use.identity not in kept:
-            progress.say(fitting)
             seeds = chosen_seeds(config, None, None)
+            _announce(seeds, "kept as long as the detector object", progress)
             kept[use.identity] = fit(config, seeds, detector=detector, ego=ego, progress=progress).model
         return kept[use.identity]
     if stored_file(use) is None:
-        progress.say(fitting)
-        found = fit(config, chosen_seeds(config, None, None), ego=ego, progress=progress)
+        seeds = chosen_seeds(config, None, None)
+        _announce(seeds, "stored for later runs", progress)
+        found = fit(config, seeds, ego=ego, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+
+
+def _announce(seeds: FitSeeds, kept: str, progress: Progress) -> None:
+    """Say that a fit begins, which takes long, even where progress is off."""
+    text = (
+        "detection probability has not been fitted for this detector and camera yet: fitting it once, in "
+        f"{len(seeds.fit) + len(seeds.held_out)} scenes; the fit is {kept}"
+    )
+    if type(progress) is NullProgress:
+        _logger.warning("%s; this takes minutes, and progress=True shows how far it is", text)
+    else:
+        progress.say(text)
 
 
 def fit_detector(
@@ -179,7 +195,7 @@ def fit_detector(
         config: Detector, camera, scenes.
         words: The command, for the record.
         fit_seeds: Scenes to fit; None: see `chosen_seeds`.
-        held_out_seeds: Scenes to judge by; None: see `chosen_seeds`.
+        held_out_seeds: Scenes to evaluate on; None: see `chosen_seeds`.
         out: Folder to keep it in; None: beside the detector's file, or in the user's cache.
         again: Whether to fit even if there is a stored fit.
         progress: Where to show it.
@@ -188,7 +204,7 @@ def fit_detector(
         The file of the model; its figures lie beside it.
 
     Raises:
-        InputError: The input is wrong, or there are too few objects to fit or to judge by.
+        InputError: The input is wrong, or there are too few objects to fit or to evaluate on.
     """
     from warpav.view.figures.statistics import detection_curves, reliability_diagram
 
@@ -237,19 +253,19 @@ def fit(
 
     Args:
         config: Detector, camera, scenes.
-        seeds: Scenes to fit and to judge by.
+        seeds: Scenes to fit and to evaluate on.
         detector: The detector, where it is an object and not ``config.detector``.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
         words: The command, for the record.
         progress: Where to show it.
 
     Raises:
-        InputError: There are too few objects to fit or to judge by.
+        InputError: There are too few objects to fit or to evaluate on.
     """
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
     detector = load_detector(config) if detector is None else detector
-    samples = _look_at_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
+    samples = _sample_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
@@ -286,7 +302,7 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def _look_at_scenes(
+def _sample_scenes(
     config: Config, seeds: Sequence[int], detector: Detector, ego: Mesh | None, progress: Progress
 ) -> DetectionSamples:
     """What the detector finds of the scenes through random cameras on the mount surface."""
@@ -331,7 +347,7 @@ def _look_at_scenes(
                 ]
             )
 
-    return DetectionSamples.join(list(progress.steps("looking at scenes", parts(), count=len(seeds))))
+    return DetectionSamples.join(list(progress.steps("sampling scenes", parts(), count=len(seeds))))
 
 
 def _counts(samples: DetectionSamples) -> dict[str, int]:
@@ -361,7 +377,7 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
 
 def _show(record: Any, progress: Progress) -> None:  # noqa: ANN401 (JSON)
     fit, held_out = record["fit"], record["held_out"]
-    for name, part in (("fitted on", fit), ("judged on", held_out)):
+    for name, part in (("fitted on", fit), ("evaluated on", held_out)):
         progress.say(
             f"{name} {part['objects']} objects in views of {len(part['seeds'])} scenes, {part['detected']} detected"
         )

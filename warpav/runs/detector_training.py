@@ -1,4 +1,4 @@
-"""Train the shipped detector, and measure any detector on pictures of town scenes: the model card's figures."""
+"""Train the shipped detector, and measure any detector on images of town scenes: the model card's figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
 
-LEAST_CONFIDENCE = 0.01
+MIN_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
 
 _SUBSETS = {"test": "direct", "test_reconstructed": "reconstructed"}
@@ -43,7 +43,7 @@ _TABLES = {
 def train_detector(
     out: Path,
     *,
-    pictures: Path | None,
+    image_folder: Path | None,
     device: str,
     processes: int,
     steps: int,
@@ -52,11 +52,11 @@ def train_detector(
     stop_after_minutes: float,
     say: Callable[[str], None],
 ) -> None:
-    """Make the pictures, train, write ``detector.onnx``; an interrupted training goes on from its checkpoint.
+    """Make the images, train, write ``detector.onnx``; an interrupted training continues from its checkpoint.
 
     Args:
         out: Folder for ``checkpoint.pt`` and ``detector.onnx``.
-        pictures: Folder of the pictures, made where they are missing; None: ``pictures`` in ``out``.
+        image_folder: Folder of the images, made where they are missing; None: ``images`` in ``out``.
         device: ``cpu`` or ``cuda:0``.
         processes: That render, at least 1.
         steps: Length of the training, at least 1.
@@ -66,7 +66,7 @@ def train_detector(
         say: Shows a line.
 
     Raises:
-        InputError: PyTorch is missing, the device is not there, a number is below its least, a folder cannot be
+        InputError: PyTorch is missing, the device is not there, a number is below its minimum, a folder cannot be
             written to, or a checkpoint is of another training.
     """
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
@@ -75,14 +75,14 @@ def train_detector(
             f"detector train: expected the package{'s' if len(missing) > 1 else ''} {' and '.join(missing)}, got no "
             "such module; pip install 'warpav[train]'"
         )
-    for option, value, least in (
+    for option, value, minimum in (
         ("processes", processes, 1),
         ("steps", steps, 1),
         ("batch-size", batch_size, 1),
         ("seed", seed, 0),
     ):
-        if value < least:
-            raise InputError(f"command line (--{option}): expected at least {least}, got {value}")
+        if value < minimum:
+            raise InputError(f"command line (--{option}): expected at least {minimum}, got {value}")
     if not stop_after_minutes > 0.0:
         raise ArgumentError("stop_after_minutes", f"expected more than 0, got {stop_after_minutes:g}")
     import torch  # pyright: ignore[reportMissingImports]
@@ -93,10 +93,10 @@ def train_detector(
     if device not in devices:
         raise ArgumentError("device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    picture_folder = _made_folders(out, pictures)
+    made = _made_folders(out, image_folder)
     file = train.train_detector(
         out,
-        pictures=picture_folder,
+        image_folder=made,
         device=device,
         processes=processes,
         step_count=steps,
@@ -104,40 +104,40 @@ def train_detector(
         seed=seed,
         stop_after_minutes=stop_after_minutes,
     )
-    say(f"wrote {file}" if file else f"stopped before the end; the same command goes on from {out / 'checkpoint.pt'}")
+    say(f"wrote {file}" if file else f"stopped before the end; the same command continues from {out / 'checkpoint.pt'}")
 
 
 def measure_detector(
     config: Config,
     out: Path,
     *,
-    pictures: Path | None,
+    image_folder: Path | None,
     processes: int,
     image_count: int | None,
     say: Callable[[str], None],
 ) -> None:
-    """Judge the configured detector on the test pictures, and write ``evaluation.json`` and ``evaluation.md``.
+    """Measure the configured detector on the test images, and write ``evaluation.json`` and ``evaluation.md``.
 
     Args:
-        config: Its section ``detector`` says which network, and how its boxes are suppressed; the least confidence is
-            always `LEAST_CONFIDENCE`.
+        config: Its section ``detector`` says which network, and how its boxes are suppressed; the minimum confidence is
+            always `MIN_CONFIDENCE`.
         out: Folder to write to.
-        pictures: See `train_detector`.
+        image_folder: See `train_detector`.
         processes: That render, at least 1.
         image_count: Only so many images of every size; None: all.
         say: Shows a line.
 
     Raises:
-        InputError: The detector cannot be used, a number is below its least, or a folder cannot be written to.
+        InputError: The detector cannot be used, a number is below its minimum, or a folder cannot be written to.
     """
     for option, value in (("processes", processes), ("images", image_count)):
         if value is not None and value < 1:
             raise InputError(f"command line (--{option}): expected at least 1, got {value}")
     found = config.model_copy(
-        update={"detector": config.detector.model_copy(update={"confidence_min": LEAST_CONFIDENCE})}
+        update={"detector": config.detector.model_copy(update={"confidence_min": MIN_CONFIDENCE})}
     )
     detector = load_detector(found, every_road_user=True)
-    folder = _made_folders(out, pictures)
+    folder = _made_folders(out, image_folder)
     report: dict[str, dict[str, dict[str, Any]]] = {}
     for name, title in _SUBSETS.items():
         say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
@@ -195,13 +195,13 @@ def _number(value: float | None) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
 
 
-def _made_folders(out: Path, pictures: Path | None) -> Path:
-    """Make both folders, and return that of the pictures.
+def _made_folders(out: Path, image_folder: Path | None) -> Path:
+    """Make both folders, and return that of the images.
 
     Raises:
         InputError: One of them cannot be written to.
     """
-    folders = {"out": out, "pictures": out / "pictures" if pictures is None else pictures}
+    folders = {"out": out, "image-folder": out / "images" if image_folder is None else image_folder}
     for option, folder in folders.items():
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -213,4 +213,4 @@ def _made_folders(out: Path, pictures: Path | None) -> Path:
             raise InputError(
                 f"command line (--{option}): expected a folder to write to, got {str(folder)!r}, which is read-only"
             )
-    return folders["pictures"]
+    return folders["image-folder"]

@@ -32,7 +32,7 @@ class Finding:
     Attributes:
         name: What was looked at.
         status: ``ok``; ``warning`` when a part of warpav is out of use; ``failed`` when the main job cannot run.
-        text: What was found, in one line, and how to mend it.
+        text: What was found, in one line, and how to fix it.
         details: The same for programs.
     """
 
@@ -153,25 +153,25 @@ pyvista = load_pyvista()
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
 plotter.set_background("black")
 plotter.add_mesh(pyvista.Cube(), color="white", lighting=False)
-picture = plotter.screenshot(return_img=True)
-print(type(plotter.render_window).__name__ if picture.max() > 200 and picture.min() < 50 else "")
+image = plotter.screenshot(return_img=True)
+print(type(plotter.render_window).__name__ if image.max() > 200 and image.min() < 50 else "")
 """
 
 
 def check_opengl() -> Finding:
-    """Whether pictures can be drawn; in a process of its own, because a broken OpenGL ends the process."""
+    """Whether images can be drawn; in a process of its own, because a broken OpenGL ends the process."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=OPENGL_TIMEOUT_S, check=False
         )
     except subprocess.TimeoutExpired:
-        return Finding("opengl", "warning", f"no picture within {OPENGL_TIMEOUT_S} s; warpav inspect will not work")
+        return Finding("opengl", "warning", f"no image within {OPENGL_TIMEOUT_S} s; warpav inspect will not work")
     window = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
     if done.returncode == 0 and window:
-        return Finding("opengl", "ok", f"drew a picture with {window}", {"window": window})
+        return Finding("opengl", "ok", f"drew an image with {window}", {"window": window})
     reason = done.stderr.strip().splitlines()[-1] if done.returncode > 0 and done.stderr.strip() else ""
-    reason = reason or ("the picture was empty" if done.returncode == 0 else f"OpenGL ended with {done.returncode}")
-    return Finding("opengl", "warning", f"{reason}; warpav inspect and the pictures of a run will not work")
+    reason = reason or ("the image was empty" if done.returncode == 0 else f"OpenGL ended with {done.returncode}")
+    return Finding("opengl", "warning", f"{reason}; warpav inspect and the figures of a run will not work")
 
 
 def check_detector() -> Finding:

@@ -170,5 +170,5 @@ def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path
                     model=model,
                 )
             )
-        rigs.append(Rig.create(cameras))
+        rigs.append(Rig(cameras))
     return rigs

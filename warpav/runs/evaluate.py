@@ -82,14 +82,14 @@ def evaluate_on(
         progress: Shows how many rigs are done.
     """
     began_as = {} if began_as is None else began_as
-    looks = {
+    observations = {
         name: observe_scenes(rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective)
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }
     packed = [assigned.scene for assigned in scenes]
     return RigEvaluation(
         dict(rigs),
-        {name: metrics_of(look, placement.objective) for name, look in looks.items()},
+        {name: metrics_of(observed, placement.objective) for name, observed in observations.items()},
         tuple(scene.name for scene in packed),
-        seen_objects(looks, packed, rigs),
+        seen_objects(observations, packed, rigs),
     )

@@ -59,14 +59,14 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
 def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
     """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
 
-    Of several descents it is the way of the one that came upon the best rig.
+    Of several descents it is that of the one that found the best rig.
     """
     import numpy as np
 
-    looks = [event for event in events if event.get("training_objective") is not None]
-    best = min(looks, key=lambda event: event["training_objective"], default=None)
-    way = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
-    return np.array(way) if len(way) > 1 else None
+    evaluated = [event for event in events if event.get("training_objective") is not None]
+    best = min(evaluated, key=lambda event: event["training_objective"], default=None)
+    path = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
+    return np.array(path) if len(path) > 1 else None
 
 
 def _event_mistake(event: object, *, camera_count: int | None) -> str | None:

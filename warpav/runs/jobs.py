@@ -10,6 +10,7 @@ from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.optimisation.history import IterationRecord
+from warpav.rig.rig import write_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
@@ -41,13 +42,13 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
     placement = Placement.from_config(config).prepare(progress)
     timer.end("scenes and detector")
     optimisation = Optimisation.begin(placement, progress=progress)
-    timer.end("looking for a start")
+    timer.end("searching for a start")
 
     folder = RunFolder.create(
         config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze
     )
     progress.say(f"run folder: {folder.path}")
-    folder.write_rig("initial", optimisation.start)
+    write_rig(optimisation.start, folder.rig_path("initial"))
     try:
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
         result = optimisation.result()
@@ -64,9 +65,9 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
     """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
     descent, mount = optimisation.descent, optimisation.placement.mount
     folder.append_event(record)
-    folder.write_rig("final", mount.rig(descent.mount_pose))
+    write_rig(mount.rig(descent.mount_pose), folder.rig_path("final"))
     if record.training_objective is not None:
-        folder.write_rig("best", mount.rig(descent.best.mount_pose))
+        write_rig(mount.rig(descent.best.mount_pose), folder.rig_path("best"))
         folder.write_checkpoint(descent.state())
 
 

@@ -144,7 +144,7 @@ def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
                 f"expected cameras of camera.fov_deg={config.camera.fov_deg:g}, as losses.{alike[0]} takes one field "
                 f"of view for all, got {name} with {math.degrees(model.fov_rad):g}",
             )
-    return Rig.create(cameras, name="rig.start")
+    return Rig(cameras)
 
 
 def _as_frozen(model: CameraModel) -> str:
@@ -159,7 +159,7 @@ def _as_frozen(model: CameraModel) -> str:
     return f"set {options} camera.lens={model.lens}{angle} camera.distortion=[{numbers}]"
 
 
-def with_shared_model(rig: Rig, config: Config, *, name: str) -> Rig:
+def with_shared_model(rig: Rig, config: Config) -> Rig:
     """A rig from a file, its cameras completed by the camera model of a configuration.
 
     They take its near plane, which files do not hold, and the model itself where they differ by rounding alone.
@@ -167,11 +167,10 @@ def with_shared_model(rig: Rig, config: Config, *, name: str) -> Rig:
     Args:
         rig: The rig.
         config: The configuration.
-        name: Name of the result.
     """
     shared = camera_model(config)
     cameras = [dataclasses.replace(camera, model=_completed(camera.model, shared)) for camera in rig.cameras]
-    return Rig.create(cameras, name=name)
+    return Rig(cameras)
 
 
 def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.core.devices import checked_device
 from warpav.core.fingerprint import digest
 from warpav.detection.differentiable import DifferentiableDetector
-from warpav.runs.config import Config, with_absolute_paths
+from warpav.runs.config import Config, changed_config, flow_text, with_absolute_paths
 from warpav.runs.mounts import camera_model
 from warpav.runs.scene_set import own_vehicle_digest
 
@@ -20,6 +21,32 @@ if TYPE_CHECKING:
     from warpav.detection.onnx_detector import OnnxDetector
     from warpav.detection.probability import DetectorUse
     from warpav.raster.mesh import Mesh
+
+
+def read_detector(
+    model: str | Path = "builtin",
+    *,
+    targets: Sequence[str] = ("vehicle",),
+    **options: Any,  # noqa: ANN401 (by option)
+) -> OnnxDetector:
+    """The detector in an ONNX file, as `warpav.Placement` reads it: ``detector.detect(images_rgb)``.
+
+    To optimise for it, give the placement the path and not this object: then the fit of its detection probability is
+    stored, and used again by other processes.
+
+    Args:
+        model: Path of the file, or ``builtin``.
+        targets: Kinds of road users that it is to find: ``vehicle``, ``pedestrian``, ``cyclist``.
+        **options: Options of the section ``detector`` of a configuration, such as ``format="yolox"``,
+            ``confidence_min=0.4``, ``labels=["person", "car"]`` or ``classes={"vehicle": ["car"]}``.
+
+    Raises:
+        InputError: The file or an option cannot be used.
+    """
+    given = {"scenes.targets": list(targets), "detector.model": str(model)}
+    given |= {f"detector.{name}": value for name, value in options.items()}
+    overrides = [f"{name}={flow_text(value)}" for name, value in given.items()]
+    return load_detector(changed_config(Config(), overrides, origin=None))
 
 
 def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
@@ -32,7 +59,7 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
     Raises:
         InputError: Its file cannot be used, or gives something else than detections.
     """
-    from warpav.detection.families import GREY
+    from warpav.detection.families.letterbox import GREY
     from warpav.detection.onnx_detector import OnnxDetector
 
     detector = OnnxDetector(

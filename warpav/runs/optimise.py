@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -79,7 +79,14 @@ class Optimisation:
         self.records: list[IterationRecord] = []
 
     @classmethod
-    def begin(cls, placement: Placement, *, progress: Progress | None = None) -> Optimisation:
+    def begin(
+        cls,
+        placement: Placement,
+        *,
+        start: np.ndarray | None = None,
+        began_as: Rig | None = None,
+        progress: Progress | None = None,
+    ) -> Optimisation:
         """Find the rig to start from.
 
         It is the rig that ``rig.start`` means, or the best of ``optimiser.starts`` rigs on the validation scenes, that
@@ -87,31 +94,49 @@ class Optimisation:
 
         Args:
             placement: What to run on.
-            progress: Told that several starts are tried.
+            start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
+            began_as: Whose cameras take the orientations then, see `Placement.assigned`.
+            progress: Shows that several starts are tried.
 
         Raises:
             InputError: The cameras do not fit on the mount surface.
         """
-        config, mount = placement.config, placement.mount
-        start = start_pose(placement)
+        config, mount, objective = placement.config, placement.mount, placement.objective
         further: list[np.ndarray] = []
-        began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
-        if config.optimiser.starts > 1:
-            if progress is not None:
-                progress.stage(f"best of {config.optimiser.starts} rigs to start from")
-            space = SearchSpace.over(
-                mount,
-                config.rig.cameras,
-                constraints=placement.objective.constraints,
-                yaw_rad=placement.yaw_rad,
-            )
-            rng = placement.random_numbers(Stream.STARTS)
-            found = evaluate_starts(
-                placement.objective, placement.validation, space, config.optimiser.starts, rng, known=start
-            )
-            # those without a finite value are no starts; then some are taken twice
-            start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
-        return cls(placement, descent_from(placement, start, began_as, further_starts=further), began_as)
+        if start is None:
+            if placement.start_rig is not None:
+                start = mount.mount_pose_of_rig(placement.start_rig, as_configured=True)
+            elif config.rig.start == "highest":
+                start = highest_mount_pose(objective.constraints, config.rig.cameras)
+            else:
+                rng = placement.random_numbers(Stream.START)
+                start = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng)
+            start = start.astype(np.float32)  # as the optimiser keeps it: a start that stays the best is the same rig
+            began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
+            if config.optimiser.starts > 1:
+                if progress is not None:
+                    progress.stage(f"best of {config.optimiser.starts} rigs to start from")
+                space = SearchSpace.over(
+                    mount, config.rig.cameras, constraints=objective.constraints, yaw_rad=placement.yaw_rad
+                )
+                rng = placement.random_numbers(Stream.STARTS)
+                found = evaluate_starts(
+                    objective, placement.validation, space, config.optimiser.starts, rng, known=start
+                )
+                # those without a finite value are no starts; then some are taken twice
+                start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
+        descent = Descent(
+            objective,
+            placement.assigned(placement.train, began_as),
+            config.optimiser,
+            start,
+            placement.random_numbers(Stream.BATCHES),
+            iterations=config.run.iterations,
+            batch_size=config.run.batch_size,
+            validation=placement.assigned(placement.validation, began_as),
+            further_starts=further,
+        )
+        return cls(placement, descent, began_as)
 
     @property
     def start(self) -> Rig:
@@ -138,50 +163,3 @@ class Optimisation:
         """What it has come to; the last look at all validation scenes is taken here."""
         found = self.descent.finish()
         return Result.of(self.placement, self.descent, found, self.records, self.began_as)
-
-
-def descent_from(
-    placement: Placement,
-    start: np.ndarray,
-    began_as: Rig | None,
-    *,
-    further_starts: Sequence[np.ndarray] = (),
-) -> Descent:
-    """A descent on the training scenes from a rig.
-
-    Args:
-        placement: What to descend on.
-        start: Mount poses of the rig, float32 [camera, 7].
-        began_as: Whose cameras take the orientations, see `Placement.assigned`.
-        further_starts: Where it begins again, see `Descent`.
-    """
-    return Descent(
-        placement.objective,
-        placement.assigned(placement.train, began_as),
-        placement.config.optimiser,
-        start,
-        placement.random_numbers(Stream.BATCHES),
-        iterations=placement.config.run.iterations,
-        batch_size=placement.config.run.batch_size,
-        validation=placement.assigned(placement.validation, began_as),
-        further_starts=further_starts,
-    )
-
-
-def start_pose(placement: Placement) -> np.ndarray:
-    """Mount poses that the optimiser starts from: those of the placement's start rig, or as ``rig.start`` says.
-
-    Returns:
-        float32 [camera, 7], the precision that the optimiser keeps: a start that stays the best is the same rig.
-
-    Raises:
-        InputError: The cameras do not fit on the mount surface.
-    """
-    config, constraints = placement.config, placement.objective.constraints
-    if placement.start_rig is not None:
-        return placement.mount.start_pose_of_rig(placement.start_rig)
-    if config.rig.start == "highest":
-        pose = highest_mount_pose(constraints, config.rig.cameras)
-    else:
-        pose = random_mount_pose(constraints, placement.segregation.yaw_rad, rng=placement.random_numbers(Stream.START))
-    return pose.astype(np.float32)

@@ -15,12 +15,12 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import in_background
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
-from warpav.rig.rig import Rig
+from warpav.rig.rig import Rig, write_rig
+from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.placement import Placement, Stream
@@ -153,7 +153,7 @@ class Result:
                 freeze=placement.parts.freeze,
                 own_detector=placement.own_detector,
             )
-            written.write_rig("initial", self.start)
+            write_rig(self.start, written.rig_path("initial"))
             for record in self.records:
                 written.append_event(record)
             if test is None and placement.test:
@@ -255,8 +255,8 @@ def write_verdict(
     placement, descent = result.placement, result._descent
     mount = placement.mount
     folder.write_checkpoint(descent.state())
-    folder.write_rig("best", result.rig)
-    folder.write_rig("final", mount.rig(descent.candidates[-1].mount_pose))
+    write_rig(result.rig, folder.rig_path("best"))
+    write_rig(mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
 
     constraints = placement.objective.constraints
     drawing = RigDrawing(
@@ -315,7 +315,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     """The rigs that a result is compared with, itself first, and the rigs that these began as."""
     placement = result.placement
     config, mount, constraints = placement.config, placement.mount, placement.objective.constraints
-    highest = mount.rig(mount.within(highest_mount_pose(constraints, config.rig.cameras)))
+    highest = highest_rig(placement)
     samples, rng = config.baselines.random_samples, placement.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
     progress.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")

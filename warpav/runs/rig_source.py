@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, OptionError
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
-from warpav.rig.rig import Rig
-from warpav.runs.config import NAMED_STARTS, Config, placed_config
+from warpav.rig.presets import preset_names
+from warpav.rig.rig import Rig, read_rig
+from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
 from warpav.runs.mounts import camera_mount, checked_frozen, constraints_of, with_shared_model
 from warpav.runs.run_folder import RunFolder
 
@@ -31,7 +33,7 @@ def check_rig_source(source: str) -> None:
         InputError: ``source`` means no rig.
     """
     if source != HIGHEST:
-        find_file_rig(source)
+        read_rig(rig_file(source))
 
 
 def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
@@ -50,7 +52,7 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
 
         mount = camera_mount(config, ego)
         return mount.rig(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras))
-    return with_shared_model(find_file_rig(source), config, name=source)
+    return with_shared_model(read_rig(rig_file(source)), config)
 
 
 def config_for(
@@ -78,20 +80,20 @@ def rig_to_export(source: str) -> Rig:
         InputError: It means none, or the file cannot be used.
     """
     if source != HIGHEST:
-        return find_file_rig(source)
+        return read_rig(rig_file(source))
     from warpav.scene.town.town import town_scene
 
     with placed_config("quick", ()) as config:
         return find_rig(source, config, town_scene(0).ego)
 
 
-def find_file_rig(source: str) -> Rig:
-    """The rig of a rig YAML, a preset or a run folder, as it stands there.
+def rig_file(source: str) -> Path:
+    """The file of the rig that a rig YAML, a preset or a run folder means.
 
     Raises:
-        InputError: It means none, or the file cannot be used.
+        InputError: It means none.
     """
-    return RunFolder.open(source).rig() if is_run_folder(source) else find_rig_file(source)
+    return RunFolder.open(source).rig_file() if is_run_folder(source) else find_rig_file(source)
 
 
 def read_start(config: Config) -> Rig | None:
@@ -103,7 +105,12 @@ def read_start(config: Config) -> Rig | None:
     """
     if config.rig.start in NAMED_STARTS:
         return None
-    rig = find_file_rig(config.rig.start)
+    start = config.rig.start
+    if not Path(start).expanduser().exists() and not is_preset(start):
+        near = difflib.get_close_matches(start, [*NAMED_STARTS, *preset_names()], 1, 0.6)
+        hint = f"did you mean {near[0]}?" if near else "no such file"
+        raise OptionError("rig.start", f"expected {START_TEXT}, got {start!r}; {hint}")
+    rig = read_rig(rig_file(start))
     if len(rig.cameras) != config.rig.cameras:
         raise InputError(
             f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "

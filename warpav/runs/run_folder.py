@@ -26,6 +26,7 @@ from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
 from warpav.rig.presets import preset_names
+from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.events import flat_numbers, read_events
@@ -34,7 +35,6 @@ from warpav.view import Canvas, drawing_of, plot
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpav.rig.rig import Rig
     from warpav.runs.drawn_run import DrawnRun
     from warpav.scene.scene import Scene
 
@@ -101,7 +101,7 @@ class RunFolder:
             ) from None
         config = with_absolute_paths(config)
         if start is not None and config.rig.start not in preset_names():
-            folder.write_rig("start", start)
+            write_rig(start, folder.rig_path("start"))
             rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
             config = config.model_copy(update={"rig": rig})
         write_text(path / "config.yaml", dump_config(config))
@@ -131,11 +131,9 @@ class RunFolder:
             config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
         write_text(self.path / "config.yaml", dump_config(config))
 
-    def write_rig(self, role: RigRole, rig: Rig) -> None:
-        """Write ``rig_<role>.yaml``."""
-        from warpav.rig.rig import write_rig
-
-        write_rig(rig, self.path / f"rig_{role}.yaml")
+    def rig_path(self, role: RigRole) -> Path:
+        """Where ``rig_<role>.yaml`` is or will be."""
+        return self.path / f"rig_{role}.yaml"
 
     def append_event(self, record: object) -> None:
         """Append one iteration to ``events.jsonl`` and ``metrics.csv``.
@@ -188,7 +186,7 @@ class RunFolder:
             raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
-        """Write what cameras see: ``figures/views.json``, and the pictures that it names."""
+        """Write what cameras see: ``figures/views.json``, and the images that it names."""
         folder = self.path / "figures" / "views"
         with writing(folder):
             folder.mkdir(exist_ok=True)
@@ -202,7 +200,7 @@ class RunFolder:
         return self._read_json("figures/views.json")
 
     def view_path(self, name: str) -> Path:
-        """Where the picture of this name in ``figures/views.json`` is."""
+        """Where the image of this name in ``figures/views.json`` is."""
         return self.path / "figures" / "views" / name
 
     def write_report(self, html: str) -> Path:
@@ -236,7 +234,11 @@ class RunFolder:
         return sorted((self.path / "figures").glob("*.png"))
 
     def rig(self, role: RigRole | None = None) -> Rig:
-        """A rig of the run.
+        """A rig of the run; see `rig_file`."""
+        return read_rig(self.rig_file(role))
+
+    def rig_file(self, role: RigRole | None = None) -> Path:
+        """The file of a rig of the run.
 
         Args:
             role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped before its first
@@ -245,15 +247,13 @@ class RunFolder:
         Raises:
             InputError: The run was stopped before it had one, or it is missing.
         """
-        from warpav.rig.rig import read_rig
-
         roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
         if role is None and (self.path / "rig_final.yaml").is_file():  # written after the best one
             roles = ("best",)
         for name in roles:
-            file = self.path / f"rig_{name}.yaml"
+            file = self.rig_path(name)
             if file.is_file():
-                return read_rig(file)
+                return file
         raise InputError(
             f"{self.path}: run folder: expected rig_{roles[0]}.yaml, got none"
             + ("; was it removed?" if len(roles) == 1 and role is None else "; the run has none yet")
@@ -275,7 +275,7 @@ class RunFolder:
 
         config = self.config() if config is None else config
         shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
-        events, rig = self.events(), with_shared_model(self.rig(), config, name=str(self.path))
+        events, rig = self.events(), with_shared_model(self.rig(), config)
         frames = rigs_of_events(events, rig, place=self.path)
         return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
 

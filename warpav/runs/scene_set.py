@@ -147,7 +147,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
         scenes: Those of training, of validation, of the test, one after the other; one is held at a time.
         counts: How many are for training and for validation.
         config: Device, targets, mirror images, cameras.
-        progress: Told of targets that no scene holds.
+        progress: Reports targets that no scene holds.
 
     Raises:
         InputError: A scene has another ego vehicle than the first, or none holds a target.
@@ -192,7 +192,7 @@ def load_scenes(
         config: Says which scenes.
         seeds: Their numbers.
         ego: The vehicle that they are around; None: that of ``scenes.ego``, else each scene's own.
-        say: Told of road users that were left out.
+        say: Reports road users that were left out.
 
     Raises:
         InputError: A file is missing or cannot be used.
@@ -228,20 +228,20 @@ def own_vehicle(config: Config) -> Mesh | None:
     Raises:
         InputError: It cannot be read, or not be used as it is.
     """
-    from warpav.scene.own_vehicle import examine, read_vehicle
+    from warpav.scene.own_vehicle import examine, read_vehicle_file
 
     path = config.scenes.ego
     if path is None:
         return None
     try:
-        file = read_vehicle(path)
+        file = read_vehicle_file(path)
         found = examine(file, file.usual)
     except InputError as error:
         raise OptionError("scenes.ego", str(error)) from None
     if found.problems:
         raise OptionError(
             "scenes.ego",
-            f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to mend it",
+            f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to fix it",
         )
     return found.mesh
 
@@ -406,7 +406,7 @@ def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progre
     hint = "" if "vehicle" in absent else "; scenes made from images hold people as parts of the environment"
     if not there:
         raise OptionError("scenes.targets", f"expected road users that the scenes hold, got {text}{hint}")
-    progress.say(f"scenes.targets: {text}, so nothing is optimised or judged for them{hint}")
+    progress.say(f"scenes.targets: {text}, so nothing is optimised or evaluated for them{hint}")
 
 
 def is_same_vehicle(one: Mesh, other: Mesh) -> bool:

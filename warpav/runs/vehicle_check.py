@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from warpav.scene.own_vehicle import (
     VehicleFile,
     VehicleProblem,
     examine,
-    read_vehicle,
+    read_vehicle_file,
     write_vehicle,
 )
 
@@ -70,7 +70,7 @@ def check_vehicle(
     scale: float | None = None,
     rear_axle_m: float | None = None,
     out: Path | None = None,
-    picture: Path | None = None,
+    image: Path | None = None,
 ) -> VehicleReport:
     """Examine a vehicle as it is read with some options, write it fixed, draw it.
 
@@ -82,17 +82,17 @@ def check_vehicle(
         scale: Metres for each unit of the file; None: 1.
         rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: it is below the rear wheels.
         out: GLB file to write the vehicle to, as ``scenes.ego`` takes it.
-        picture: PNG file to draw it into.
+        image: PNG file to draw it into.
 
     Raises:
         InputError: The file holds no vehicle, or a file cannot be written.
     """
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
-    file = read_vehicle(path)
+    file = read_vehicle_file(path)
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
-    reading = _changed_reading(file.usual, {name: value for name, value in given.items() if value is not None})
+    reading = file.usual.changed(up=up, forward=forward, scale=scale)
     found = examine(file, reading, stated=stated, rear_axle_m=rear_axle_m)
     lines = [str(path), *_file_lines(file, reading, found)]
     problems = list(found.problems)
@@ -103,7 +103,11 @@ def check_vehicle(
         # what is said of its place and its roof is only right once it is read right
         words = ", ".join(f"{name.replace('-', ' ')} {value}" for name, value in remedies.items())
         lines.append(f"  read with {words} it is:")
-        better = _changed_reading(reading, {name: remedies[name] for name in remedies if name != "rear-axle"})
+        better = reading.changed(
+            up=remedies.get("up"),
+            forward=remedies.get("forward"),
+            scale=float(remedies["scale"]) if "scale" in remedies else None,
+        )
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
     try:
@@ -117,8 +121,8 @@ def check_vehicle(
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
     is_fixable = all(problem.remedy == {} for problem in problems)
-    if picture is not None:
-        lines.append(f"wrote {_draw(shown, surface, picture, path.name)}")
+    if image is not None:
+        lines.append(f"wrote {_draw(shown, surface, image, path.name)}")
     if out is not None and is_fixable:
         write_vehicle(found.corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
@@ -138,7 +142,7 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     """The parts of the mountable zone, the largest first.
 
     The part with the highest point is the roof. What is lower than it by `BONNET_BELOW_M` is bonnet or front before the
-    roof's middle, and rear behind it.
+    roof's centre, and rear behind it.
 
     Args:
         surface: Of the vehicle.
@@ -156,30 +160,17 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     roof_x_m = 0.5 * (low[0] + high[0])
     for number in sorted(range(1, label.max() + 1), key=lambda number: -surface.height_m[label == number].max()):
         inside = label == number
-        height_m, middle_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
+        height_m, centre_x_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
         if surface.height_m[inside].max() >= highest_m - 1e-6:
-            name, roof_x_m = "roof", middle_m
+            name, roof_x_m = "roof", centre_x_m
         elif height_m > highest_m - BONNET_BELOW_M:
             name = "roof"
-        elif middle_m < roof_x_m:
+        elif centre_x_m < roof_x_m:
             name = "rear"
         else:
             name = "bonnet" if height_m < BONNET_SHARE * highest_m else "front"
         parts.append(ZonePart(name, float(np.count_nonzero(inside)) * surface.cell_m**2, height_m))
     return sorted(parts, key=lambda part: -part.area_m2)
-
-
-def _changed_reading(reading: Reading, changes: dict[str, str | float]) -> Reading:
-    """The reading with other axes or another scale; an axis that clashes with a new one is replaced."""
-    values = {"up": reading.up, "forward": reading.forward, "scale": reading.scale, **changes}
-    up, forward = str(values["up"]), str(values["forward"])
-    if up[-1] == forward[-1] and "forward" not in changes:
-        forward = "x" if up[-1] != "x" else "y"
-    try:
-        return replace(reading, up=up, forward=forward, scale=float(values["scale"]))
-    except InputError as error:
-        option, _, text = str(error).partition(": ")
-        raise ArgumentError(option, text) from None
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:

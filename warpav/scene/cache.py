@@ -18,6 +18,7 @@ import numpy as np
 import platformdirs
 
 from warpav.core.atomic_write import atomic_write
+from warpav.core.cache_folder import remove_oldest
 from warpav.core.executor import available_cores, run_tasks
 from warpav.core.fingerprint import fingerprint
 from warpav.raster.mesh import Mesh
@@ -70,7 +71,7 @@ def town_scenes(
         yield built[seed] if seed in built else _read_or_build(seed, folder)
     for _ in outcomes:
         pass
-    _prune(folder)
+    remove_oldest(folder, "town_*.npz", capacity_bytes=CAPACITY_BYTES)
 
 
 def scene_file(seed: int, folder: Path) -> Path:
@@ -146,15 +147,3 @@ def _read(file: Path) -> Scene:
     count = words["vehicles"]
     sky = Sky(*arrays["sky_rgb"])
     return Scene(words["name"], meshes[0], meshes[1], users[:count], sky, words["source"], users[count:])
-
-
-def _prune(folder: Path) -> None:
-    """Remove the scenes that were not used for the longest time, until the others fit."""
-    with contextlib.suppress(OSError):  # another process prunes as well
-        found = [(file.stat(), file) for file in folder.glob("town_*.npz")]
-        left = sum(status.st_size for status, _ in found)
-        for status, file in sorted(found, key=lambda each: each[0].st_mtime):
-            if left <= CAPACITY_BYTES:
-                break
-            file.unlink()
-            left -= status.st_size

@@ -1,8 +1,9 @@
-"""Traffic as lists of scenes: the embedded town, and files."""
+"""Scenes as lists: the embedded town, and files."""
 
 from __future__ import annotations
 
 import glob
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def town(seeds: Iterable[int]) -> list[Scene]:
 
 
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
-    """Scenes from GLB files, in the order of their names.
+    """Scenes from GLB files, in the order of their names, in which scene_2 stands before scene_10.
 
     Args:
         files: A file, a folder, a pattern such as ``"scenes/*.glb"``, or several of these.
@@ -55,12 +56,51 @@ def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
     return [read_scene(file) for file in found]
 
 
+def write_scenes(scenes: Scene | Iterable[Scene], folder: str | Path) -> list[Path]:
+    """Write scenes as ``scene_0.glb``, ``scene_1.glb`` and so on, which `read_scenes` and ``scenes.folder`` read.
+
+    Args:
+        scenes: One or several.
+        folder: Folder to write to; made when it does not exist. Files of these names are replaced.
+
+    Returns:
+        The files, in the order of the scenes.
+
+    Raises:
+        InputError: There is no scene, or the folder cannot be written to.
+        TypeError: One is no scene.
+    """
+    from warpav.scene.glb import write_scene
+    from warpav.scene.store import scene_path
+
+    found = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    if not found:
+        raise ArgumentError("scenes", "expected at least one scene, got none")
+    for scene in found:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scenes: expected scenes, such as town([0, 1]) gives, got {type(scene).__name__}")
+    folder = Path(folder).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError("folder", f"expected a folder to write to, got: {error.strerror}", place=folder) from None
+    files = [scene_path(folder, number) for number in range(len(found))]
+    for scene, file in zip(found, files, strict=True):
+        write_scene(scene, file)
+    return files
+
+
 def _files_of(source: str | Path) -> list[Path]:
     path = Path(source).expanduser()
     if path.is_file():
         return [path]
     pattern = str(path / "*.glb") if path.is_dir() else str(path)
-    matches = sorted(Path(name) for name in glob.glob(pattern))
+    matches = sorted(map(Path, glob.glob(pattern)), key=_natural_order)
     if not matches:
         raise InputError(f"{source}: scenes: expected GLB files, got none; warpav scenes make writes some")
     return matches
+
+
+def _natural_order(path: Path) -> list[tuple[str, int]]:
+    """Sort key of a path in which numbers count by their value."""
+    return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", str(path))]

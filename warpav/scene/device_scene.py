@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warpav.core.fingerprint import digest
 from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
@@ -15,6 +18,18 @@ from warpav.scene.scene import ROAD_USERS, Scene
 ENVIRONMENT = 0
 EGO = 1
 FIRST_VEHICLE = 2
+
+_SEEN = (
+    "vertex_world_m",
+    "triangle",
+    "triangle_body",
+    "vertex_rgb",
+    "background_rgb",
+    "occluder_count",
+    "has_foreground",
+    "layer_body",
+)
+"""Arrays of which the others follow."""
 
 
 def object_index_of(object_id: np.ndarray) -> np.ndarray:
@@ -31,7 +46,7 @@ class UprightBoxes:
     """Boxes with a vertical axis, one for every layer of a scene, on its device.
 
     Attributes:
-        centre_ego_m: Middles [m], vec3 [layer].
+        centre_ego_m: Centres [m], vec3 [layer].
         half_size_m: Half of length, width and height [m], vec3 [layer].
         along: Unit vectors along the length in ego x and y, vec2 [layer].
     """
@@ -53,7 +68,7 @@ class DeviceScene:
         raster: The meshes: vehicle k is object k, the environment occluder 0, the ego vehicle occluder 1.
         category: What every vehicle is, [vehicle].
         road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
-        from_ego_m: Middle of every vehicle's box as seen from the middle of the ego vehicle: forward and left [m],
+        from_ego_m: Centre of every vehicle's box as seen from the centre of the ego vehicle: forward and left [m],
             float64 [vehicle, 2].
     """
 
@@ -70,7 +85,7 @@ class DeviceScene:
 
     @cached_property
     def upright_box(self) -> UprightBoxes:
-        """The least upright box around every vehicle, and around the ego vehicle; found when it is first asked for."""
+        """The smallest upright box around every vehicle, and around the ego vehicle; computed on first use."""
         import cv2
 
         triangles, device = self.raster.triangles, self.raster.device
@@ -89,6 +104,46 @@ class DeviceScene:
             wp.array(np.reshape(half_size, (-1, 3)), dtype=wp.vec3, device=device),
             wp.array(np.reshape(along, (-1, 2)), dtype=wp.vec2, device=device),
         )
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of what can be seen in the scene: its meshes, which body is what, colours and background."""
+        arrays = self.raster.arrays()
+        return digest(*(part for name in _SEEN for part in (name, arrays[name].shape, arrays[name].tobytes())))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All that the scene is, on the host, for `of_arrays`."""
+        return {
+            **self.raster.arrays(),
+            "name": np.array(self.name),
+            "category": np.array(self.category, str),
+            "road_user_index": self.road_user_index,
+            "from_ego_m": self.from_ego_m,
+            **{f"box_{name}": array.numpy() for name, array in vars(self.upright_box).items()},
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], *, device: str = "cpu") -> DeviceScene:
+        """The scene that `arrays` told of, on ``device``.
+
+        Raises:
+            KeyError: One is missing.
+        """
+        scene = cls(
+            str(arrays["name"]),
+            RasterScene.of_arrays(arrays, device=device),
+            tuple(str(name) for name in arrays["category"]),
+            arrays["road_user_index"],
+            arrays["from_ego_m"],
+        )
+        kinds = {"centre_ego_m": wp.vec3, "half_size_m": wp.vec3, "along": wp.vec2}
+        boxes = {name: wp.array(arrays[f"box_{name}"], dtype=kind, device=device) for name, kind in kinds.items()}
+        scene.__dict__["upright_box"] = UprightBoxes(**boxes)
+        return scene
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it travels to another process: the arrays, and the device by its name."""
+        return _unpacked, (self.arrays(), str(self.raster.device))
 
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
@@ -118,3 +173,7 @@ class DeviceScene:
             from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
             - scene.ego.bounds_m()[:, :2].mean(axis=0),
         )
+
+
+def _unpacked(arrays: Mapping[str, np.ndarray], device: str) -> DeviceScene:
+    return DeviceScene.of_arrays(arrays, device=device)

@@ -47,7 +47,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     file = trimesh.Scene(base_frame="world")
     file.metadata = {
         "schema": SCHEMA,
-        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's middle",
+        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre",
         "units": "m",
         "name": scene.name,
         "source": scene.source,

@@ -65,11 +65,23 @@ class Reading:
     def __post_init__(self) -> None:
         for name in ("up", "forward"):
             if getattr(self, name) not in AXES:
-                raise InputError(f"{name}: expected one of {', '.join(AXES)}, got {getattr(self, name)!r}")
+                raise ArgumentError(name, f"expected one of {', '.join(AXES)}, got {getattr(self, name)!r}")
         if self.up[-1] == self.forward[-1]:
-            raise InputError(f"forward: expected an axis across {self.up}, which points up, got {self.forward!r}")
+            raise ArgumentError("forward", f"expected an axis across {self.up}, which points up, got {self.forward!r}")
         if not 0.0 < self.scale < math.inf:
-            raise InputError(f"scale: expected a positive number, got {self.scale!r}")
+            raise ArgumentError("scale", f"expected a positive number, got {self.scale!r}")
+
+    def changed(self, *, up: str | None = None, forward: str | None = None, scale: float | None = None) -> Reading:
+        """The reading with other axes or another scale; the front's axis gives way to a new one that points up.
+
+        Raises:
+            ArgumentError: They contradict each other.
+        """
+        new_up = up or self.up
+        new_forward = forward or self.forward
+        if forward is None and new_up[-1:] == new_forward[-1]:
+            new_forward = "x" if new_up[-1:] != "x" else "y"
+        return Reading(new_up, new_forward, self.scale if scale is None else scale)
 
     @property
     def ego_from_file(self) -> np.ndarray:
@@ -118,11 +130,11 @@ class Wheels:
 
     Attributes:
         axle_m: x of every axle, from the rear [m].
-        middle_m: y halfway between left and right [m].
+        centre_y_m: y halfway between left and right [m].
     """
 
     axle_m: tuple[float, ...]
-    middle_m: float
+    centre_y_m: float
 
 
 @dataclass(frozen=True)
@@ -190,8 +202,46 @@ class Examination:
         return _without_flat_triangles(moved) if self.flat_triangle_count else moved
 
 
-def read_vehicle(path: str | Path) -> VehicleFile:
-    """Read the vehicle in a mesh file; of a scene that warpav wrote, its ego vehicle.
+def read_vehicle(
+    path: str | Path,
+    *,
+    up: str | None = None,
+    forward: str | None = None,
+    scale: float | None = None,
+    rear_axle_m: float | None = None,
+) -> Mesh:
+    """A vehicle in the ego frame from a mesh file, on the ground with its rear axle above the origin.
+
+    Args:
+        path: As of `read_vehicle_file`.
+        up: The file's axis that points up, out of `AXES`; None: glTF's y, of other formats z.
+        forward: The file's axis that points to the front, likewise; None: x.
+        scale: Metres for each unit of the file; None: 1.
+        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: inferred from the wheels.
+
+    Raises:
+        InputError: The file cannot be read, or its shape contradicts the axes or the unit; the text names the arguments
+            that agree with it.
+    """
+    file = read_vehicle_file(path)
+    given = {"up": up, "forward": forward, "scale": scale}
+    stated = frozenset(name for name, value in given.items() if value is not None)
+    reading = file.usual.changed(up=up, forward=forward, scale=scale)
+    found = examine(file, reading, stated=stated, rear_axle_m=rear_axle_m)
+    for problem in found.problems:
+        if problem.remedy == {}:  # the shift of the corrected mesh is the remedy
+            continue
+        remedies = {
+            "rear_axle_m" if name == "rear-axle" else name: value if name in ("up", "forward") else float(value)
+            for name, value in (problem.remedy or {}).items()
+        }
+        advice = ", ".join(f"{name}={value!r}" for name, value in remedies.items())
+        raise InputError(f"{path}: {problem.text}" + (f"; read it with {advice}" if advice else ""))
+    return found.corrected
+
+
+def read_vehicle_file(path: str | Path) -> VehicleFile:
+    """Read the mesh of a vehicle as stored; of a scene that warpav wrote, its ego vehicle.
 
     Args:
         path: GLB, glTF, OBJ, PLY, STL, OFF or any other format that trimesh reads.
@@ -254,7 +304,7 @@ def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
     file = trimesh.Scene(base_frame="world")
     file.metadata = {
         "schema": SCHEMA,
-        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's middle",
+        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre",
         "units": "m",
         "source": source,
     }
@@ -320,14 +370,14 @@ def shape_of(point_m: np.ndarray) -> Shape:
     from scipy.spatial import KDTree
 
     low, high = point_m.min(axis=0), point_m.max(axis=0)
-    middle, size = 0.5 * (low + high), high - low
+    centre, size = 0.5 * (low + high), high - low
     count = min(_SYMMETRY_COUNT, len(point_m) // 2)
     tree, others = KDTree(point_m[:count]), point_m[count : count + count // 5]
     spacing = float(tree.query(others)[0].mean())
     distance = np.zeros(3)
     for axis in range(3):
         mirrored = others.copy()
-        mirrored[:, axis] = 2.0 * middle[axis] - mirrored[:, axis]
+        mirrored[:, axis] = 2.0 * centre[axis] - mirrored[:, axis]
         distance[axis] = max(float(tree.query(mirrored)[0].mean()) - spacing, 0.0) / size.max()
     ordered = np.argsort(distance)
     left = int(ordered[0])
@@ -341,7 +391,7 @@ def shape_of(point_m: np.ndarray) -> Shape:
     is_down = is_up_sure and stands[1]
     height = (point_m[:, up] - low[up]) / max(size[up], 1e-12)
     cabin = point_m[(height < 0.25) if is_down else (height > 0.75)]
-    behind = float(middle[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
+    behind = float(centre[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
     is_forward_sure = is_up_sure and abs(behind) > _CABIN_BEHIND
     return Shape(
         ("-" if is_down else "") + "xyz"[up],
@@ -373,9 +423,9 @@ def wheels_of(point_m: np.ndarray) -> Wheels | None:
 
 def unit_of(length: float) -> tuple[str, float] | None:
     """The unit, and its length in metres, in which a number is a plausible vehicle length; None without one."""
-    for least, greatest in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
+    for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
         for name, metres in UNITS:
-            if least <= length * metres <= greatest:
+            if minimum_m <= length * metres <= maximum_m:
                 return name, metres
     return None
 
@@ -383,8 +433,8 @@ def unit_of(length: float) -> tuple[str, float] | None:
 def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
     if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
         return []
-    least, greatest = POSSIBLE_LENGTH_M
-    text = f"units: expected a vehicle of {least:g} to {greatest:g} m, got {length_m:.4g} m"
+    minimum_m, maximum_m = POSSIBLE_LENGTH_M
+    text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {length_m:.4g} m"
     unit = unit_of(length_m)
     if unit is None:
         scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
@@ -404,8 +454,8 @@ def _axis_findings(
     """Whether the shape has the axes of the ego frame under this reading."""
     if shape.up is None or shape.forward is None:
         if shape.asymmetry > _ALIKE:
-            return [], ["no axis of symmetry found; check the axes in a figure (`picture`)"]
-        return [], ["its shape is ambiguous; check the axes in a figure (`picture`)"]
+            return [], ["no axis of symmetry found; check the axes in a figure (`image`)"]
+        return [], ["its shape is ambiguous; check the axes in a figure (`image`)"]
     has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
     is_upside_down = shape.is_up_sure and shape.up == "-z"
     is_backwards = shape.is_forward_sure and shape.forward == "-x"
@@ -414,7 +464,7 @@ def _axis_findings(
         if is_backwards and not is_declared and "forward" not in stated:
             return [], [
                 "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
-                f"face backwards: if the picture shows one of these, add `forward` {forward}"
+                f"face backwards: if the image shows one of these, add `forward` {forward}"
             ]
         return [], []
     if not shape.is_up_sure and shape.up[-1] == "z":
@@ -448,8 +498,8 @@ def _place_findings(
             raise ArgumentError(
                 "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
             )
-        middle_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.middle_m
-        target_m = np.array([low[0] + rear_axle_m, middle_m])
+        centre_y_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.centre_y_m
+        target_m = np.array([low[0] + rear_axle_m, centre_y_m])
         if np.abs(target_m).max() > 1e-6:
             shift_m[:2] = -target_m
             problems.append(VehicleProblem("origin: expected below the rear axle as stated by `rear_axle`", {}))
@@ -473,7 +523,7 @@ def _place_findings(
                 )
             )
         return shift_m, problems, hints
-    offset_m = np.array([wheels.axle_m[0], wheels.middle_m])
+    offset_m = np.array([wheels.axle_m[0], wheels.centre_y_m])
     if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(

@@ -194,7 +194,7 @@ class InspectedRig:
     def _change(self, camera: int, **changes: object) -> RigCamera:
         cameras = list(self.rig.cameras)
         cameras[camera] = dataclasses.replace(cameras[camera], **changes)  # pyright: ignore[reportArgumentType]
-        Rig.create([cameras[camera]])  # checked; the others were before
+        Rig([cameras[camera]])  # checked; the others were before
         self._set(Rig(tuple(cameras)))
         return self.rig.cameras[camera]
 

@@ -228,7 +228,7 @@ def _no_display() -> InputError:
 
 @drawing_of.register(Rig)
 def _draw_rig(
-    rig: Rig,
+    rig: Rig | None,
     canvas: Canvas,
     *,
     ego: Mesh | None = None,
@@ -266,7 +266,7 @@ def _draw_scene(
     visibility: bool = False,
 ) -> Plotter:
     return _draw_rig(
-        Rig(()) if rig is None else rig,
+        rig,
         canvas,
         scene=scene,
         outcomes=outcomes,

@@ -50,7 +50,7 @@ GRADE_MAX = 0.08
 
 
 def rig_plotter(
-    rig: Rig,
+    rig: Rig | None,
     *,
     ego: Mesh | None = None,
     scene: Scene | None = None,
@@ -71,7 +71,7 @@ def rig_plotter(
 
     Most options are those of `warpav.view.plot`. ``frustum_depth_m`` is how far the frustums are drawn [m], ``labels``
     whether the cameras are named, and ``sectors`` whether the bearings that each camera covers are drawn on the ground,
-    by default unless outcomes, coverage or visibility are painted.
+    by default unless outcomes, coverage or visibility are painted. Without a rig the vehicle stands there as it is.
 
     Raises:
         InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
@@ -91,7 +91,7 @@ def rig_plotter(
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     if ego is None and scene is not None:
         ego = scene.ego
-    bounds_m = _bounds_without_ego_m(rig) if ego is None else ego.bounds_m()
+    bounds_m = _bounds_without_ego_m(rig.cameras if rig else ()) if ego is None else ego.bounds_m()
     look_at_ego(plotter, bounds_m, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD, zoom=zoom)
     if ego is None:
         add_axes(plotter, length_m=(1.5, 1.5, 1.0))
@@ -111,8 +111,9 @@ def rig_plotter(
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None:
         add_mount_surface(plotter, mount_surface)
-    add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
-    if visibility and scene is not None:
+    if rig is not None:
+        add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+    if visibility and rig is not None and scene is not None:
         from warpav.scene.device_scene import DeviceScene
         from warpav.view.visibility_view import add_visibility
 
@@ -357,7 +358,7 @@ def add_rig(
     """
     for index, camera in enumerate(rig.cameras):
         add_camera(plotter, camera, index, name=name, frustum_depth_m=frustum_depth_m, sector=sectors)
-    if labels and rig.cameras:
+    if labels:
         _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name)
 
 
@@ -585,9 +586,9 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     return surface.triangulate().subdivide_adaptive(max_edge_len=1.5, max_n_passes=8)
 
 
-def _bounds_without_ego_m(rig: Rig) -> np.ndarray:
+def _bounds_without_ego_m(cameras: Sequence[RigCamera]) -> np.ndarray:
     """Where a vehicle could be that carries the cameras: from the ground up around them, as long as a small car."""
-    position_m = np.array([camera.position_m for camera in rig.cameras] or np.zeros((1, 3)))
+    position_m = np.array([camera.position_m for camera in cameras] or np.zeros((1, 3)))
     low, high = np.minimum(position_m.min(axis=0), 0.0), np.maximum(position_m.max(axis=0), [0.0, 0.0, 1.0])
     missing_m = np.maximum([4.0, 2.0, 0.0] - (high - low), 0.0)
     return np.stack([low - missing_m / 2, high + missing_m / 2])

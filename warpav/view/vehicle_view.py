@@ -112,6 +112,7 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
 
 def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
     """Add the cells that can carry a camera, coloured by height from dark (low) to light (high), with a scale."""
+    font_size = max(11, round(18 * min(1.0, plotter.window_size[0] / VEHICLE_PX[0])))
     plotter.add_mesh(
         mountable_zone_to_pyvista(surface, lift_m=LIFT_M),
         scalars="height_m",
@@ -119,15 +120,15 @@ def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "
         lighting=False,
         name=name,
         scalar_bar_args={
-            "title": "height above the ground [m]",
+            "title": "height above ground [m]",
             "color": hex_colour(INK_RGB),
             "fmt": "%.2f",
-            "n_labels": 3,
+            "n_labels": 2,  # a label between would meet the title
             "position_x": 0.66,
             "width": 0.3,
             "height": 0.08,
             "position_y": 0.04,
-            "title_font_size": 18,
-            "label_font_size": 18,
+            "title_font_size": font_size,
+            "label_font_size": font_size,
         },
     )

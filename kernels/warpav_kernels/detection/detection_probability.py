@@ -18,9 +18,6 @@ BORDER_DISTANCE = wp.constant(4)  # ln(4 + least distance of that extent from th
 CONTRAST = wp.constant(5)  # distance of the object's mean colour from that of its surroundings
 FEATURE_COUNT = wp.constant(6)
 
-# Points along each side of the grid on which colours are compared: the same work for large objects and for small ones.
-COLOUR_POINTS = wp.constant(24)
-
 
 @wp.func
 def corner_solid_angle(depth_m: float, a_m: float, b_m: float) -> float:
@@ -71,51 +68,6 @@ def box_solid_angle_kernel(
             + face_solid_angle(wp.abs(y) - half[1], x, z, half[0], half[2])
             + face_solid_angle(wp.abs(z) - half[2], x, y, half[0], half[1])
         )
-
-
-@wp.kernel(enable_backward=False)
-def find_contrast_kernel(
-    # in
-    image: wp.array3d[wp.vec3],
-    object_id: wp.array3d[wp.int32],
-    measure: wp.array3d[float],
-    # out
-    contrast: wp.array2d[float],
-):
-    """Distance between the mean colour of what is seen of an object and that of what surrounds it (RGB in 0..1).
-
-    The surroundings are what else is seen in the object's extent inside the image, enlarged by a quarter and 2 pixels
-    on every side. A grid of points stands for them. 0 where either is not seen.
-
-    Launch: ``dim=(view_count, object_count)``. Not taped: colours are held fixed while the camera moves.
-    Writes: every element of ``contrast`` once.
-    """
-    v, k = wp.tid()
-    contrast[v, k] = 0.0
-    wide = measure[v, k, RIGHT] - measure[v, k, LEFT]
-    high = measure[v, k, BOTTOM] - measure[v, k, TOP]
-    if wide <= 0.0 or high <= 0.0:
-        return
-    left = wp.max(measure[v, k, LEFT] - 0.25 * wide - 2.0, 0.0)
-    right = wp.min(measure[v, k, RIGHT] + 0.25 * wide + 2.0, float(image.shape[2]))
-    top = wp.max(measure[v, k, TOP] - 0.25 * high - 2.0, 0.0)
-    bottom = wp.min(measure[v, k, BOTTOM] + 0.25 * high + 2.0, float(image.shape[1]))
-    own = wp.vec3(0.0, 0.0, 0.0)
-    other = wp.vec3(0.0, 0.0, 0.0)
-    own_count = float(0.0)
-    other_count = float(0.0)
-    for i in range(COLOUR_POINTS):
-        for j in range(COLOUR_POINTS):
-            row = int(top + (float(i) + 0.5) / float(COLOUR_POINTS) * (bottom - top))
-            column = int(left + (float(j) + 0.5) / float(COLOUR_POINTS) * (right - left))
-            if object_id[v, row, column] == k:
-                own += image[v, row, column]
-                own_count += 1.0
-            else:
-                other += image[v, row, column]
-                other_count += 1.0
-    if own_count > 0.0 and other_count > 0.0:
-        contrast[v, k] = wp.length(own / own_count - other / other_count)
 
 
 @wp.func

@@ -12,7 +12,7 @@ def write_network_input_kernel(
     # out
     network_input: wp.array4d[float],
 ):
-    """Colours 0..1 in planes, rounded to 256 levels as in a stored picture.
+    """Colours 0..1 in planes, rounded to 256 levels as in a stored image.
 
     Launch: ``dim=(image_count, height_px)``; one thread per row. Not taped.
     Writes: every element of ``network_input`` [image, channel, row, column] once.

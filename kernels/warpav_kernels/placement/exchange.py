@@ -50,8 +50,8 @@ def gather_step_kernel(
 ):
     """Everything that the host wants to know of a step side by side: gradient, losses, constraints, total.
 
-    Launch: ``dim=gathered.shape[0]``. Not taped.
-    Writes: every element of ``gathered`` once.
+    Launch: ``dim`` their number. Not taped.
+    Writes: as many elements of ``gathered`` once; what follows them is `gather_needed_samples_kernel`'s.
     """
     k = wp.tid()
     losses_at = gradient.shape[0]
@@ -65,3 +65,19 @@ def gather_step_kernel(
         gathered[k] = wp.float64(constraint_loss[k - constraints_at])
     else:
         gathered[k] = wp.float64(total[0])
+
+
+@wp.kernel(enable_backward=False)
+def gather_needed_samples_kernel(
+    # in
+    needed_samples: wp.array[wp.int64],
+    place: int,
+    # out
+    gathered: wp.array[wp.float64],
+):
+    """How many samples a renderer needed, beside what the host wants to know of a step.
+
+    Launch: ``dim=1``. Not taped.
+    Writes: ``gathered[place]``; numbers of samples are exact in double precision.
+    """
+    gathered[place] = wp.float64(needed_samples[0])

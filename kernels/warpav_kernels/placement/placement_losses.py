@@ -48,7 +48,7 @@ def find_vehicle_bearings_kernel(
     fov_rad: float,
     # out
     bearing_rad: wp.array[wp.vec2],
-    sight: wp.array[wp.int32],
+    frame_state: wp.array[wp.int32],
 ):
     """Bearings of every vehicle's left and right end from its assigned camera, over all rotational additions.
 
@@ -58,12 +58,13 @@ def find_vehicle_bearings_kernel(
 
     Launch: ``dim=vehicle_count``; one thread per vehicle. Not taped: the bearings are held fixed while the camera
     turns.
-    Writes: every element of ``bearing_rad`` (left, right) and ``sight`` (NEVER_SEEN, SEEN_OUT_OF_FRAME, IN_FRAME) once.
+    Writes: every element of ``bearing_rad`` (left, right) and ``frame_state`` (NEVER_SEEN, SEEN_OUT_OF_FRAME,
+    IN_FRAME) once.
     """
     vehicle = wp.tid()
     camera = assigned_camera[vehicle]
     bearing_rad[vehicle] = wp.vec2(0.0, 0.0)
-    sight[vehicle] = NEVER_SEEN
+    frame_state[vehicle] = NEVER_SEEN
     if camera < 0:
         return
     best = int(-1)
@@ -103,9 +104,9 @@ def find_vehicle_bearings_kernel(
         ),
     )
     if measure[camera * rotation_count, vehicle, AMODAL_AREA] > 0.0:
-        sight[vehicle] = IN_FRAME
+        frame_state[vehicle] = IN_FRAME
     else:
-        sight[vehicle] = SEEN_OUT_OF_FRAME
+        frame_state[vehicle] = SEEN_OUT_OF_FRAME
 
 
 @wp.kernel
@@ -114,7 +115,7 @@ def in_frame_rotation_loss_kernel(
     mount_pose: wp.array2d[float],
     assigned_camera: wp.array[wp.int32],
     bearing_rad: wp.array[wp.vec2],
-    sight: wp.array[wp.int32],
+    frame_state: wp.array[wp.int32],
     epsilon: float,
     # out
     vehicle_loss: wp.array[float],
@@ -132,7 +133,7 @@ def in_frame_rotation_loss_kernel(
     camera = wp.tid()
     for vehicle in range(assigned_camera.shape[0]):
         if assigned_camera[vehicle] == camera:
-            if sight[vehicle] == NEVER_SEEN:
+            if frame_state[vehicle] == NEVER_SEEN:
                 vehicle_loss[vehicle] = 1.0
             else:
                 yaw_rad = mount_pose[camera, YAW_RAD]
@@ -140,7 +141,7 @@ def in_frame_rotation_loss_kernel(
                 turn_rad = wp.min(
                     circular_distance_rad(ends_rad[0], yaw_rad), circular_distance_rad(ends_rad[1], yaw_rad)
                 )
-                if sight[vehicle] == IN_FRAME:
+                if frame_state[vehicle] == IN_FRAME:
                     vehicle_loss[vehicle] = epsilon * turn_rad / wp.pi  # Eq. 12, 13
                 else:
                     vehicle_loss[vehicle] = turn_rad / wp.pi  # Eq. 13

@@ -21,6 +21,10 @@ TO_RIGHT = wp.constant(3)
 
 BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut to bound its image
 
+# Surroundings of an object: its extent in the image, enlarged on every side by this share of its size and so much more.
+SURROUNDINGS_SHARE = wp.constant(0.25)
+SURROUNDINGS_PX = wp.constant(2)
+
 # set in the lower half of an edge crossing's key where the near plane ends the surface
 NEAR_CUT = wp.constant(wp.int64(0x80000000))
 
@@ -220,3 +224,46 @@ def place_layers_kernel(
         if offset + size <= capacity:
             layer_rectangle[v, layer] = wp.vec4i(left, top, right - left, bottom - top)
             layer_offset[v, layer] = wp.int32(offset)
+
+
+@wp.kernel(enable_backward=False)
+def place_scissors_kernel(
+    # in
+    layer_rectangle: wp.array2d[wp.vec4i],
+    object_count: int,
+    is_whole: int,
+    width: int,
+    height: int,
+    supersampling: int,
+    # out
+    scissor: wp.array[wp.vec4i],
+):
+    """The part of each view's sample grid that is rendered: all of it, or what surely holds the objects' surroundings.
+
+    As first column, first row, and those after the last; all 0 where no object is in sight.
+
+    Launch: ``dim=view_count``; one thread per view. Not taped.
+    Writes: every element of ``scissor`` once.
+    """
+    v = wp.tid()
+    if is_whole == 1:
+        scissor[v] = wp.vec4i(0, 0, width, height)
+        return
+    left = width
+    top = height
+    right = int(0)
+    bottom = int(0)
+    for layer in range(object_count):
+        rectangle = layer_rectangle[v, layer]
+        if rectangle[2] > 0:
+            # a pixel more, as colours are those of whole pixels
+            margin = (SURROUNDINGS_PX + 1) * supersampling + 1
+            wide = margin + int(SURROUNDINGS_SHARE * float(rectangle[2]))
+            high = margin + int(SURROUNDINGS_SHARE * float(rectangle[3]))
+            left = wp.min(left, rectangle[0] - wide)
+            top = wp.min(top, rectangle[1] - high)
+            right = wp.max(right, rectangle[0] + rectangle[2] + wide)
+            bottom = wp.max(bottom, rectangle[1] + rectangle[3] + high)
+    scissor[v] = wp.vec4i(0, 0, 0, 0)
+    if left < right:
+        scissor[v] = wp.vec4i(wp.max(left, 0), wp.max(top, 0), wp.min(right, width), wp.min(bottom, height))

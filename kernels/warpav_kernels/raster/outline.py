@@ -195,7 +195,7 @@ def triangle_crossing(
     edge.cut_triangle = -1
     edge.is_known = True
     for index in range(part.part_count):
-        image = image_triangle(camera, part, index, True, width, height)
+        image = image_triangle(camera, part, index, True, wp.vec4i(0, 0, width, height))
         w = image.w + image.w_per_column * (x - image.a[0]) + image.w_per_row * (y - image.a[1])
         span = wp.vec2(0.0, 0.0)
         here = x

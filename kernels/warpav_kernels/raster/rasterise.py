@@ -220,10 +220,8 @@ class ImageTriangle:
 
 
 @wp.func
-def image_triangle(
-    camera: View, part: FrontPart, index: int, has_outline: bool, width: int, height: int
-) -> ImageTriangle:
-    """The image of one triangle of a fan in front of the near plane.
+def image_triangle(camera: View, part: FrontPart, index: int, has_outline: bool, scissor: wp.vec4i) -> ImageTriangle:
+    """The image of one triangle of a fan in front of the near plane, its rows and columns cut to a scissor.
 
     Where it holds no sample's centre, its sides are left out (0), unless ``has_outline`` and it crosses a row or a
     column.
@@ -243,10 +241,10 @@ def image_triangle(
     u2 = camera.centre[0] + camera.focal[0] * c[0] * w2
     v2 = camera.centre[1] + camera.focal[1] * c[1] * w2
     image = ImageTriangle()
-    image.first_column = line_after(wp.min(u0, wp.min(u1, u2)), 0, width)
-    image.last_column = line_after(wp.max(u0, wp.max(u1, u2)), 0, width) - 1
-    image.first_row = line_after(wp.min(v0, wp.min(v1, v2)), 0, height)
-    image.last_row = line_after(wp.max(v0, wp.max(v1, v2)), 0, height) - 1
+    image.first_column = line_after(wp.min(u0, wp.min(u1, u2)), scissor[0], scissor[2])
+    image.last_column = line_after(wp.max(u0, wp.max(u1, u2)), scissor[0], scissor[2]) - 1
+    image.first_row = line_after(wp.min(v0, wp.min(v1, v2)), scissor[1], scissor[3])
+    image.last_row = line_after(wp.max(v0, wp.max(v1, v2)), scissor[1], scissor[3]) - 1
     if image.first_column > image.last_column and (image.first_row > image.last_row or not has_outline):
         return image
     if image.first_row > image.last_row and not has_outline:
@@ -318,7 +316,7 @@ def fill_rows(
     rectangle: wp.vec4i,
     offset: int,
     layers: Layers,
-    width: int,
+    scissor: wp.vec4i,
     key: wp.array3d[wp.int64],
 ):
     """Scatter some rows of a triangle into the key buffer and, where ``offset`` is not negative, into its layer.
@@ -330,7 +328,7 @@ def fill_rows(
     slope2 = slope_of(image.edge2.a, image.edge2.b)
     for row in range(first_row, last_row + 1):
         y = float(row) + 0.5
-        span = wp.vec2(0.0, float(width))
+        span = wp.vec2(float(scissor[0]), float(scissor[2]))
         span = narrowed(span, image.edge0.u, image.edge0.a, image.edge0.b, slope0, y - image.edge0.v)
         span = narrowed(span, image.edge1.u, image.edge1.a, image.edge1.b, slope1, y - image.edge1.v)
         span = narrowed(span, image.edge2.u, image.edge2.a, image.edge2.b, slope2, y - image.edge2.v)
@@ -413,15 +411,15 @@ def cross_edge(
 
 
 @wp.func
-def is_outside(centre_m: wp.vec3, radius_m: float, view: View, width: int, height: int) -> bool:
-    """Whether a sphere (camera coordinates) misses the view's pyramid."""
+def is_outside(centre_m: wp.vec3, radius_m: float, view: View, scissor: wp.vec4i) -> bool:
+    """Whether a sphere (camera coordinates) misses the pyramid of a view's scissor."""
     if centre_m[2] + radius_m < view.near_m:
         return True
     # distance to each side of the pyramid, which goes through the camera's centre
-    left = view.centre[0] / view.focal[0]
-    right = (float(width) - view.centre[0]) / view.focal[0]
-    top = view.centre[1] / view.focal[1]
-    bottom = (float(height) - view.centre[1]) / view.focal[1]
+    left = (view.centre[0] - float(scissor[0])) / view.focal[0]
+    right = (float(scissor[2]) - view.centre[0]) / view.focal[0]
+    top = (view.centre[1] - float(scissor[1])) / view.focal[1]
+    bottom = (float(scissor[3]) - view.centre[1]) / view.focal[1]
     if -centre_m[0] - left * centre_m[2] > radius_m * wp.sqrt(1.0 + left * left):
         return True
     if centre_m[0] - right * centre_m[2] > radius_m * wp.sqrt(1.0 + right * right):
@@ -432,15 +430,37 @@ def is_outside(centre_m: wp.vec3, radius_m: float, view: View, width: int, heigh
 
 
 @wp.kernel(enable_backward=False)
+def clear_keys_kernel(
+    # in
+    scissor: wp.array[wp.vec4i],
+    first_view: int,
+    lane_count: int,
+    # out
+    key: wp.array3d[wp.int64],
+):
+    """Empty the key buffer inside the views' scissors.
+
+    Launch: ``dim=(views of this chunk, lane_count)``; the lanes share the columns of a view. Not taped.
+    Writes: the keys of these views inside their scissors once.
+    """
+    chunk_view, lane = wp.tid()
+    v = first_view + chunk_view
+    frame = scissor[v]
+    for row in range(frame[1], frame[3]):
+        for column in range(frame[0] + lane, frame[2], lane_count):
+            key[v, row, column] = wp.int64(0)
+
+
+@wp.kernel(enable_backward=False)
 def scatter_triangles_kernel(
     # in
     view: wp.array[View],
     scene: Triangles,
     layer_count: int,
-    width: int,
-    height: int,
+    scissor: wp.array[wp.vec4i],
     first_view: int,
     has_key: int,
+    has_outlines: int,
     lane_count: int,
     # out
     key: wp.array3d[wp.int64],
@@ -450,9 +470,10 @@ def scatter_triangles_kernel(
 ):
     """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
-    Views whose lens is no pinhole are left to `trace`. A cluster whose bounding sphere misses the view is skipped
-    whole; a triangle that crosses the near plane is cut to one or two. Without a key buffer (``has_key`` 0) clusters
-    without a layer are left out. Large triangles go to the queue ``strip`` instead, as (view, triangle, part of the
+    Views whose lens is no pinhole are left to `trace`. A cluster whose bounding sphere misses the view's ``scissor``
+    (first column, first row, and those after the last) is skipped whole; a triangle that crosses the near plane is cut
+    to one or two. Without a key buffer (``has_key`` 0) clusters without a layer are left out; with ``has_outlines`` 0
+    layers get no edge crossings. Large triangles go to the queue ``strip`` instead, as (view, triangle, part of the
     fan, first row), as long as it has room; a queue of length 0 is for devices where one thread fills them as well as
     many.
 
@@ -468,11 +489,12 @@ def scatter_triangles_kernel(
     if has_key == 0 and layer < 0:
         return
     camera = view[v]
-    if camera.lens.kind != PINHOLE:
+    frame = scissor[v]
+    if camera.lens.kind != PINHOLE or frame[0] >= frame[2]:
         return
     sphere = scene.cluster_sphere_world_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
-    if is_outside(centre_m, sphere[3], camera, width, height):
+    if is_outside(centre_m, sphere[3], camera, frame):
         return
     rectangle = wp.vec4i(0, 0, 0, 0)
     offset = int(-1)
@@ -481,13 +503,14 @@ def scatter_triangles_kernel(
         offset = layers.offset[v, layer]
         if rectangle[2] == 0:
             offset = -1
+    has_outline = offset >= 0 and has_outlines == 1
     first = scene.cluster_first[cluster]
     for k in range(lane, scene.cluster_count[cluster], lane_count):
         triangle = first + k
         part = front_part(camera, scene, triangle)
         for index in range(part.part_count):
-            image = image_triangle(camera, part, index, offset >= 0, width, height)
-            if offset >= 0 and image.side != 0.0:
+            image = image_triangle(camera, part, index, has_outline, frame)
+            if has_outline and image.side != 0.0:
                 # the near plane makes new sides
                 neighbour = wp.vec3i(-1, -1, -1)
                 is_facing = False
@@ -529,7 +552,7 @@ def scatter_triangles_kernel(
                         rectangle,
                         offset,
                         layers,
-                        width,
+                        frame,
                         key,
                     )
 
@@ -540,8 +563,7 @@ def fill_strips_kernel(
     view: wp.array[View],
     scene: Triangles,
     layer_count: int,
-    width: int,
-    height: int,
+    scissor: wp.array[wp.vec4i],
     has_key: int,
     strip: wp.array[wp.vec4i],
     strip_count: wp.array[wp.int32],
@@ -562,6 +584,7 @@ def fill_strips_kernel(
         entry = strip[s]
         v = entry[0]
         camera = view[v]
+        frame = scissor[v]
         triangle = entry[1]
         layer = scene.body_layer[scene.triangle_body[triangle]]
         rectangle = wp.vec4i(0, 0, 0, 0)
@@ -571,7 +594,7 @@ def fill_strips_kernel(
             offset = layers.offset[v, layer]
             if rectangle[2] == 0:
                 offset = -1
-        image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, width, height)
+        image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, frame)
         last_row = wp.min(image.last_row, entry[3] + STRIP_ROWS - 1)
         fill_rows(
             image,
@@ -585,6 +608,6 @@ def fill_strips_kernel(
             rectangle,
             offset,
             layers,
-            width,
+            frame,
             key,
         )

@@ -2,12 +2,16 @@
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
+from warpav_kernels.raster.layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, Layers
+from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
 from warpav_kernels.raster.rasterise import Triangles
 from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
+
+# Points along each side of the grid on which colours are compared: the same work for large objects and for small ones.
+COLOUR_POINTS = wp.constant(24)
 
 
 @wp.kernel(enable_backward=False)
@@ -165,6 +169,13 @@ def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec
     return patch_rgb(patch, ray)
 
 
+@wp.func
+def mean_rgb(total: wp.vec3, supersampling: int) -> wp.vec3:
+    """Colour of a pixel, 0..1, from the sum over its samples."""
+    colour = total / float(supersampling * supersampling)
+    return wp.vec3(wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0))
+
+
 @wp.kernel(enable_backward=False)
 def resolve_rgb_kernel(
     # in
@@ -204,7 +215,78 @@ def resolve_rgb_kernel(
             nearest = key[v, grid_row, grid_column]
             patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
             total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
-        colour = total / float(supersampling * supersampling)
-        rgb[image, row, column] = wp.vec3(
-            wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0)
-        )
+        rgb[image, row, column] = mean_rgb(total, supersampling)
+
+
+@wp.kernel(enable_backward=False)
+def measure_contrast_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    vertex_rgb: wp.array[wp.vec3],
+    horizon_rgb: wp.vec3,
+    zenith_rgb: wp.vec3,
+    key: wp.array3d[wp.int64],
+    layer_body: wp.array[wp.int32],
+    measure: wp.array3d[float],
+    width_px: int,
+    height_px: int,
+    supersampling: int,
+    first_view: int,
+    # out
+    contrast: wp.array2d[float],
+):
+    """Distance between the mean colour of what is seen of an object and that of what surrounds it (RGB in 0..1).
+
+    The surroundings are what else is seen in the object's extent inside the image, enlarged, see
+    `layers.SURROUNDINGS_SHARE`. A grid of pixels stands for them; only these get colours, those of
+    `resolve_rgb_kernel`. 0 where either is not seen.
+
+    Launch: ``dim=(views of this chunk, object_count)``. Not taped: colours are held fixed while the camera moves.
+    Writes: every element of ``contrast`` of these views once.
+    """
+    chunk_view, k = wp.tid()
+    v = first_view + chunk_view
+    contrast[v, k] = 0.0
+    wide = measure[v, k, RIGHT] - measure[v, k, LEFT]
+    high = measure[v, k, BOTTOM] - measure[v, k, TOP]
+    if wide <= 0.0 or high <= 0.0 or measure[v, k, VISIBLE_AREA] <= 0.0:
+        return
+    more = float(SURROUNDINGS_PX)
+    left = wp.max(measure[v, k, LEFT] - SURROUNDINGS_SHARE * wide - more, 0.0)
+    right = wp.min(measure[v, k, RIGHT] + SURROUNDINGS_SHARE * wide + more, float(width_px))
+    top = wp.max(measure[v, k, TOP] - SURROUNDINGS_SHARE * high - more, 0.0)
+    bottom = wp.min(measure[v, k, BOTTOM] + SURROUNDINGS_SHARE * high + more, float(height_px))
+    camera = view[v]
+    world_from_camera = wp.transpose(camera.camera_from_world)
+    own = wp.vec3(0.0, 0.0, 0.0)
+    other = wp.vec3(0.0, 0.0, 0.0)
+    own_count = float(0.0)
+    other_count = float(0.0)
+    patch = Patch()
+    patch.triangle = -1
+    for i in range(COLOUR_POINTS):
+        for j in range(COLOUR_POINTS):
+            row = int(top + (float(i) + 0.5) / float(COLOUR_POINTS) * (bottom - top))
+            column = int(left + (float(j) + 0.5) / float(COLOUR_POINTS) * (right - left))
+            total = wp.vec3(0.0, 0.0, 0.0)
+            for sample in range(supersampling * supersampling):
+                grid_row = GUARD + row * supersampling + sample / supersampling
+                grid_column = GUARD + column * supersampling + sample % supersampling
+                ray = world_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
+                nearest = key[v, grid_row, grid_column]
+                patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
+                total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
+            middle = supersampling / 2
+            nearest = key[v, GUARD + row * supersampling + middle, GUARD + column * supersampling + middle]
+            is_own = False
+            if nearest != wp.int64(0):
+                is_own = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))] == layer_body[k]
+            if is_own:
+                own += mean_rgb(total, supersampling)
+                own_count += 1.0
+            else:
+                other += mean_rgb(total, supersampling)
+                other_count += 1.0
+    if own_count > 0.0 and other_count > 0.0:
+        contrast[v, k] = wp.length(own / own_count - other / other_count)

@@ -74,17 +74,21 @@ def trace_keys_kernel(
     view: wp.array[View],
     mesh: wp.uint64,
     traced_view: wp.array[wp.int32],
+    scissor: wp.array[wp.vec4i],
     first: int,
     # out
     key: wp.array3d[wp.int64],
 ):
-    """Nearest surface of every sample of the traced views, as `rasterise` keeps it.
+    """Nearest surface of every sample of the traced views inside their scissors, as `rasterise` keeps it.
 
     Launch: ``dim=(traced views of this chunk, height, width)``; one thread per sample. Not taped.
-    Writes: every key of these views once.
+    Writes: the keys of these views inside their scissors once.
     """
     i, row, column = wp.tid()
     v = traced_view[first + i]
+    frame = scissor[v]
+    if column < frame[0] or row < frame[1] or column >= frame[2] or row >= frame[3]:
+        return
     camera = view[v]
     hit = first_hit(camera, mesh, WHOLE_SCENE, sample_ray(camera, row, column))
     nearest = wp.int64(0)

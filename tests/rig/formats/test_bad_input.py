@@ -302,7 +302,7 @@ def test_a_folder_of_files_with_several_cameras_is_refused(tmp_path):
 
 
 def plain_rig(*names):
-    return Rig.create(
+    return Rig(
         RigCamera(name, np.array([1.0, 0.1 * i, 1.5]), 0.0, 0.0, 0.0, CameraModel(64, 48))
         for i, name in enumerate(names)
     )
@@ -321,7 +321,7 @@ def test_exports_replace_nothing_unless_told(tmp_path):
     for target in (tmp_path / "wall", tmp_path / "wall" / "deep"):
         with pytest.raises(InputError, match=r"wall: expected a folder to write to, got a file; choose another path$"):
             export_rig_with_notes(plain_rig("a"), "autoware", target, overwrite=True)
-    with pytest.raises(InputError, match="expected a writable path, got"):
+    with pytest.raises(InputError, match="expected a place to write to, got"):
         export_rig_with_notes(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
     with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
         export_rig_with_notes(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
@@ -403,9 +403,9 @@ def test_the_command_checks_rigs(tmp_path, capsys):
 def test_a_run_may_move_a_camera_to_the_other_side(tmp_path, capsys):
     """The optimiser knows no names, so nothing is wrong with the rig of a run but the name of the camera."""
     run = RunFolder.create(load_config("quick", [f"run.out={tmp_path / 'run'}"]), name="quick")
-    run.write_rig(
-        "best",
+    write_rig(
         import_rig_with_notes(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0],
+        run.rig_path("best"),
     )
     assert main(["rig", "check", str(run.path)]) == 0
     captured = capsys.readouterr()

@@ -29,7 +29,7 @@ from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, imp
 from warpav.rig.rig import Rig, RigCamera
 
 SIZED = ImportOptions(width_px=640, height_px=480)
-RIG = Rig.create([RigCamera("front_left", np.array(POSITION_M), YAW_RAD, PITCH_RAD, ROLL_RAD, CameraModel(640, 480))])
+RIG = Rig([RigCamera("front_left", np.array(POSITION_M), YAW_RAD, PITCH_RAD, ROLL_RAD, CameraModel(640, 480))])
 EXACT = ["urdf", "autoware", "carla-ros-bridge", "carla-python"]
 ROUNDED = ["nuscenes", "kitti", "opencv", "kalibr"]  # their samples hold six decimals
 
@@ -131,7 +131,7 @@ def carla_matrix(carla, values):
 def test_carla_is_placed_where_its_own_client_places_it(tmp_path, pose):
     carla = pytest.importorskip("carla")
     angles = [math.radians(angle) for angle in pose]
-    rig = Rig.create([RigCamera("front", np.array(POSITION_M), *angles, CameraModel(640, 480))])
+    rig = Rig([RigCamera("front", np.array(POSITION_M), *angles, CameraModel(640, 480))])
     export_rig_with_notes(rig, "carla-python", tmp_path / "sensors.json")
     (sensor,) = json.loads((tmp_path / "sensors.json").read_text())
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])

@@ -75,7 +75,7 @@ distorted = st.builds(
 
 @st.composite
 def rigs(draw, models):
-    return Rig.create(
+    return Rig(
         RigCamera(f"camera_{i}", np.array(draw(st.tuples(metres, metres, metres))), *draw(angles), draw(models))
         for i in range(draw(st.integers(1, 3)))
     )
@@ -141,7 +141,7 @@ def test_known_vehicles_survive_every_format(tmp_path, preset, name):
     # no guard against mirrored sides is in the way of a real vehicle
     export_rig_with_notes(rig, name, tmp_path / "out")
     back = {camera.name: camera for camera in import_rig_with_notes(tmp_path / "out", name)[0].cameras}
-    assert_same(rig, Rig.create(back[camera.name] for camera in rig.cameras))
+    assert_same(rig, Rig(back[camera.name] for camera in rig.cameras))
 
 
 def test_every_rig_says_which_formats_hold_it():
@@ -154,7 +154,7 @@ def test_every_rig_says_which_formats_hold_it():
     }
     fitting = {}
     for name, model in cameras.items():
-        fit, unfit = formats_for(Rig.create([RigCamera(name, np.zeros(3), 0.0, 0.0, 0.0, model)]))
+        fit, unfit = formats_for(Rig([RigCamera(name, np.zeros(3), 0.0, 0.0, 0.0, model)]))
         assert {*fit, *unfit} == set(FORMAT_NAMES) - {"kalibr"}
         assert all(name in reason for other, reason in unfit.items() if other != "argoverse2")
         fitting[name] = set(fit) - {"argoverse2"}
@@ -169,7 +169,7 @@ def test_what_is_left_out_is_said(tmp_path):
     model = CameraModel(
         640, 480, lens="brown_conrady", focal_px=(500.0, 501.0), centre_px=(310.0, 240.0), distortion=(-0.2, 0, 0, 0)
     )
-    rig = Rig.create([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
+    rig = Rig([RigCamera("front", np.zeros(3), 0.0, 0.0, 0.0, model)])
     with pytest.raises(
         InputError, match=r"camera 'front': carla-python cannot represent the lens's distortion; `approximate`"
     ):
@@ -180,7 +180,7 @@ def test_what_is_left_out_is_said(tmp_path):
         assert thing in text
     back = import_rig_with_notes(tmp_path / "a.json", "carla-python")[0].cameras[0]
     assert back.model.intrinsics[0, 0] == pytest.approx(500.0)
-    fisheye = Rig.create([RigCamera("f", np.zeros(3), 0.0, 0.0, 0.0, CameraModel(640, 480, 3.3, lens="fisheye"))])
+    fisheye = Rig([RigCamera("f", np.zeros(3), 0.0, 0.0, 0.0, CameraModel(640, 480, 3.3, lens="fisheye"))])
     for name in ("carla-python", "nuscenes", "kitti"):
         with pytest.raises(InputError, match=rf"camera 'f': {name} cannot represent a fisheye lens; choose another"):
             export_rig_with_notes(fisheye, name, tmp_path / "b", approximate=True)

@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig.rig import Rig, RigCamera, write_rig
 from warpav.runs.config import load_config
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
@@ -139,7 +139,7 @@ def margin(kind, cameras, value_m, limit_m):
 
 def rig(shift_m=0.0, turn_rad=0.0):
     model = CameraModel(64, 48)
-    return Rig.create(
+    return Rig(
         [
             RigCamera("left", np.array([1.0 + shift_m, 0.5, 1.5]), turn_rad, 0.0, 0.0, model),
             RigCamera("right", np.array([1.0, -0.5, 1.5]), 0.0, 0.0, 0.0, model),
@@ -175,9 +175,9 @@ def views(scene="town_7"):
 def fill(folder, content=None):
     """Everything that a finished run leaves."""
     folder.write_evaluation(evaluation() if content is None else content)
-    folder.write_rig("initial", rig())
-    folder.write_rig("best", rig(shift_m=0.125, turn_rad=np.radians(30.0)))
-    folder.write_rig("final", rig(shift_m=0.75))
+    write_rig(rig(), folder.rig_path("initial"))
+    write_rig(rig(shift_m=0.125, turn_rad=np.radians(30.0)), folder.rig_path("best"))
+    write_rig(rig(shift_m=0.75), folder.rig_path("final"))
     for name in ("rig", "rig_top_view", "detections", "loss_curves", "another"):
         picture(folder.figure_path(name))
     for view in views():

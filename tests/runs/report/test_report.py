@@ -240,11 +240,11 @@ def test_the_summary_says_what_the_numbers_say(folder, page):
         "fell by 25.0 % (2.0000 to 1.5000) on the training scenes",
         "the gain holds on new scenes",
         "left by 12 cm (turned 30° to the left); 1 camera stayed.",
-        "3 vehicles: 1 in plain sight of a camera, and missed by the detector, 1 hidden behind something and 1 in no "
+        "3 vehicles: 1 visible to a camera but missed by the detector, 1 hidden behind something and 1 in no "
         "camera's image. The nearest is 4 m away.",
         "no camera sees 25.0 % of the ground for someone 1.1 m tall (start 15.0 %, highest 0.0 %)",
         "That is more than at the start",
-        "worst in the sector front, 0 to 5 m from its middle: no camera sees a child on 80 % of it.",
+        "worst in the sector front, 0 to 5 m from its centre: no camera sees a child on 80 % of it.",
         "All 2 hold; the tightest is the distance of left and right, with 50 mm to spare.",
         "No better rig in 2 looks, after 2 of 5 iterations; the rig after 1 is kept.",
         "12 test scenes are few, and the intervals of so few tend to be too short.",

@@ -637,4 +637,4 @@ class Server:
 def install(monkeypatch, one):
     """Put a server where the package would be; no socket leads to it."""
     monkeypatch.setitem(sys.modules, "carla", one.module())
-    monkeypatch.setattr("warpav.scene.capture.carla_simulator._unreachable", lambda _host, _port: None)
+    monkeypatch.setattr("warpav.scene.capture.carla_simulator.unreachable", lambda _host, _port: None)

@@ -18,24 +18,12 @@ from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import EGO_INSTANCE, CaptureView, ViewKind
-from warpav.scene.capture.carla_simulator import (
-    _VERSION_REQUEST,
-    CarlaSimulator,
-    _actor_from_ego,
-    _clear_noon,
-    _meets,
-    _overlap,
-    _pose,
-    _transform,
-    _unreachable,
-    code_from_bgra,
-    depth_from_bgra,
-    lane_places,
-)
+from warpav.scene.capture.carla_frames import lane_places, pose_of, transform_of
+from warpav.scene.capture.carla_server import VERSION_REQUEST, clear_noon, unreachable
+from warpav.scene.capture.carla_simulator import CarlaSimulator
 from warpav.scene.capture.folder import check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.simulator import SpawnPoint
-from warpav.scene.scene import Box
 
 MODEL = CameraModel(96, 64, math.radians(80.0))
 EGO_SIZE_M, EGO_CENTER_M = [4.9, 2.1, 1.48], [0.05 + 1.35, 0.0, 0.75]  # the double's, from its rear axle
@@ -78,45 +66,6 @@ def first_vehicle(simulator, radius_m=40.0):
         if vehicle is not None:
             return vehicle
     raise AssertionError("no place takes a vehicle")
-
-
-class TestDecoding:
-    def test_depth_counts_red_lowest_over_one_kilometre(self):
-        bgra = np.array([[[0, 0, 0, 255], [0, 1, 2, 255], [6, 0, 0, 255], [255, 255, 255, 255]]], np.uint8)
-        expected_m = np.array([0.0, (2 + 256) * 1000 / (2**24 - 1), 6 * 65536 * 1000 / (2**24 - 1), np.inf])
-        np.testing.assert_allclose(depth_from_bgra(bgra)[0], expected_m, rtol=1e-7)
-        assert depth_from_bgra(bgra).dtype == np.float32
-
-    def test_code_keeps_tag_and_both_bytes(self):
-        bgra = np.array([[[3, 2, 14, 255], [0, 0, 0, 255]]], np.uint8)
-        assert code_from_bgra(bgra).tolist() == [[14 + 2 * 256 + 3 * 65536, 0]]
-
-
-class TestPlaces:
-    def test_own_points_lie_on_the_road_and_come_before_those_of_lanes(self):
-        position_m, yaw_rad = lane_places(carla_double.Map(Server(slope=0.05)), spacing_m=10.0)
-        own = position_m[:6]
-        assert own[:, 0].tolist() == [-40.0, -15.0, 15.0, 20.0, 31.0, 40.0]  # -14 is within 2.5 m of -15
-        np.testing.assert_allclose(position_m[:, 2], 3.0 + 0.05 * position_m[:, 0], atol=1e-3)
-        # CARLA's y points right: the lane towards +x lies at -1.75 here, the other one's heading is turned
-        is_bay = position_m[:, 1] < -4.0
-        np.testing.assert_allclose(np.abs(position_m[~is_bay, 1]), 1.75, atol=1e-9)
-        np.testing.assert_allclose(
-            np.cos(yaw_rad)[~is_bay], np.where(position_m[~is_bay, 1] < 0.0, 1.0, -1.0), atol=1e-6
-        )
-        assert np.degrees(yaw_rad[is_bay]).tolist() == pytest.approx([-50.0], abs=1e-3)
-
-    def test_neither_junctions_nor_pavements_nor_neighbours(self):
-        position_m, _ = lane_places(carla_double.Map(Server()), spacing_m=10.0)
-        assert len(position_m) == 6 + 2 * 13 - 2 - 3  # two in the junction, three on own points
-        assert not np.any(np.abs(position_m[6:, 0]) < 6.0)
-        apart_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=-1) + 1e3 * np.eye(len(position_m))
-        assert apart_m.min() > 2.5
-
-    def test_order_does_not_depend_on_the_clients(self):
-        first, second = (lane_places(carla_double.Map(Server(seed=seed)), spacing_m=7.0) for seed in (1, 2))
-        np.testing.assert_array_equal(first[0], second[0])
-        np.testing.assert_array_equal(first[1], second[1])
 
 
 class TestSituation:
@@ -561,7 +510,7 @@ class TestMistakes:
 
     def test_server_that_speaks_is_reached(self):
         with listener(b"\x94\x01\x01\xc0\x92\x00") as port:
-            assert _unreachable("127.0.0.1", port) is None
+            assert unreachable("127.0.0.1", port) is None
 
     def test_answer_of_no_use(self, server):
         server.is_mute = True
@@ -623,39 +572,6 @@ class TestMistakes:
             simulator.begin(-1)
 
 
-class TestGeometry:
-    def test_ego_frame_of_wheels(self):
-        turn = rotation_from_yaw_pitch_roll(0.01, -0.02, 0.015)
-        wheel_m = np.array([[2.8, 0.8, 0.35], [0.0, -0.8, 0.35], [2.8, -0.8, 0.35], [0.0, 0.8, 0.35]])
-        pose = _actor_from_ego(wheel_m @ turn.T + [-1.4, 0.02, 0.0], np.full(4, 0.35))
-        assert pose is not None
-        np.testing.assert_allclose(pose[:3, :3], turn, atol=1e-12)
-        # a wheel's radius is taken off along the actor's z, which leans by 1.4 degrees here
-        np.testing.assert_allclose(pose[:3, 3], [-1.4, 0.02, 0.0], atol=0.01)
-        assert _actor_from_ego(wheel_m[:2], np.full(2, 0.35)) is None
-        assert _actor_from_ego(100.0 * wheel_m, np.full(4, 0.35)) is None
-        assert _actor_from_ego(wheel_m @ rotation_from_yaw_pitch_roll(0.0, 0.2, 0.0).T, np.full(4, 0.35)) is None
-
-    def test_rays_meet_boxes_as_sampled_points_do(self, rng):
-        for _ in range(20):
-            box = Box(rng.normal(size=3), rng.uniform(0.5, 2.0, 3), rng.uniform(-3.0, 3.0))
-            origin_m = rng.normal(size=3) * 3.0
-            ray = rng.normal(size=(50, 3))
-            along = origin_m + np.linspace(0.0, 20.0, 2000)[:, None, None] * ray
-            within = np.max(in_box(box, along), axis=-1)
-            meets = _meets(box, origin_m, ray, margin_m=0.0)
-            assert not np.any(~meets & (within < 0.0).any(axis=0))
-            assert not np.any(meets & (within > 0.02).all(axis=0))
-
-    def test_overlap_of_turned_boxes(self):
-        first = Box(np.zeros(3), np.array([4.0, 2.0, 1.5]), 0.0)
-        assert _overlap(first, Box(np.array([2.9, 0.0, 0.0]), np.array([4.0, 2.0, 1.5]), 1.5))
-        assert not _overlap(first, Box(np.array([3.2, 0.0, 0.0]), np.array([4.0, 2.0, 1.5]), math.pi / 2))
-        assert not _overlap(first, Box(np.array([0.0, 0.0, 1.6]), np.array([4.0, 2.0, 1.5]), 0.0))  # on a bridge
-        corner = Box(np.array([3.0, 2.0, 0.0]), np.array([2.0, 2.0, 1.5]), math.pi / 4)
-        assert not _overlap(first, corner)
-
-
 class TestWheel:
     """What the installed client offers without a server."""
 
@@ -667,11 +583,11 @@ class TestWheel:
         pose = np.eye(4)
         pose[:3, :3] = rotation_from_yaw_pitch_roll(*np.radians([45.0, 5.0, 2.0]))
         pose[:3, 3] = 1.7, 0.5, 1.6
-        transform = _transform(carla, pose)
+        transform = transform_of(carla, pose)
         turn, at = transform.rotation, transform.location
         np.testing.assert_allclose([at.x, at.y, at.z], [1.7, -0.5, 1.6], atol=1e-6)
         np.testing.assert_allclose([turn.pitch, turn.yaw, turn.roll], [-5.0, -45.0, 2.0], atol=1e-5)
-        np.testing.assert_allclose(_pose(transform), pose, atol=2e-7)  # single precision
+        np.testing.assert_allclose(pose_of(transform), pose, atol=2e-7)  # single precision
 
     def test_any_pose_is_the_mirror_of_carlas_matrix(self, carla, rng):
         mirror = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -680,13 +596,15 @@ class TestWheel:
             location = carla.Location(*rng.uniform(-500.0, 500.0, 3))
             transform = carla.Transform(location, carla.Rotation(pitch=pitch, yaw=yaw, roll=roll))
             matrix = np.array(transform.get_matrix())
-            np.testing.assert_allclose(_pose(transform), mirror @ matrix @ mirror, atol=1e-6)
-            np.testing.assert_allclose(np.array(_transform(carla, _pose(transform)).get_matrix()), matrix, atol=4e-5)
+            np.testing.assert_allclose(pose_of(transform), mirror @ matrix @ mirror, atol=1e-6)
+            np.testing.assert_allclose(
+                np.array(transform_of(carla, pose_of(transform)).get_matrix()), matrix, atol=4e-5
+            )
             double = carla_double.Transform(transform.location, transform.rotation)
             np.testing.assert_allclose(np.array(double.get_matrix()), matrix, atol=1e-6)
 
     def test_weather(self, carla):
-        weather = _clear_noon(carla)
+        weather = clear_noon(carla)
         assert weather.sun_altitude_angle == 90.0
         for name in (
             "cloudiness",
@@ -745,7 +663,7 @@ class TestWheel:
             client.set_timeout(0.5)
             with pytest.raises(RuntimeError, match="time-out"):
                 client.get_server_version()
-        assert heard == [_VERSION_REQUEST]
+        assert heard == [VERSION_REQUEST]
 
 
 @contextlib.contextmanager

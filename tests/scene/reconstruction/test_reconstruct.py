@@ -14,7 +14,7 @@ from warpav.scene.capture.folder import read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.reconstruction.reconstruct import LEAST_POINTS, reconstruct
+from warpav.scene.reconstruction.reconstruct import MIN_POINTS, reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import BLACK_SKY, Box, Sky
 from warpav.scene.town.town import town_scene
@@ -176,7 +176,7 @@ def test_a_vehicle_with_hardly_any_points_is_refused(capture):
         vehicle, box=Box(vehicle.box.center_m - [0.0, 0.0, 30.0], vehicle.box.size_m, vehicle.box.yaw_rad)
     )
     spoiled = dataclasses.replace(capture, vehicles=(capture.vehicles[0], buried))
-    message = f"{capture.name}: vehicle {vehicle.instance_id}: expected at least {LEAST_POINTS} points in its 3D box"
+    message = f"{capture.name}: vehicle {vehicle.instance_id}: expected at least {MIN_POINTS} points in its 3D box"
     with pytest.raises(InputError, match=message):
         reconstruct(spoiled, SETTINGS)
 

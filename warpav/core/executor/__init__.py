@@ -1,7 +1,7 @@
 """Independent tasks: one after the other, in processes, on a Ray cluster, as Slurm jobs, or one in the background."""
 
 from warpav.core.executor.background import in_background
-from warpav.core.executor.tasks import ExecutorName, Outcome, Result, Task, run_tasks
+from warpav.core.executor.tasks import Executor, ExecutorName, Outcome, Result, Task, run_tasks
 from warpav.core.executor.workers import available_cores
 
-__all__ = ["ExecutorName", "Outcome", "Result", "Task", "available_cores", "in_background", "run_tasks"]
+__all__ = ["Executor", "ExecutorName", "Outcome", "Result", "Task", "available_cores", "in_background", "run_tasks"]

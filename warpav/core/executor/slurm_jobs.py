@@ -61,7 +61,7 @@ class SlurmJobs:
         """Submit tasks as one job array.
 
         Raises:
-            OptionError: Slurm refuses it.
+            OptionError: Slurm rejects it.
         """
         try:
             return self._jobs.map_array(self._call, tasks)

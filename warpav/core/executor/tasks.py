@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,37 @@ from warpav.core.errors import OptionError
 from warpav.core.executor.workers import Outcome, Result, Task, WorkerKilledError, Workers, outcome_of
 
 ExecutorName = Literal["serial", "process", "ray", "slurm"]
+
+
+@dataclass(frozen=True)
+class Executor:
+    """Where tasks run, as `run_tasks` takes it.
+
+    Attributes:
+        name: ``serial``, ``process``, ``ray`` or ``slurm``.
+        worker_count: Tasks at a time; None: as many as fit.
+        address: Of a running Ray cluster.
+        options: What a task needs.
+        folder: For jobs and logs of ``slurm``.
+    """
+
+    name: ExecutorName = "serial"
+    worker_count: int | None = None
+    address: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path | str = "slurm_jobs"
+
+    def run(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Outcome[Task, Result]]:
+        """Run a function on every task, as `run_tasks`."""
+        return run_tasks(
+            function,
+            tasks,
+            executor=self.name,
+            worker_count=self.worker_count,
+            address=self.address,
+            options=self.options,
+            folder=self.folder,
+        )
 
 
 def run_tasks(

@@ -193,7 +193,7 @@ def render_scene(
         surface: Mount surface of its ego vehicle.
         seed: Of the cameras, and of the choice of one or four samples per pixel.
         views_per_scene: How many, by the side of the image [px].
-        ignored_ids: Instance ids of objects that are drawn but not to be learnt from.
+        ignored_ids: Instance ids of objects that are drawn but ignored in training.
         thread_count: Views that are drawn at once; None: as many as there are cores.
 
     Returns:
@@ -208,27 +208,27 @@ def render_scene(
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
     label = np.array([CLASS_NAMES.index(CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
     is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
-    pictures = {}
+    labelled = {}
     for side_px, count in views_per_scene.items():
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
         supersampling = int(rng.integers(1, 3))
         rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
         labels = Labels.empty(count)
-        for image, (camera, picture) in enumerate(zip(cameras, rendered, strict=True)):
-            box_px = visible_boxes(picture.object_index, len(scene.vehicles), min_area_px=1)
-            large_box_px = visible_boxes(picture.object_index, len(scene.vehicles), min_area_px=_MIN_AREA_PX)
+        for image, (camera, render) in enumerate(zip(cameras, rendered, strict=True)):
+            box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=1)
+            large_box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=_MIN_AREA_PX)
             seen = np.nonzero(~np.isnan(box_px[:, 0]))[0]
             # Should more be seen than there is room for, the smallest are left out.
-            seen = seen[np.argsort(-picture.visible_area_px[seen], kind="stable")][:_OBJECT_MAX]
+            seen = seen[np.argsort(-render.visible_area_px[seen], kind="stable")][:_OBJECT_MAX]
             room = slice(len(seen))
             labels.box_px[image, room] = box_px[seen]
             labels.class_index[image, room] = label[seen]
             labels.ignored[image, room] = np.isnan(large_box_px[seen, 0]) | is_ignored[seen]
-            amodal_area_px = np.maximum(picture.amodal_area_px[seen], 1e-6)
-            labels.visible_fraction[image, room] = np.clip(picture.visible_area_px[seen] / amodal_area_px, 0.0, 1.0)
+            amodal_area_px = np.maximum(render.amodal_area_px[seen], 1e-6)
+            labels.visible_fraction[image, room] = np.clip(render.visible_area_px[seen] / amodal_area_px, 0.0, 1.0)
             labels.distance_m[image, room] = np.linalg.norm(center_m[seen] - camera.position_m, axis=1)
-        pictures[side_px] = LabelledImages(np.stack([picture.rgb for picture in rendered]), labels)
-    return pictures
+        labelled[side_px] = LabelledImages(np.stack([render.rgb for render in rendered]), labels)
+    return labelled
 
 
 def reconstructed_scene(seed: int) -> Scene:
@@ -275,7 +275,7 @@ def load_images(folder: Path) -> dict[int, LabelledImages]:
     Raises:
         InputError: A file is missing or is none that `write_images` wrote.
     """
-    pictures = {}
+    labelled = {}
     for file in sorted(folder.glob("labels_*.npz")):
         side_text = file.stem.removeprefix("labels_")
         try:
@@ -289,8 +289,8 @@ def load_images(folder: Path) -> dict[int, LabelledImages]:
                 f"{file}: expected labels and images that warpav wrote, got others ({' '.join(str(error).split())}); "
                 "remove the folder, and they are made again"
             ) from error
-        pictures[int(side_text)] = LabelledImages(images_rgb, labels)
-    return dict(sorted(pictures.items()))
+        labelled[int(side_text)] = LabelledImages(images_rgb, labels)
+    return dict(sorted(labelled.items()))
 
 
 @functools.cache
@@ -318,7 +318,7 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     load_warp()  # without its start-up messages, in every process
     subset = job.subset
     scene = reconstructed_scene(job.seed) if subset.is_reconstructed else town_scene(job.seed)
-    pictures = render_scene(
+    labelled = render_scene(
         scene,
         _town_surface(),
         job.seed,
@@ -328,8 +328,8 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     )
     for side_px, count in subset.views_per_scene.items():
         images_rgb = np.load(job.folder / f"images_{side_px}.npy", mmap_mode="r+")
-        images_rgb[job.index * count : (job.index + 1) * count] = pictures[side_px].images_rgb
-    return {side_px: each.labels for side_px, each in pictures.items()}
+        images_rgb[job.index * count : (job.index + 1) * count] = labelled[side_px].images_rgb
+    return {side_px: each.labels for side_px, each in labelled.items()}
 
 
 def write_images(subset: Subset, folder: Path, *, processes: int) -> None:

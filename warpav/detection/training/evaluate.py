@@ -28,20 +28,20 @@ _IMAGES_PER_CALL = 32
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _Scored:
     """Objects and detections of one road user in a set of images."""
 
-    pictures: LabelledImages
+    labelled: LabelledImages
     detections: list[Detections]
     chosen: np.ndarray  # the objects, bool [image, object]
 
     @property
     def exists(self) -> np.ndarray:
-        return self.chosen & ~self.pictures.labels.ignored
+        return self.chosen & ~self.labelled.labels.ignored
 
     @property
     def height_px(self) -> np.ndarray:
-        return self.pictures.labels.box_px[..., 3] - self.pictures.labels.box_px[..., 1]
+        return self.labelled.labels.box_px[..., 3] - self.labelled.labels.box_px[..., 1]
 
     def ap50(self, chosen: np.ndarray | None = None, *, low_px: float = 0.0, high_px: float = np.inf) -> float | None:
         """Average precision of the chosen objects (None: all), bool [image, object], with boxes so high.
@@ -58,7 +58,7 @@ class _Judged:
             found_height_px = found.box_px[:, 3] - found.box_px[:, 1]
             images.append(
                 ImageBoxes(
-                    self.pictures.labels.box_px[image, held],
+                    self.labelled.labels.box_px[image, held],
                     found.box_px,
                     found.confidence,
                     truth_ignored=~counted[image, held],
@@ -69,7 +69,7 @@ class _Judged:
         return _share(float(scores.average_precision()[0, 0]))
 
     def report(self) -> dict[str, object]:
-        labels = self.pictures.labels
+        labels = self.labelled.labels
         headline = self.exists & (self.height_px >= HEADLINE_HEIGHT_PX)
         hit, right_label = np.zeros(headline.shape, bool), np.zeros(headline.shape, bool)
         false_alarms = 0
@@ -121,7 +121,7 @@ class _Judged:
         }
 
 
-def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
+def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
     """Evaluate a detector on images of one size.
 
     Objects that show too little for a ground-truth box are ignored throughout. Labels are pooled: any motor vehicle's
@@ -129,7 +129,7 @@ def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
 
     Args:
         detector: Asked for detections of low confidence too, or the average precision comes out too low.
-        pictures: Labelled images.
+        labelled: Labelled images.
 
     Returns:
         ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
@@ -140,15 +140,15 @@ def evaluate(detector: Detector, pictures: LabelledImages) -> dict[str, object]:
         ``recall_by_distance_m``. Shares are in 0..1, null where there is nothing to count; bins are ``low-high``.
     """
     detections: list[Detections] = []
-    for start in range(0, len(pictures.images_rgb), _IMAGES_PER_CALL):
-        detections += detector.detect(np.ascontiguousarray(pictures.images_rgb[start : start + _IMAGES_PER_CALL]))
-    class_index = pictures.labels.class_index
-    report: dict[str, object] = {"images": len(pictures.images_rgb)}
+    for start in range(0, len(labelled.images_rgb), _IMAGES_PER_CALL):
+        detections += detector.detect(np.ascontiguousarray(labelled.images_rgb[start : start + _IMAGES_PER_CALL]))
+    class_index = labelled.labels.class_index
+    report: dict[str, object] = {"images": len(labelled.images_rgb)}
     for index, road_user in enumerate(ROAD_USERS):
         chosen = (class_index >= 0) & (_ROAD_USER_OF_CLASS[class_index] == index)
         found = [_of_road_user(each, index) for each in detections]
-        if (chosen & ~pictures.labels.ignored).any():
-            report[road_user] = _Judged(pictures, found, chosen).report()
+        if (chosen & ~labelled.labels.ignored).any():
+            report[road_user] = _Scored(labelled, found, chosen).report()
     return report
 
 

@@ -45,20 +45,20 @@ class DeviceData:
     truth: TargetBoxes
 
     @classmethod
-    def load(cls, pictures: Iterable[LabelledImages], device: torch.device) -> DeviceData:
+    def load(cls, labelled: Iterable[LabelledImages], device: torch.device) -> DeviceData:
         """Copy images of one size to the device, block by block; objects of less than `MIN_SIDE_PX` are ignored."""
-        pictures = list(pictures)
-        count = sum(len(each.images_rgb) for each in pictures)
-        images_rgb = torch.empty((count, *pictures[0].images_rgb.shape[1:]), dtype=torch.uint8, device=device)
+        labelled = list(labelled)
+        count = sum(len(each.images_rgb) for each in labelled)
+        images_rgb = torch.empty((count, *labelled[0].images_rgb.shape[1:]), dtype=torch.uint8, device=device)
         first = 0
-        for each in pictures:
+        for each in labelled:
             for start in range(0, len(each.images_rgb), 1024):
                 block = torch.from_numpy(np.array(each.images_rgb[start : start + 1024]))
                 images_rgb[first : first + len(block)] = block.to(device)
                 first += len(block)
-        box_px = np.concatenate([each.labels.box_px for each in pictures])
-        class_index = np.concatenate([each.labels.class_index for each in pictures])
-        ignored = np.concatenate([each.labels.ignored for each in pictures])
+        box_px = np.concatenate([each.labels.box_px for each in labelled])
+        class_index = np.concatenate([each.labels.class_index for each in labelled])
+        ignored = np.concatenate([each.labels.ignored for each in labelled])
         side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
         return cls(
             images_rgb,
@@ -241,7 +241,7 @@ def train(
 def train_detector(
     folder: Path,
     *,
-    pictures: Path,
+    image_folder: Path,
     device: str,
     processes: int,
     step_count: int,
@@ -253,7 +253,7 @@ def train_detector(
 
     Args:
         folder: For ``checkpoint.pt`` and ``detector.onnx``.
-        pictures: Folder of the images; missing ones are rendered.
+        image_folder: Folder of the images; missing ones are rendered.
         device: PyTorch device.
         processes: That render.
         step_count: Length of the schedule.
@@ -277,10 +277,10 @@ def train_detector(
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
     for name in names:
-        write_images(SUBSETS[name], pictures / name, processes=processes)
+        write_images(SUBSETS[name], image_folder / name, processes=processes)
     if training.step < training.step_count:
         start_s = time.perf_counter()
-        loaded = [load_images(pictures / name) for name in names]
+        loaded = [load_images(image_folder / name) for name in names]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in SIZE_PROBABILITY

@@ -39,7 +39,7 @@ class InFrameRotation(AssignedVehicleLoss):
         mount, views, device = scene.mount, scene.views, scene.frame.device
         vehicle_count = scene.scene.vehicle_count
         bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
-        sight = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
+        frame_state = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
         wp.launch(
             placement_losses.find_vehicle_bearings_kernel,
             dim=vehicle_count,
@@ -52,14 +52,14 @@ class InFrameRotation(AssignedVehicleLoss):
                 float(mount.camera.width_px),
                 mount.camera.fov_rad,
             ],
-            outputs=[bearing_rad, sight],
+            outputs=[bearing_rad, frame_state],
             device=device,
             record_tape=False,
         )
         wp.launch(
             placement_losses.in_frame_rotation_loss_kernel,
             dim=scene.camera_count,
-            inputs=[views.mount_pose, scene.assigned_on_device, bearing_rad, sight, self.epsilon],
+            inputs=[views.mount_pose, scene.assigned_on_device, bearing_rad, frame_state, self.epsilon],
             outputs=[vehicle_loss],
             device=device,
         )

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from warpav.detection.probability import Appearance, DetectionProbability
+from warpav.detection.probability import Appearance, DetectionProbability, Seen
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import Measures
@@ -37,6 +37,20 @@ class CameraProbability:
         """With the parameters of a configuration; None without a model."""
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
 
+    def share_of_box(self, seen: Seen) -> wp.array | None:
+        """What stands in for the fitted probability, on the active tape, float [view, vehicle]; None: nothing does."""
+        if self.probability == "fitted":
+            return None
+        share = wp.zeros_like(seen.probability, requires_grad=True)
+        wp.launch(
+            expected_misses.box_share_kernel,
+            dim=share.shape,
+            inputs=[seen.feature, int(self.probability == "visible_share")],
+            outputs=[share],
+            device=share.device,
+        )
+        return share
+
 
 @dataclass(frozen=True, eq=False)
 class SceneOnTape:
@@ -54,7 +68,6 @@ class SceneOnTape:
         panorama_share: See `LossSchedule`, float [1].
         detector_share: Likewise, float [1].
         forward_view: The view of each camera in which it looks straight ahead.
-        image: What the cameras see ahead, 0..1, vec3 [camera, row, column].
         camera_probability: How likely a camera is to detect; None where no loss needs it.
         truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
             them.
@@ -71,7 +84,6 @@ class SceneOnTape:
     panorama_share: wp.array
     detector_share: wp.array
     forward_view: list[int]
-    image: wp.array
     camera_probability: CameraProbability | None = None
     truth_box_px: np.ndarray | None = None
     _area_around: dict[int, wp.array] = field(default_factory=dict)
@@ -128,42 +140,39 @@ class SceneOnTape:
         """
         assert self.camera_probability is not None
         device, rotation_count = self.frame.device, self.rotation_count
-        has_panorama = rotation_count > 1
-        appearance = Appearance.of(
-            self.frame, self.scene, measures=self.measures, image=None if has_panorama else self.image
+        appearance = Appearance.of(self.frame, self.scene, measures=self.measures)
+        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
+        probability = self.camera_probability.share_of_box(seen) or seen.probability
+        if rotation_count == 1:
+            return probability
+        in_window = self.frame.window_area(
+            self.mount.windows(self.views, requires_grad=False),
+            softness_rad=self.camera_probability.window_softness_rad,
+            visible=True,
         )
-        in_window = visible = window_rad = None
-        if has_panorama:
-            in_window = self.frame.window_area(
-                self.mount.windows(self.views, requires_grad=False),
-                softness_rad=self.camera_probability.window_softness_rad,
-                visible=True,
-            )
-            visible = self.frame.window_area(visible=True)
-            window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
-        probability = self._probability_of_views(appearance)
+        visible = self.frame.window_area(visible=True)
+        window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         around_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
-        if in_window is not None and visible is not None:
+        wp.launch(
+            expected_misses.find_best_views_kernel,
+            dim=shape,
+            inputs=[probability, rotation_count],
+            outputs=[best_view],
+            device=device,
+            record_tape=False,
+        )
+        window_sr = in_window.on_tape(*self._pose, window_rad)
+        for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
             wp.launch(
-                expected_misses.find_best_views_kernel,
+                expected_misses.sum_over_panorama_kernel,
                 dim=shape,
-                inputs=[probability, rotation_count],
-                outputs=[best_view],
+                inputs=[solid_angle, rotation_count],
+                outputs=[total],
                 device=device,
-                record_tape=False,
             )
-            window_sr = in_window.on_tape(*self._pose, window_rad)
-            for solid_angle, total in ((window_sr, in_window_sr), (visible.on_tape(*self._pose), around_sr)):
-                wp.launch(
-                    expected_misses.sum_over_panorama_kernel,
-                    dim=shape,
-                    inputs=[solid_angle, rotation_count],
-                    outputs=[total],
-                    device=device,
-                )
         found = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
         wp.launch(
             expected_misses.camera_probability_kernel,
@@ -173,22 +182,6 @@ class SceneOnTape:
             device=device,
         )
         return found
-
-    def _probability_of_views(self, appearance: Appearance) -> wp.array:
-        """Probability of detection in every view, float [view, vehicle]."""
-        assert self.camera_probability is not None
-        seen = self.camera_probability.model.on_tape(appearance, *self._pose)
-        if self.camera_probability.probability == "fitted":
-            return seen.probability
-        share = wp.zeros_like(seen.probability, requires_grad=True)
-        wp.launch(
-            expected_misses.box_share_kernel,
-            dim=share.shape,
-            inputs=[seen.feature, int(self.camera_probability.probability == "visible_share")],
-            outputs=[share],
-            device=self.frame.device,
-        )
-        return share
 
     @property
     def _pose(self) -> tuple[wp.array, wp.array, wp.array]:

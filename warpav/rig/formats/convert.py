@@ -16,13 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
 from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
 from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
-from warpav.rig.rig import Rig, RigCamera, replace_file
+from warpav.rig.rig import Rig, RigCamera
 
 _PLACES = {
     "nuscenes": ("nuscenes", "FORMAT"),
@@ -170,12 +172,15 @@ def import_rig_with_notes(
     ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
     found = form.read(file, options.part)
     lenses = _lenses(file, options)
-    cameras = [
-        RigCamera.at(
-            _fit_name(camera.name), ego_from_file @ camera.file_from_camera, _model(camera, lenses, options, file)
+    models = [_model(camera, lenses, options, file) for camera in found.cameras]
+    try:
+        rig = Rig(
+            RigCamera.at(_fit_name(camera.name), ego_from_file @ camera.file_from_camera, model)
+            for camera, model in zip(found.cameras, models, strict=True)
         )
-        for camera in found.cameras
-    ]
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    cameras = rig.cameras
     for camera in cameras:
         if np.linalg.norm(camera.position_m) > FAR_M:
             position = ", ".join(f"{value:g}" for value in camera.position_m)
@@ -193,7 +198,7 @@ def import_rig_with_notes(
     if renamed:
         notes.append(f"names keep letters, digits, '_', '-' and '.': {renamed[0]!r} becomes {_fit_name(renamed[0])!r}")
     notes += _origin_notes(form, options.origin_m)
-    return Rig.create(cameras, name=str(file)), notes
+    return rig, notes
 
 
 def export_rig(
@@ -394,8 +399,7 @@ def _fit_name(name: str) -> str:
 
 
 def _write(file: Path, content: bytes) -> None:
-    try:
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{file}: expected a writable path, got: {error.strerror}") from None
-    replace_file(file, content)
+        with atomic_write(file) as draft:
+            draft.write_bytes(content)

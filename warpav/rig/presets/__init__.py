@@ -29,12 +29,21 @@ def preset_rig(name: str) -> Rig:
     Raises:
         InputError: There is no such rig.
     """
+    return read_rig(preset_file(name))
+
+
+def preset_file(name: str) -> Path:
+    """The file of the shipped rig of this name.
+
+    Raises:
+        InputError: There is no such rig.
+    """
     names = preset_names()
     if name not in names:
         near = difflib.get_close_matches(name, names, 1, 0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
         raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{hint}")
-    return read_rig(_FOLDER / f"{name}.yaml")
+    return _FOLDER / f"{name}.yaml"
 
 
 @dataclass(frozen=True)

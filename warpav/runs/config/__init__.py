@@ -23,6 +23,7 @@ from warpav.runs.config.load import (
 from warpav.runs.config.schema import (
     NAMED_STARTS,
     START_FILE,
+    START_TEXT,
     BaselineConfig,
     CameraConfig,
     DetectorConfig,
@@ -37,6 +38,7 @@ __all__ = [
     "COMMAND_LINE",
     "NAMED_STARTS",
     "START_FILE",
+    "START_TEXT",
     "BaselineConfig",
     "CameraConfig",
     "Config",

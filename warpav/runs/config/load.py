@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
-from warpav.core.yaml_file import Location, parse_yaml, read_yaml
+from warpav.core.yaml_file import Location, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
@@ -53,13 +53,16 @@ class Config(ConfigTree):
         return warpav.Placement.from_config(self)
 
 
-def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *, origin: str = COMMAND_LINE) -> Config:
+def load_config(
+    source: str | Path | Config | None = None, overrides: Sequence[str] = (), *, origin: str | None = COMMAND_LINE
+) -> Config:
     """The configuration of a YAML file and ``key=value`` overrides.
 
     Args:
-        path: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), or None for the defaults.
+        source: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), None for the defaults, or a
+            configuration.
         overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
-        origin: What messages call the source of the overrides.
+        origin: What messages call the source of the overrides; None: they do not name it.
 
     Returns:
         The validated, immutable tree.
@@ -68,12 +71,28 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = (), *
         InputError: Anything is wrong; one line per mistake, each with its place, its field, what was expected and
             what came.
     """
-    file = find_config(path) if path is not None else None
+    file = None if source is None or isinstance(source, Config) else find_config(source)
     data, written_at = _read_file(file) if file else ({}, {})
+    if isinstance(source, Config):
+        data = source.model_dump(mode="json")
     rig = data.get("rig")
     if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
         rig["start"] = str((file.parent / START_FILE).absolute())
-    return _validated(data, overrides, file, written_at, origin)
+    override_of: dict[Location, str] = {}
+    new_name = dict(renamed_options(Config))
+    for override in overrides:
+        place = _override_place(override, origin)
+        location, value = _read_override(override, place)
+        if location in new_name:
+            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
+            location = new_name[location]
+        override_of[location] = place
+        _put(data, location, value, place)
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        lines = [explain(found, file, written_at, override_of) for found in error.errors(include_url=False)]
+        raise InputError("\n".join(dict.fromkeys(lines))) from None
 
 
 def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
@@ -87,7 +106,7 @@ def changed_config(config: Config, overrides: Sequence[str], *, origin: str | No
     Raises:
         InputError: An override is wrong, or does not fit the rest.
     """
-    return _validated(config.model_dump(mode="json"), overrides, None, {}, origin)
+    return load_config(config, overrides, origin=origin)
 
 
 def with_absolute_paths(config: Config) -> Config:
@@ -117,35 +136,6 @@ def overridden_option(override: str) -> str:
         InputError: It is none.
     """
     return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
-
-
-def _validated(
-    data: dict[str, Any],
-    overrides: Sequence[str],
-    file: Path | None,
-    written_at: Mapping[Location, str],
-    origin: str | None = COMMAND_LINE,
-) -> Config:
-    override_of: dict[Location, str] = {}
-    written_at, new_name = dict(written_at), dict(renamed_options(Config))
-    for old, new in new_name.items():
-        if move_option(data, old, new):
-            if old in written_at:
-                written_at[new] = written_at[old]
-            warn_renamed(place_of(new, file, written_at, {}), ".".join(old), ".".join(new))
-    for override in overrides:
-        place = _override_place(override, origin)
-        location, value = _read_override(override, place)
-        if location in new_name:
-            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
-            location = new_name[location]
-        override_of[location] = place
-        _put(data, location, value, place)
-    try:
-        return Config.model_validate(data)
-    except ValidationError as error:
-        lines = [explain(found, file, written_at, override_of) for found in error.errors(include_url=False)]
-        raise InputError("\n".join(dict.fromkeys(lines))) from None
 
 
 @contextlib.contextmanager
@@ -244,7 +234,7 @@ def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, 
         near = difflib.get_close_matches(key, [".".join(name) for name in option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
         raise InputError(placed(place, f"expected key=value, got {override!r}; {hint}"))
-    return location, parse_yaml(text, place or key, has_lines=False)[0]
+    return location, read_yaml(text, place or key)[0]
 
 
 def _put(data: dict[str, Any], location: Location, value: object, place: str) -> None:

@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
-from warpav.core.yaml_file import parse_yaml
+from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
     LossSettings,
@@ -31,7 +31,6 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
-from warpav.rig.presets import preset_names
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS
 
@@ -121,15 +120,7 @@ def _read_device(value: object) -> object:
     return value
 
 
-_START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
-
-
-def _read_start(value: object) -> object:
-    if isinstance(value, str) and value not in NAMED_STARTS:
-        names = preset_names()
-        if value not in names and not (Path(value).expanduser() / "config.yaml").is_file():
-            _existing_file(value, _START_TEXT, [value], [*NAMED_STARTS, *names])
-    return value
+START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
 
 
 _NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
@@ -205,7 +196,7 @@ class SceneConfig(Section):
     ) = Field(
         default=None,
         description="mesh of your own vehicle, which takes the place of every scene's own; warpav vehicle check "
-        "examines and mends it; null: the scene's own",
+        "examines and repairs it; null: the scene's own",
     )
     mirror: bool = Field(
         default=False,
@@ -219,7 +210,7 @@ class SceneConfig(Section):
         WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
     ] = Field(
         default=("vehicle",),
-        description="the road users that rigs are optimised and judged for; all others only stand in the way",
+        description="the road users that rigs are optimised and evaluated for; all others only hide them",
     )
 
     @model_validator(mode="after")
@@ -331,8 +322,8 @@ class RigConfig(Section):
     """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
     cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
-    start: Annotated[str, BeforeValidator(_read_start), Expectation(_START_TEXT)] = Field(
-        default="random", description=f"rig that the optimiser starts from: {_START_TEXT}"
+    start: Annotated[str, Expectation(START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
     )
     freeze: Annotated[
         tuple[str, ...],
@@ -348,7 +339,7 @@ class RigConfig(Section):
     height_offset_m: Metres = Field(
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
     )
-    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="least distance between two cameras")
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
     free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
 
 
@@ -399,7 +390,7 @@ class MountConfig(Section):
         default=0.8,
         gt=0.0,
         le=1.0,
-        description="least vertical part of the unit normal of what the height map is made of",
+        description="minimum vertical part of the unit normal of what the height map is made of",
     )
     min_zone_normal: float = Field(
         default=0.9,
@@ -411,7 +402,7 @@ class MountConfig(Section):
         default=0.02,
         ge=0.0,
         le=1.0,
-        description="least distance of a camera's centre to the border of the mountable zone (method: default)",
+        description="minimum distance of a camera's centre to the border of the mountable zone (method: default)",
     )
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
@@ -453,9 +444,9 @@ class DetectorConfig(Section):
     model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
         default="builtin", description="builtin or the path of an ONNX file"
     )
-    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="least confidence of a detection")
+    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="minimum confidence of a detection")
     iou_min: float = Field(
-        default=0.5, gt=0.0, lt=1.0, description="least overlap with the true box for a true positive"
+        default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
     )
     nms_iou_max: float = Field(default=0.5, gt=0.0, le=1.0, description="boxes that overlap more are merged")
     format: Literal[
@@ -523,7 +514,7 @@ def _add_extends(schema: dict[str, Any]) -> None:
 
 
 class ConfigTree(Section):
-    """Everything that a run of warpav can be told.
+    """Every option of a run.
 
     What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
     """
@@ -547,7 +538,7 @@ class ConfigTree(Section):
     mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
     detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
     segregation: SegregationSettings = Field(
-        default=SegregationSettings(), description="which camera answers for which vehicle"
+        default=SegregationSettings(), description="which camera is assigned which vehicle"
     )
     losses: LossSettings = Field(
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
@@ -652,6 +643,6 @@ def read_seeds(text: str, place: str) -> tuple[int, ...]:
         InputError: It is neither, or a seed is out of range or there twice.
     """
     try:
-        return _read_seeds(parse_yaml(text, place, has_lines=False)[0])
+        return _read_seeds(read_yaml(text, place)[0])
     except PydanticCustomError as error:
         raise InputError(f"{place}: {error.message()}") from None

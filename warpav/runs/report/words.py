@@ -19,7 +19,7 @@ Tone = Literal["good", "bad", "open"]
 
 MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 
-LEAST_SCENES = 6
+MIN_SCENES = 6
 """With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
 
 FEW_SCENES = 30
@@ -76,7 +76,7 @@ def interval(difference: DifferenceRecord) -> str:
 def verdict(difference: DifferenceRecord, *, lower_is_better: bool = False) -> Tone:
     """Whether a difference is proven, and in whose favour: its interval leaves 0 out, and the scenes are enough."""
     low, high = difference.low, difference.high
-    if low is None or high is None or difference.scenes < LEAST_SCENES or low <= 0.0 <= high:
+    if low is None or high is None or difference.scenes < MIN_SCENES or low <= 0.0 <= high:
         return "open"
     return "good" if (high < 0.0) == lower_is_better else "bad"
 
@@ -272,7 +272,7 @@ def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     reasons = [
         f"{count[outcome]} {text}"
         for outcome, text in (
-            (ObjectOutcome.MISSED, "in plain sight of a camera, and missed by the detector"),
+            (ObjectOutcome.MISSED, "visible to a camera but missed by the detector"),
             (ObjectOutcome.HIDDEN, "hidden behind something"),
             (ObjectOutcome.OUT_OF_FRAME, "in no camera's image"),
         )
@@ -302,7 +302,7 @@ def _ground(evaluation: EvaluationRecord) -> Statement | None:
     text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
     before, after = ground.share("start", 0) if "start" in ground.blind else None, ground.share(first, 0)
     if before is not None and after is not None and after > before + 0.005:
-        text += " That is more than at the start: the descent looks at traffic, not at the ground."
+        text += " That is more than at the start: the objective counts traffic, not ground."
     near = [
         (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
         for sector in range(len(ground.sectors))
@@ -310,7 +310,7 @@ def _ground(evaluation: EvaluationRecord) -> Statement | None:
     ]
     share, _, sector, band = max(near)
     if share > 0.0:
-        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its middle"
+        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its centre"
         text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
@@ -354,8 +354,8 @@ def _caution(evaluation: EvaluationRecord) -> Statement | None:
     if count >= FEW_SCENES:
         return None
     text = f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'} few"
-    if count < LEAST_SCENES:
-        text += f": with fewer than {LEAST_SCENES}, no difference can be proven at 5 %"
+    if count < MIN_SCENES:
+        text += f": with fewer than {MIN_SCENES}, no difference can be proven at 5 %"
     else:
         text += ", and the intervals of so few tend to be too short"
     return Statement("Caution", f"{text}. More say more: scenes.test_seeds=1000..1049.")

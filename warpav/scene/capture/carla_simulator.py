@@ -9,51 +9,57 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import importlib
 import math
 import queue
 import re
-import socket
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from types import ModuleType, TracebackType
-from typing import Any, Self, TypeAlias
+from types import TracebackType
+from typing import Self
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from warpav.core.errors import InputError
 from warpav.core.frames import (
-    EGO_FROM_CARLA,
     FLU_FROM_RDF,
-    carla_from_ego_pose,
-    ego_from_carla_pose,
     rotation_from_yaw_pitch_roll,
-    yaw_pitch_roll_from_rotation,
 )
 from warpav.raster.camera import CameraModel
-from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import EGO_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
+from warpav.scene.capture.carla_frames import (
+    RDF_FROM_FLU,
+    boxes_overlap,
+    ego_pose_of_wheels,
+    ego_rays,
+    inverse_pose,
+    is_inside,
+    lane_places,
+    meets_box,
+    point_of,
+    pose_of,
+    rigid_pose,
+    transform_of,
+)
+from warpav.scene.capture.carla_images import check_pinhole, code_from_bgra, depth_from_bgra
+from warpav.scene.capture.carla_server import (
+    Remote,
+    category_of,
+    clear_noon,
+    colours_of,
+    import_carla,
+    release_of,
+    set_attributes,
+    unreachable,
+)
 from warpav.scene.capture.simulator import SpawnPoint
 from warpav.scene.scene import Box
 
-Remote: TypeAlias = Any
-"""Something that the optional package ``carla`` defines; its types cannot be named here."""
-
-DEPTH_RANGE_M = 1000.0
-"""Where the depth camera's 24 bits end [m]."""
-_SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
-
-_REACH_S, _ANSWER_S = 2.5, 2.0  # together below the 5 s within which a missing server is reported
-_VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
-_ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
+_ANSWER_S = 2.0  # with `REACH_S` below the 5 s within which a missing server is reported
 _STEP_S = 0.05
 _EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehicle.tesla.model3")
-_CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
 _ROLE, _EGO_ROLE = "warpav", "hero"  # large maps stream their tiles around the actor whose role is "hero"
 
-_SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
 _DROP_M = 0.4  # vehicles are spawned that far above the road: touching it counts as a collision
 _MIN_REST_TICKS, _MAX_REST_TICKS, _REST_SPEED_MPS = 5, 80, 0.05
 _MAX_DRIFT_M, _MIN_UPRIGHT = 1.5, math.cos(math.radians(20.0))
@@ -73,72 +79,6 @@ _PLAIN_IMAGE = {
 }
 """What is switched off in colour images. The ``lens_*`` distortion stays at its defaults: they are a pinhole's, and
 zeros spoil depth images."""
-
-
-def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
-    """Metres from what CARLA's depth camera sends: 24 bits, red the lowest, over the range of 1 km.
-
-    Args:
-        bgra: uint8 [row, column, 4].
-
-    Returns:
-        Depth along the optical axis [m], float32 [row, column]; inf where nothing is nearer than 999 m.
-    """
-    blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
-    depth_m = (red + 256 * green + 65536 * blue) * (DEPTH_RANGE_M / (2**24 - 1))
-    return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
-
-
-def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
-    """One number per pixel from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
-
-    Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
-    on small maps and the engine's own number on large ones, so only the whole colour is compared.
-
-    Args:
-        bgra: uint8 [row, column, 4].
-
-    Returns:
-        int32 [row, column]; 0 where nothing is.
-    """
-    blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
-    return red + 256 * green + 65536 * blue
-
-
-def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places of normal driving: the map's own spawn points, and points along its driving lanes outside junctions.
-
-    Of poses within 2.5 m of each other one is kept, the map's own before those of lanes. The order does not depend on
-    the order in which the client lists them, which is none in particular.
-
-    Args:
-        carla_map: A ``carla.Map``.
-        spacing_m: Distance of the points along a lane [m], positive.
-
-    Returns:
-        Position on the ground in the right-handed world [m], float64 [place, 3], and heading [rad], float64 [place].
-    """
-    own, along = [], []
-    for transform in carla_map.get_spawn_points():  # these hang above the road
-        place = _place(transform)
-        lane = carla_map.get_waypoint(transform.location)
-        if lane is not None:
-            ground = _place(lane.transform)
-            if math.hypot(ground[0] - place[0], ground[1] - place[1]) < _SAME_PLACE_M:
-                place = (*place[:2], ground[2], place[3])
-        own.append(place)
-    for waypoint in carla_map.generate_waypoints(spacing_m):
-        if waypoint.lane_type.name == "Driving" and not waypoint.is_junction:
-            along.append(_place(waypoint.transform))
-    places = np.array(sorted(own) + sorted(along), np.float64).reshape(-1, 4)
-    kept = np.ones(len(places), bool)
-    if len(places):
-        tree = KDTree(places[:, :3])
-        for index, position_m in enumerate(places[:, :3]):
-            if kept[index]:
-                near = np.array(tree.query_ball_point(position_m, _SAME_PLACE_M))
-                kept[near[near > index]] = False
-    return places[kept, :3], places[kept, 3]
 
 
 @dataclass(eq=False)
@@ -262,13 +202,13 @@ class CarlaSimulator:
         self._leave(error)
 
     def _connect(self) -> None:
-        self._carla = _import_carla()
+        self._carla = import_carla()
         place = f"{self._host}:{self._port}"
         hint = (
             f"start it with ./CarlaUE4.sh -RenderOffScreen -carla-rpc-port={self._port} (CarlaUE4.exe on Windows), or "
             "name another host and port"
         )
-        fault = _unreachable(self._host, self._port)
+        fault = unreachable(self._host, self._port)
         if fault is not None:
             raise InputError(f"CARLA: expected a server at {place}, got: {fault}; {hint}")
         try:
@@ -278,10 +218,10 @@ class CarlaSimulator:
         except RuntimeError as error:
             text = " ".join(str(error).split())
             raise InputError(f"CARLA: expected a CARLA server at {place}, got no answer ({text}); {hint}") from None
-        if _release(versions[0]) != _release(versions[1]):
+        if release_of(versions[0]) != release_of(versions[1]):
             raise InputError(
                 f"CARLA: expected the server at {place} to be of the client's version {versions[0]}, got "
-                f"{versions[1]}; start that version's server, or run: pip install carla=={_release(versions[1])}"
+                f"{versions[1]}; start that version's server, or run: pip install carla=={release_of(versions[1])}"
             )
         client.set_timeout(self._timeout_s)
         self._client = client
@@ -314,7 +254,7 @@ class CarlaSimulator:
             manager = world.get_lightmanager()
             self._change("lights", lambda: (manager.turn_on(lights), self._tick()), lambda: manager.turn_off(lights))
         weather = world.get_weather()
-        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(_clear_noon(carla)))
+        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(clear_noon(carla)))
         signals = list(actors.filter("traffic.traffic_light*"))
         if signals and not signals[0].is_frozen():
             self._change(
@@ -418,7 +358,7 @@ class CarlaSimulator:
         self._destroy(list(self._made))
         self._tick()
         blueprint = self._find_ego()
-        _set_attributes(blueprint, {"role_name": _EGO_ROLE, "color": next(iter(_colours(blueprint)), None)})
+        set_attributes(blueprint, {"role_name": _EGO_ROLE, "color": next(iter(colours_of(blueprint)), None)})
         order = np.random.default_rng([seed, 0]).permutation(len(self._place_m))
         for place in order[:_MAX_EGO_PLACES]:
             actor = self._put(blueprint, self._place_m[place], float(self._place_yaw_rad[place]))
@@ -443,7 +383,7 @@ class CarlaSimulator:
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
         """As in `Simulator`; without the ego vehicle's own position."""
         situation = self._begun()
-        ego_from_world = _inverse(situation.world_from_ego)
+        ego_from_world = inverse_pose(situation.world_from_ego)
         position_m = self._place_m @ ego_from_world[:3, :3].T + ego_from_world[:3, 3]
         heading = np.stack([np.cos(self._place_yaw_rad), np.sin(self._place_yaw_rad), 0.0 * self._place_yaw_rad], -1)
         heading = heading @ ego_from_world[:3, :3].T
@@ -457,13 +397,13 @@ class CarlaSimulator:
         """As in `Simulator`: a random car, van, lorry or bus of a random colour, lamps off, frozen."""
         situation = self._begun()
         blueprints = sorted(self._blueprints.filter("vehicle.*"), key=lambda blueprint: blueprint.id)
-        blueprints = [blueprint for blueprint in blueprints if _category(blueprint) is not None]
+        blueprints = [blueprint for blueprint in blueprints if category_of(blueprint) is not None]
         if not blueprints:
             raise InputError(f"CARLA: expected vehicles in the server at {self._host}:{self._port}, got none")
         blueprint = blueprints[int(situation.random.integers(len(blueprints)))]
-        colours = _colours(blueprint)
+        colours = colours_of(blueprint)
         colour = colours[int(situation.random.integers(len(colours)))] if colours else None
-        _set_attributes(blueprint, {"role_name": _ROLE, "color": colour})
+        set_attributes(blueprint, {"role_name": _ROLE, "color": colour})
         world_from_ego = situation.world_from_ego
         heading = world_from_ego[:3, :3] @ [math.cos(point.yaw_rad), math.sin(point.yaw_rad), 0.0]
         position_m = world_from_ego[:3, :3] @ point.position_m + world_from_ego[:3, 3]
@@ -473,7 +413,7 @@ class CarlaSimulator:
         self._freeze(actor)
         box = self._box(actor)
         codes: list[int] = []
-        if min(box.size_m) > 0.1 and not any(_overlap(box, other.box) for other in situation.standing.values()):
+        if min(box.size_m) > 0.1 and not any(boxes_overlap(box, other.box) for other in situation.standing.values()):
             codes = self._identify(box)
         if not codes or situation.next_id >= EGO_INSTANCE:
             self._take(actor)
@@ -483,7 +423,7 @@ class CarlaSimulator:
         situation.standing[instance_id] = _Standing(actor, box, frozenset(codes))
         colour_rgb = np.array([codes[0] & 255, codes[0] >> 8 & 255, codes[0] >> 16 & 255], np.uint8)
         return CapturedVehicle(
-            instance_id, _category(blueprint) or "car", box, np.array(point.position_m), point.yaw_rad, colour_rgb
+            instance_id, category_of(blueprint) or "car", box, np.array(point.position_m), point.yaw_rad, colour_rgb
         )
 
     def remove(self, vehicle: CapturedVehicle) -> None:
@@ -502,7 +442,7 @@ class CarlaSimulator:
         """As in `Simulator`.
 
         Raises:
-            ValueError: The view's camera is no pinhole with square pixels and the principal point in the middle, which
+            ValueError: The view's camera is no pinhole with square pixels and the principal point in the centre, which
                 is the only one that CARLA has.
         """
         situation = self._begun()
@@ -511,8 +451,8 @@ class CarlaSimulator:
         instance = np.zeros(code.shape, np.uint16)
         for instance_id, standing in situation.standing.items():
             row, column = np.nonzero(np.isin(code, list(standing.codes)))
-            ray = _ego_rays(view, row, column)
-            meets = _meets(standing.box, view.ego_from_camera[:3, 3], ray, margin_m=_INSTANCE_MARGIN_M)
+            ray = ego_rays(view, row, column)
+            meets = meets_box(standing.box, view.ego_from_camera[:3, 3], ray, margin_m=_INSTANCE_MARGIN_M)
             instance[row[meets], column[meets]] = instance_id
         return CapturedImage(
             view=view,
@@ -543,7 +483,7 @@ class CarlaSimulator:
                     f"{'did you mean' if close else 'it has'} {', '.join(close or known)}"
                 )
             return self._blueprints.find(self._ego_blueprint)
-        cars = [name for name in known if _category(self._blueprints.find(name)) == "car"]
+        cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
         for name in (*_EGO_BLUEPRINTS, *cars):
             if name in known:
                 return self._blueprints.find(name)
@@ -552,7 +492,7 @@ class CarlaSimulator:
     def _put(self, blueprint: Remote, position_m: np.ndarray, yaw_rad: float) -> Remote | None:
         """A vehicle at rest, lamps and physics off; None if it does not come to rest."""
         above_m = position_m + np.array([0.0, 0.0, _DROP_M])
-        actor = self._spawn(blueprint, _rigid(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), above_m))
+        actor = self._spawn(blueprint, rigid_pose(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), above_m))
         if actor is None:
             return None
         carla = self._carla
@@ -565,7 +505,7 @@ class CarlaSimulator:
             if slow >= 3 and tick >= _MIN_REST_TICKS:
                 break
         actor.set_light_state(carla.VehicleLightState.NONE)  # after the brakes, which light some
-        world_from_actor = _pose(actor.get_transform())
+        world_from_actor = pose_of(actor.get_transform())
         drift_m = math.hypot(*(world_from_actor[:2, 3] - above_m[:2]))
         if drift_m > _MAX_DRIFT_M or world_from_actor[2, 2] < _MIN_UPRIGHT:
             self._take(actor)
@@ -574,23 +514,24 @@ class CarlaSimulator:
 
     def _ego_frame(self, actor: Remote) -> np.ndarray:
         """World_from_ego of a vehicle that has come to rest; freezes it."""
-        before = _pose(actor.get_transform())
+        before = pose_of(actor.get_transform())
         actor_from_ego = None
         if self._rear_axle_m is not None:
-            actor_from_ego = _rigid(np.eye(3), self._rear_axle_m)
+            actor_from_ego = rigid_pose(np.eye(3), self._rear_axle_m)
         else:
             wheels = actor.get_physics_control().wheels  # before physics are off: then wheels are no more
-            world_m = np.array([_point(wheel.position) for wheel in wheels]).reshape(-1, 3) / 100.0  # from centimetres
+            wheel_cm = np.array([point_of(wheel.position) for wheel in wheels]).reshape(-1, 3)
+            world_m = wheel_cm / 100.0
             centre_m = (world_m - before[:3, 3]) @ before[:3, :3]
             radius_m = np.array([wheel.radius for wheel in wheels]) / 100.0
-            actor_from_ego = _actor_from_ego(centre_m, radius_m)
+            actor_from_ego = ego_pose_of_wheels(centre_m, radius_m)
         if actor_from_ego is None:
             raise InputError(
                 f"CARLA: ego vehicle {actor.type_id}: expected the positions of its wheels, got none that are "
                 "plausible; state rear_axle_m, the ground below the rear axle as seen from the vehicle's origin"
             )
         self._freeze(actor)
-        return _pose(actor.get_transform()) @ actor_from_ego
+        return pose_of(actor.get_transform()) @ actor_from_ego
 
     def _freeze(self, actor: Remote) -> None:
         actor.set_simulate_physics(False)
@@ -598,11 +539,11 @@ class CarlaSimulator:
 
     def _box(self, actor: Remote) -> Box:
         """The upright box in the ego frame, along the actor's heading, around the actor's own box."""
-        ego_from_actor = _inverse(self._begun().world_from_ego) @ _pose(actor.get_transform())
+        ego_from_actor = inverse_pose(self._begun().world_from_ego) @ pose_of(actor.get_transform())
         bounding = actor.bounding_box
-        extent_m = np.abs(_point(bounding.extent))
+        extent_m = np.abs(point_of(bounding.extent))
         corner_m = np.stack(np.meshgrid(*([-1.0, 1.0],) * 3, indexing="ij"), -1).reshape(-1, 3) * extent_m
-        for pose in (_pose(bounding), ego_from_actor):
+        for pose in (pose_of(bounding), ego_from_actor):
             corner_m = corner_m @ pose[:3, :3].T + pose[:3, 3]
         yaw_rad = math.atan2(ego_from_actor[1, 0], ego_from_actor[0, 0])
         ego_from_box = rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0)
@@ -622,13 +563,13 @@ class CarlaSimulator:
         away_m = 0.75 * math.hypot(*box.size_m) + 0.5  # the sphere around the box fills 90 degrees
         for yaw_deg, pitch_deg in _LOOK_FROM:
             link = rotation_from_yaw_pitch_roll(box.yaw_rad + math.radians(yaw_deg), math.radians(pitch_deg), 0.0)
-            view = _rigid(link @ FLU_FROM_RDF, box.center_m - away_m * link[:, 0])
+            view = rigid_pose(link @ FLU_FROM_RDF, box.center_m - away_m * link[:, 0])
             image = self._shoot(view, model, ("depth", "code"), 0)
             depth_m, code = depth_from_bgra(image["depth"]), code_from_bgra(image["code"])
             row, column = np.nonzero(np.isfinite(depth_m) & (code != 0))
             ray = model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view[:3, :3].T
             point_m = view[:3, 3] + depth_m[row, column, None] * ray
-            inside = _inside(box, point_m)
+            inside = is_inside(box, point_m)
             found, where, total = np.unique(code[row, column], return_inverse=True, return_counts=True)
             count = np.bincount(where, weights=inside, minlength=len(found))
             mine = (count >= _MIN_INSIDE_PX) & (count > 0.5 * total)
@@ -644,7 +585,7 @@ class CarlaSimulator:
 
     def _spawn(self, blueprint: Remote, world_from_actor: np.ndarray) -> Remote | None:
         """Spawn an actor, the only function that does; None if CARLA rejects it."""
-        actor = self._world.try_spawn_actor(blueprint, _transform(self._carla, world_from_actor))
+        actor = self._world.try_spawn_actor(blueprint, transform_of(self._carla, world_from_actor))
         if actor is not None:
             self._made[actor.id] = actor
         return actor
@@ -686,8 +627,8 @@ class CarlaSimulator:
         self, ego_from_camera: np.ndarray, model: CameraModel, kinds: Sequence[str], warm_up_ticks: int
     ) -> dict[str, np.ndarray]:
         """Images of one simulation step from cameras that exist only for it: BGRA, uint8 [row, column, 4] by kind."""
-        _check_pinhole(model)
-        world_from_link = self._begun().world_from_ego @ ego_from_camera @ _RDF_FROM_FLU
+        check_pinhole(model)
+        world_from_link = self._begun().world_from_ego @ ego_from_camera @ RDF_FROM_FLU
         size = {"image_size_x": str(model.width_px), "image_size_y": str(model.height_px)}
         size |= {"fov": repr(math.degrees(model.fov_rad)), "sensor_tick": "0.0", "role_name": _ROLE}
         sensor_ids: list[int] = []
@@ -695,7 +636,7 @@ class CarlaSimulator:
         try:
             for kind in kinds:
                 blueprint = self._blueprints.find(_CAMERAS[kind])
-                _set_attributes(blueprint, size | (self._plain_image(blueprint) if kind == "rgb" else {}))
+                set_attributes(blueprint, size | (self._plain_image(blueprint) if kind == "rgb" else {}))
                 sensor = self._spawn(blueprint, world_from_link)
                 if sensor is None:
                     raise RuntimeError(f"CARLA does not spawn {_CAMERAS[kind]}")
@@ -740,202 +681,3 @@ class CarlaSimulator:
             exposure = 0.5 * sum(end.as_float() for end in ends)
         held = {"exposure_min_bright": repr(exposure), "exposure_max_bright": repr(exposure)}
         return _PLAIN_IMAGE | {"exposure_mode": "histogram"} | held
-
-
-# ----------------------------------------------------------------------------------------------------- the server's end
-
-
-def _import_carla() -> ModuleType:
-    try:
-        return importlib.import_module("carla")
-    except ImportError as error:
-        raise InputError(
-            f'CARLA: expected its Python client 0.9.16, got: {error}; run: pip install "warpav[carla]"'
-        ) from None
-
-
-def _unreachable(host: str, port: int) -> str | None:
-    """Why no CARLA server is there, or None.
-
-    It is queried for its version with the client's own request: any other service would crash the client's process.
-    """
-    deadline_s = time.monotonic() + _REACH_S
-    fault = "no address"
-    try:
-        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    except OSError as error:
-        return f"the host's name is not known ({error.strerror or error})"
-    for family, kind, protocol, _, address in addresses:
-        try:
-            with socket.socket(family, kind, protocol) as probe:
-                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
-                probe.connect(address)
-                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
-                probe.sendall(_VERSION_REQUEST)
-                answer, length = b"", len(_ANSWER_BEGINS)
-                while len(answer) < length and (part := probe.recv(length - len(answer))):
-                    answer += part
-                if answer == _ANSWER_BEGINS:
-                    return None
-                fault = "an answer that is not CARLA's"
-        except TimeoutError:
-            fault = f"no answer within {_REACH_S:g} s"
-        except OSError as error:
-            fault = (error.strerror or str(error)).lower()
-    return fault
-
-
-def _release(version: str) -> str:
-    """``0.9.16`` of ``0.9.16-2-gabcdef``; builds from source describe themselves so."""
-    match = re.match(r"\d+\.\d+\.\d+", version)
-    return match.group() if match else version
-
-
-def _clear_noon(carla: ModuleType) -> Remote:
-    """Clear and windless, the sun overhead; shadows lie below what casts them."""
-    calm = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
-    return carla.WeatherParameters(**dict.fromkeys(calm, 0.0), sun_altitude_angle=90.0)
-
-
-def _set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
-    """Those that the blueprint has and lets be changed."""
-    for name, value in values.items():
-        if value is not None and blueprint.has_attribute(name) and blueprint.get_attribute(name).is_modifiable:
-            blueprint.set_attribute(name, value)
-
-
-def _colours(blueprint: Remote) -> list[str]:
-    return list(blueprint.get_attribute("color").recommended_values) if blueprint.has_attribute("color") else []
-
-
-def _category(blueprint: Remote) -> str | None:
-    """What a blueprint is: car, van, lorry or bus; None for what has two wheels, or none."""
-    if blueprint.has_attribute("base_type"):
-        base_type = blueprint.get_attribute("base_type").as_str().lower()
-        if base_type:
-            return _CATEGORY_OF_BASE_TYPE.get(base_type)
-    wheels = blueprint.get_attribute("number_of_wheels").as_int() if blueprint.has_attribute("number_of_wheels") else 0
-    return "car" if wheels >= 4 else None
-
-
-# ------------------------------------------------------------------------------------------------------ poses and boxes
-
-_RDF_FROM_FLU = np.eye(4)
-_RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
-
-
-def _rigid(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, position_m
-    return pose
-
-
-def _inverse(pose: np.ndarray) -> np.ndarray:
-    return _rigid(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
-
-
-def _point(vector: Remote) -> np.ndarray:
-    """A ``carla.Vector3D`` with y turned around."""
-    return EGO_FROM_CARLA @ [vector.x, vector.y, vector.z]
-
-
-def _pose(transform: Remote) -> np.ndarray:
-    """Right-handed pose [4, 4] of an object with CARLA's ``location`` and ``rotation``."""
-    location, turn = transform.location, transform.rotation
-    position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
-        np.array([location.x, location.y, location.z]), pitch_deg=turn.pitch, yaw_deg=turn.yaw, roll_deg=turn.roll
-    )
-    return _rigid(rotation_from_yaw_pitch_roll(yaw_rad, pitch_rad, roll_rad), position_m)
-
-
-def _transform(carla: ModuleType, pose: np.ndarray) -> Remote:
-    """The ``carla.Transform`` of a right-handed pose."""
-    yaw_rad, pitch_rad, roll_rad = yaw_pitch_roll_from_rotation(pose[:3, :3])
-    location_m, pitch_deg, yaw_deg, roll_deg = carla_from_ego_pose(
-        pose[:3, 3], yaw_rad=yaw_rad, pitch_rad=pitch_rad, roll_rad=roll_rad
-    )
-    x, y, z = (float(value) for value in location_m)
-    return carla.Transform(carla.Location(x=x, y=y, z=z), carla.Rotation(pitch=pitch_deg, yaw=yaw_deg, roll=roll_deg))
-
-
-def _place(transform: Remote) -> tuple[float, float, float, float]:
-    """Position [m] and heading [rad], right-handed; rounded, so that sorting does not hang on the last bits."""
-    pose = _pose(transform)
-    x, y, z = (round(float(value), 4) for value in pose[:3, 3])
-    return x, y, z, round(math.atan2(pose[1, 0], pose[0, 0]), 6)
-
-
-def _actor_from_ego(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
-    """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
-
-    Args:
-        wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].
-        radius_m: Their radii [m], [wheel].
-
-    Returns:
-        Pose [4, 4], or None where the wheels cannot be those of a vehicle.
-    """
-    if len(wheel_m) < 4:
-        return None
-    order = np.argsort(wheel_m[:, 0], kind="stable")
-    touch_m = wheel_m - radius_m[:, None] * [0.0, 0.0, 1.0]
-    rear_m, front_m = (pair[np.argsort(pair[:, 1])] for pair in (touch_m[order[:2]], touch_m[order[-2:]]))
-    forward_m = front_m.mean(axis=0) - rear_m.mean(axis=0)
-    left_m = 0.5 * (rear_m[1] - rear_m[0] + front_m[1] - front_m[0])
-    base_m, track_m = np.linalg.norm(forward_m), np.linalg.norm(left_m)
-    if not (1.0 < base_m < 10.0 and 0.8 < track_m < 3.5 and np.linalg.norm(rear_m.mean(axis=0)) < 10.0):
-        return None
-    forward = forward_m / base_m
-    up = np.cross(forward, left_m)
-    up /= np.linalg.norm(up)
-    turn = np.stack([forward, np.cross(up, forward), up], axis=-1)
-    if min(turn[0, 0], turn[2, 2]) < math.cos(math.radians(5.0)):
-        return None
-    return _rigid(turn, rear_m.mean(axis=0))
-
-
-def _check_pinhole(model: CameraModel) -> None:
-    middle = CameraModel(model.width_px, model.height_px, model.fov_rad)
-    if model.lens is not Lens.PINHOLE or not np.allclose(model.intrinsics, middle.intrinsics, rtol=0.0, atol=1e-3):
-        raise ValueError(
-            "CARLA's cameras are pinholes with square pixels and the principal point in the middle, got a "
-            f"{model.lens} lens with intrinsics {model.intrinsics.round(2).tolist()}"
-        )
-
-
-def _ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    return view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
-
-
-def _inside(box: Box, point_m: np.ndarray) -> np.ndarray:
-    """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
-    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
-    along_m = (point_m - box.center_m) @ ego_from_box
-    half_m = 0.5 * box.size_m
-    is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
-    return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
-
-
-def _meets(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:
-    """Which rays from a point meet a box that is larger by a margin on each side."""
-    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
-    start_m, along = (origin_m - box.center_m) @ ego_from_box, ray @ ego_from_box
-    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-    half_m = 0.5 * box.size_m + margin_m
-    ends = np.sort(np.stack([(-half_m - start_m) / along, (half_m - start_m) / along]), axis=0)
-    return np.min(ends[1], axis=-1) >= np.maximum(np.max(ends[0], axis=-1), 0.0)
-
-
-def _overlap(first: Box, second: Box) -> bool:
-    """Whether two upright boxes overlap; frozen vehicles do not collide, so CARLA may not report it."""
-    apart_m = second.center_m - first.center_m
-    if abs(apart_m[2]) >= 0.5 * (first.size_m[2] + second.size_m[2]):
-        return False
-    edges = [rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)[:, :2] for box in (first, second)]
-    for axis in np.concatenate(edges, axis=1).T:
-        reach_m = sum(
-            0.5 * float(np.abs(axis @ edge) @ box.size_m[:2]) for box, edge in zip((first, second), edges, strict=True)
-        )
-        if abs(float(axis @ apart_m)) >= reach_m:
-            return False
-    return True

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from warpav.scene.capture.capture import ENVIRONMENT_INSTANCE, CapturedImage
 
-_LEAST_COSINE = 0.08  # flatter views are unreliable
+_MIN_COSINE = 0.08  # flatter views are unreliable
 _RIM_WEIGHT = 0.02  # of pixels at the rim of an object, where colours mix
 _FAR_TOLERANCE = 0.01  # of the depth
 
@@ -64,7 +64,7 @@ def seen_rgb(
         cosine = np.einsum("ij,ij->i", to_camera, normal) / np.maximum(distance_m, 1e-9)
         focal_px = model.intrinsics[0, 0]
         weight = cosine * (focal_px / np.maximum(distance_m, 1e-9)) ** 2
-        asked = np.flatnonzero((depth_m > model.near_m) & (cosine > _LEAST_COSINE) & (weight > best))
+        asked = np.flatnonzero((depth_m > model.near_m) & (cosine > _MIN_COSINE) & (weight > best))
         place = local[asked, :2] / depth_m[asked, None] * model.intrinsics[[0, 1], [0, 1]] + model.intrinsics[:2, 2]
         column, row = np.floor(place).astype(np.int64).T
         inside = (column >= 0) & (column < model.width_px) & (row >= 0) & (row < model.height_px)

@@ -211,7 +211,7 @@ def is_outside(local_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
         across, up = (1 - axis, 2) if axis < 2 else (0, 1)
         place = local_m[:, [across, up]] + 0.5 * size_m[[across, up]]
         reach = np.array([_BRIDGED_WIDTH, _BRIDGED_HEIGHT if axis < 2 else _BRIDGED_WIDTH]) * size_m[[across, up]]
-        window = tuple(int(value) | 1 for value in np.ceil(reach / _MAP_CELL_M))  # odd, so that it has a middle
+        window = tuple(int(value) | 1 for value in np.ceil(reach / _MAP_CELL_M))  # odd, so that it has a centre
         cells = np.ceil(size_m[[across, up]] / _MAP_CELL_M).astype(int) + 2
         cell = np.clip(np.floor(place / _MAP_CELL_M).astype(int) + 1, 0, cells - 1)
         # around the vehicle there is room for a pane of any size, so that what is open on a side is no pit

@@ -18,7 +18,7 @@ from warpav_kernels.reconstruction import poisson
 MAX_NODE_COUNT = 20_000_000
 """Largest grid; a node takes about 40 bytes."""
 _SPARSE_LEVELS = 3  # grids on which points are splat: cells of 1, 2 and 4 times the length
-_LEAST_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
+_MIN_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
 _COARSEST_CELLS = 8  # along the shortest side
 _COARSEST_STEPS = 20
 _CYCLES = 2  # of every level
@@ -253,7 +253,7 @@ def _state_equation(grids: list[_Grid], place: np.ndarray, normal: np.ndarray, s
         splat = _Splat.of(place / grid.cell, grid.shape, grid.device)
         count = splat.points_per_face(grid.shape)
         used += 1
-        share = left * np.clip(2.0 * count / _LEAST_PER_FACE - 1.0, 0.0, 1.0) if used < _SPARSE_LEVELS else left
+        share = left * np.clip(2.0 * count / _MIN_PER_FACE - 1.0, 0.0, 1.0) if used < _SPARSE_LEVELS else left
         splat.add_to_equation(grid, normal * (share / count)[:, None], screening)
         left = left - share
     for fine, coarse in reversed(list(pairwise(grids[:used]))):

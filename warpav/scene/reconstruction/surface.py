@@ -20,9 +20,9 @@ from warpav_kernels.reconstruction import plane_fit
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
-_LEAST_SUPPORT = 15  # points that a piece of surface needs
+_MIN_SUPPORT = 15  # points that a piece of surface needs
 _COUNT_TOLERANCE = 0.1  # how far the number of points kept may be off
-_LEAST_FALL, _MOST_FALL = 0.3, 3.0  # powers of the spacing by which that number falls
+_MIN_FALL, _MAX_FALL = 0.3, 3.0  # powers of the spacing by which that number falls
 _HASH_FACTORS = np.array([73856093, 19349663, 83492791])
 _COLOUR_STEP = 0.8  # what white against black weighs in a collapse, in lengths of a final triangle's side
 _LIFTED_SHARE = 3  # final triangles times this are left by the first, faster collapse
@@ -30,7 +30,7 @@ _BRIGHTNESS = np.array([0.30, 0.59, 0.11])
 _COLOUR_SAMPLES = 4  # rows of sample points per triangle for the colour of the dense mesh
 _SPLIT_LEVELS = 40  # of 255; corners of one vertex that differ more get vertices of their own
 _SIMPLIFYING = threading.Lock()  # fast_simplification keeps the mesh that it works on in variables of the module
-_LEAST_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
+_MIN_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
 
 
 def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
@@ -69,7 +69,7 @@ def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
             break
         if last[1] not in (0, len(chosen)):
             fall = np.log(last[1] / len(chosen)) / np.log(spacing_m / last[0])
-            exponent = float(np.clip(fall, _LEAST_FALL, _MOST_FALL))
+            exponent = float(np.clip(fall, _MIN_FALL, _MAX_FALL))
         last = (spacing_m, len(chosen))
         low_m, high_m = (spacing_m, high_m) if len(chosen) > count else (low_m, spacing_m)
         spacing_m *= (len(chosen) / count) ** (1.0 / exponent)
@@ -100,7 +100,7 @@ def _guessed_spacing_m(point_m: np.ndarray, count: int) -> tuple[float, float]:
         cell_m = float(np.sqrt(low_m * high_m))
         low_m, high_m = (cell_m, high_m) if occupied(cell_m) > count else (low_m, cell_m)
     fall = np.log(occupied(high_m) / occupied(1.5 * high_m)) / np.log(1.5)
-    return high_m / 1.55, float(np.clip(fall, _LEAST_FALL, _MOST_FALL))
+    return high_m / 1.55, float(np.clip(fall, _MIN_FALL, _MAX_FALL))
 
 
 def _spaced(point_m: np.ndarray, spacing_m: float) -> np.ndarray:
@@ -152,15 +152,15 @@ def oriented_normals(
     point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
     if neighbour_count < 3:
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
-    middle_m = point_m.mean(axis=0)
+    centre_m = point_m.mean(axis=0)
     neighbour = KDTree(point_m).query(point_m, min(neighbour_count, len(point_m)), workers=-1)[1]
     normal = wp.empty(len(point_m), dtype=wp.vec3, device=device)  # pyright: ignore[reportArgumentType]
     wp.launch(
         plane_fit.fit_normals_kernel,
         dim=len(point_m),
         inputs=[
-            wp.array((point_m - middle_m).astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array((sensor_m - middle_m).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array((point_m - centre_m).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array((sensor_m - centre_m).astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(np.asarray(neighbour, np.int32), dtype=int, device=device),
         ],
         outputs=[normal],
@@ -190,8 +190,8 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
     from vtkmodules.vtkFiltersPoints import vtkExtractSurface, vtkSignedDistance
 
     point_m, normal = checked_points(point_m, normal)
-    middle_m = point_m.mean(axis=0)  # VTK computes this filter in single precision
-    point_m = point_m - middle_m
+    centre_m = point_m.mean(axis=0)  # VTK computes this filter in single precision
+    point_m = point_m - centre_m
     cloud = _vtk_cloud(point_m.astype(np.float32), {"normal": normal.astype(np.float32)})
     cloud.GetPointData().SetActiveNormals("normal")
     reach_m = 3.0 * cell_m
@@ -210,7 +210,7 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
     mesh = surface.GetOutput()
     if mesh.GetNumberOfCells() == 0:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
-    vertex_m = (vtk_to_numpy(mesh.GetPoints().GetData()) + middle_m).astype(np.float32)
+    vertex_m = (vtk_to_numpy(mesh.GetPoints().GetData()) + centre_m).astype(np.float32)
     return vertex_m, np.array(vtk_to_numpy(mesh.GetPolys().GetConnectivityArray()), np.int32).reshape(-1, 3)
 
 
@@ -246,7 +246,7 @@ def trimmed(
     support = np.bincount(piece[np.asarray(vertex)[np.isfinite(distance_m)]], minlength=count)
     area_m2 = 0.5 * np.bincount(piece[triangle[:, 0]], _double_area_m2(vertex_m, triangle), minlength=count)
     density = support.sum() / area_m2.sum()
-    kept = (support >= _LEAST_SUPPORT) & (support >= _LEAST_DENSITY * density * area_m2) & (area_m2 >= piece_m2)
+    kept = (support >= _MIN_SUPPORT) & (support >= _MIN_DENSITY * density * area_m2) & (area_m2 >= piece_m2)
     return _referenced(vertex_m, triangle[kept[piece[triangle[:, 0]]]])
 
 
@@ -381,8 +381,8 @@ def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -
     """A mesh with the colours of a dense one: linear within each triangle, fitted to the nearest dense triangles."""
     share = _places_in_triangle(_COLOUR_SAMPLES)
     place_m = np.einsum("sc,tcx->tsx", share, vertex_m.astype(np.float64)[triangle])
-    middle_m = dense.vertex_m.astype(np.float64)[dense.triangle].mean(axis=1)
-    nearest = KDTree(middle_m).query(place_m.reshape(-1, 3), workers=-1)[1]
+    centre_m = dense.vertex_m.astype(np.float64)[dense.triangle].mean(axis=1)
+    nearest = KDTree(centre_m).query(place_m.reshape(-1, 3), workers=-1)[1]
     sample_rgb = dense.vertex_rgb.astype(np.float64)[dense.triangle].mean(axis=1)[nearest]
     sample_rgb = sample_rgb.reshape(*place_m.shape)
     corner_rgb = np.einsum("cs,tsx->tcx", np.linalg.pinv(share), sample_rgb)

@@ -1,6 +1,6 @@
 """What stands beside and on a street: lamp posts, signs, benches, shelters, kiosks, and what closes road works off.
 
-Frame: x along the street, y away from the road, z up, metres; the origin lies on the ground below the middle. Whatever
+Frame: x along the street, y away from the road, z up, metres; the origin lies on the ground below the centre. Whatever
 stands on a grade stays upright: its foot reaches below the ground.
 """
 
@@ -46,7 +46,7 @@ def _post(builder: SurfaceBuilder, x: float, y: float, height: float, radius: fl
 
 
 def _disc(builder: SurfaceBuilder, centre: tuple[float, float, float], radius: float, y: float, material: int) -> None:
-    """A thin disc that faces along y, up to ``y`` in front of its middle."""
+    """A thin disc that faces along y, up to ``y`` in front of its centre."""
     path = np.array([(centre[0], centre[1] + y, centre[2]), (centre[0], centre[1] + 0.01, centre[2])])
     builder.add_tube(path, np.full((2, 2), radius), material, sides=12, cap=0.0)
 
@@ -149,8 +149,8 @@ def _add_prism(builder: SurfaceBuilder, low_x: float, high_x: float, corner_yz: 
     """A solid between two x with a convex outline of (y, z) corners, clockwise seen from +x."""
     loop = np.concatenate([corner_yz, corner_yz[:1]])
     side = np.stack([np.c_[np.full(len(loop), x), loop] for x in (low_x, high_x)], axis=1)
-    middle = corner_yz.mean(axis=0)
-    caps = [np.broadcast_to([x, *middle], (len(loop), 1, 3)) for x in (low_x, high_x)]
+    centre = corner_yz.mean(axis=0)
+    caps = [np.broadcast_to([x, *centre], (len(loop), 1, 3)) for x in (low_x, high_x)]
     builder.add_grid(np.concatenate([caps[0], side, caps[1]], axis=1)[::-1], material)
 
 
@@ -192,8 +192,8 @@ def _add_plate(builder: SurfaceBuilder, corner_xz: np.ndarray, depth: float, mat
     """A flat solid that faces -y, with a convex outline of (x, z) corners, clockwise seen from the front."""
     loop = np.concatenate([corner_xz, corner_xz[:1]])
     front, back = (np.stack([loop[:, 0], np.full(len(loop), y), loop[:, 1]], axis=1) for y in (-depth, 0.01))
-    middle = corner_xz.mean(axis=0)
-    caps = [np.broadcast_to([middle[0], y, middle[1]], (len(loop), 1, 3)) for y in (-depth, 0.01)]
+    centre = corner_xz.mean(axis=0)
+    caps = [np.broadcast_to([centre[0], y, centre[1]], (len(loop), 1, 3)) for y in (-depth, 0.01)]
     grid = np.concatenate([caps[0], front[:, None], back[:, None], caps[1]], axis=1)
     builder.add_grid(grid, material)
 

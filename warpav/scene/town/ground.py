@@ -14,20 +14,20 @@ _REACH_M = 96.0
 class StreetGround:
     """Height of the ground as a function of x in the town frame; it does not depend on y."""
 
-    def __init__(self, middle_x_m: float = 0.0, ahead: float = 0.0, behind: float = 0.0) -> None:
+    def __init__(self, centre_x_m: float = 0.0, ahead: float = 0.0, behind: float = 0.0) -> None:
         """StreetGround through height 0.
 
         Args:
-            middle_x_m: X of the ego vehicle's middle [m].
+            centre_x_m: X of the ego vehicle's centre [m].
             ahead: dz/dx far ahead: positive where the street climbs.
             behind: dz/dx far behind: positive where it climbs towards the ego vehicle.
         """
         self.is_level = ahead == 0.0 and behind == 0.0
         self._knot = np.arange(-_REACH_M, _REACH_M + 0.5 * KNOT_SPACING_M, KNOT_SPACING_M)
-        beyond = np.maximum(np.abs(self._knot - middle_x_m) - _LEVEL_REACH_M, 0.0)
+        beyond = np.maximum(np.abs(self._knot - centre_x_m) - _LEVEL_REACH_M, 0.0)
         bent = np.minimum(beyond, _CURVE_LENGTH_M)
         risen = bent**2 / (2.0 * _CURVE_LENGTH_M) + beyond - bent
-        self._height = np.where(self._knot > middle_x_m, ahead, -behind) * risen
+        self._height = np.where(self._knot > centre_x_m, ahead, -behind) * risen
 
     def height_m(self, x_m: np.ndarray | float) -> np.ndarray:
         """Height [m] at x [m], any shape."""
@@ -49,8 +49,8 @@ class StreetGround:
         """How a vehicle stands: the plane through the ground below its wheels.
 
         Args:
-            x_m: Middle of the vehicle [m].
-            y_m: Middle of the vehicle [m].
+            x_m: Centre of the vehicle [m].
+            y_m: Centre of the vehicle [m].
             yaw_rad: Its heading.
             size_m: Length, width and height [m], shape [3].
 

@@ -51,7 +51,7 @@ class SceneryBuilder:
         self._ground = ground
         self._quad: list[np.ndarray] = []
         self._colour: list[np.ndarray] = []
-        self._house_x_m = np.nan  # houses are level: they stand on the ground of their middle
+        self._house_x_m = np.nan  # houses are level: they stand on the ground of their centre
         self.asphalt_grey = float(rng.uniform(0.33, 0.41))
         self._pavement_grey = float(rng.uniform(0.52, 0.60))
 
@@ -101,7 +101,7 @@ class SceneryBuilder:
     def add_contact_shadow(
         self, center_m: np.ndarray, yaw_rad: float, length_m: float, width_m: float, index: int
     ) -> None:
-        """Add the shadow below a vehicle: dark in the middle, fading into the asphalt; `index` keeps shadows apart."""
+        """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; `index` keeps shadows apart."""
         grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
         self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0)
 
@@ -266,8 +266,8 @@ class SceneryBuilder:
         rectangles(u + margin, z + margin, 0.02, trim * 0.9, trim)
         dark = rng.uniform(0.10, 0.26, (len(u), 1)) * np.array([1.0, 1.02, 1.07])
         rectangles(u, z, 0.035, dark, dark + np.array([0.13, 0.16, 0.20]))
-        middle = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
-        rectangles(middle, z, 0.05, trim * 0.92, trim * 0.98)
+        centre = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
+        rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
 
     def finish(self) -> Mesh:
         """All quads as one mesh; degenerate triangles are left out."""

@@ -1,6 +1,6 @@
 """People on foot and on bicycles: closed shells of limbs, torso, head and clothes.
 
-Frame: x forward, y left, z up, metres; the origin lies on the ground below the person or the bicycle's middle. A person
+Frame: x forward, y left, z up, metres; the origin lies on the ground below the person or the bicycle's centre. A person
 is 1.75 m tall before it is scaled.
 """
 

@@ -20,7 +20,7 @@ _CORNER_CLEAR_M = 3.2  # of a pavement's ends, in which nobody stands
 _KERB_CLEAR_M = 0.45  # between the kerb and what stands along it
 _LAMP_SPACING_M = 19.0
 _WORKS_SHARE = 0.32  # of the scenes with lanes
-_WORKS_CLEAR_M = 8.5  # between road works and the ego vehicle's middle
+_WORKS_CLEAR_M = 8.5  # between road works and the ego vehicle's centre
 _PATCH_BRIGHTNESS = 0.22
 _PEOPLE_REACH_M, _PEOPLE_CLEAR_M = 24.0, 3.6
 _GAP_M = 0.25  # between people, and between them and anything else
@@ -33,8 +33,8 @@ class Footprint:
     """A rectangle on the ground, in the town frame.
 
     Attributes:
-        x_m: Its middle [m].
-        y_m: Its middle [m].
+        x_m: Its centre [m].
+        y_m: Its centre [m].
         yaw_rad: Direction of its length.
         length_m: Length [m].
         width_m: Width [m].
@@ -133,9 +133,9 @@ class _Strip:
     def at(self, along_m: float, inward_m: float) -> np.ndarray:
         return self.start + along_m * self.along + inward_m * self.inward
 
-    def span_m(self, middle: np.ndarray, reach_m: float) -> tuple[float, float] | None:
+    def span_m(self, centre: np.ndarray, reach_m: float) -> tuple[float, float] | None:
         """The part within reach of a point, away from the corners; None if there is none."""
-        offset = middle - self.start
+        offset = centre - self.start
         across, foot = abs(float(self.inward @ offset)), float(self.along @ offset)
         if across >= reach_m:
             return None
@@ -333,10 +333,10 @@ def people(
     def add(category: str, mesh: Mesh, place: np.ndarray, yaw: float, share: float) -> bool:
         low, high = mesh.bounds_m().astype(np.float64)
         c, s = np.cos(yaw), np.sin(yaw)
-        middle = 0.5 * (low + high)
+        centre = 0.5 * (low + high)
         footprint = Footprint(
-            float(place[0] + c * middle[0] - s * middle[1]),
-            float(place[1] + s * middle[0] + c * middle[1]),
+            float(place[0] + c * centre[0] - s * centre[1]),
+            float(place[1] + s * centre[0] + c * centre[1]),
             float(np.arctan2(s, c)),
             float(high[0] - low[0]),
             float(high[1] - low[1]),

@@ -140,7 +140,7 @@ class SurfaceBuilder:
         """Add a closed tube along a path.
 
         Args:
-            centre_m: Middles of its rings [m], shape [ring, 3].
+            centre_m: Centres of its rings [m], shape [ring, 3].
             radius_m: Radii of the rings [m], in the plane of path and x axis and along y, shape [ring, 2]; of a path
                 along y, in the plane of path and z axis and along x.
             material: One, or one per cell along the path, caps included, shape [ring + 1].

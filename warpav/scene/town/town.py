@@ -122,7 +122,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     ground = _ground(layout, life_rng)
     ego = ego_vehicle()
     low, high = ego.bounds_m().astype(np.float64)
-    # The ego vehicle's middle stands on its slot, on level ground; the ego frame's origin is its rear axle.
+    # The ego vehicle's centre stands on its slot, on level ground; the ego frame's origin is its rear axle.
     origin = np.array([layout.ego.x_m - 0.5 * (low[0] + high[0]), layout.ego.y_m, 0.0])
     ego_footprint = Footprint(layout.ego.x_m, layout.ego.y_m, 0.0, high[0] - low[0], high[1] - low[1])
 

@@ -51,8 +51,8 @@ class Slot:
     """A place where a vehicle may stand, in line with its lane or bay.
 
     Attributes:
-        x_m: Middle of the vehicle [m].
-        y_m: Middle of the vehicle [m].
+        x_m: Centre of the vehicle [m].
+        y_m: Centre of the vehicle [m].
         yaw_rad: Heading of the lane or bay.
         room_m: The longest vehicle that fits [m].
         parked: In a bay rather than in a lane.
@@ -225,8 +225,8 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
     """A street of two lanes, and a side street of two lanes on the given sides (+1 left, -1 right)."""
     lane, side_lane = rng.uniform(3.2, 3.7), rng.uniform(3.1, 3.6)
     half, side_half, pavement = lane + 0.2, side_lane + 0.2, rng.uniform(2.6, 4.0)
-    middle, corner = rng.uniform(1.0, 13.0), rng.uniform(1.6, 2.5)
-    west, east = middle - side_half, middle + side_half
+    centre, corner = rng.uniform(1.0, 13.0), rng.uniform(1.6, 2.5)
+    west, east = centre - side_half, centre + side_half
     hole = ((west - 6.5, east + 6.5),)
     markings = _dashes(0.0, dash=3.0, gap=3.0, holes=hole)
     asphalt: list[Rectangle] = [(-REACH_M, -half, REACH_M, half)]
@@ -248,15 +248,15 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
         blocks.append(Block((west - 10.0, end_low, east + 10.0, end_high), 2.5, (facing,)))
         for y in np.arange(half + 7.0, depth - 3.0, 6.0):
             dash_low, dash_high = sorted((side * y, side * (y + 3.0)))
-            markings.append(Marking((middle - LINE_HALF_WIDTH_M, dash_low, middle + LINE_HALF_WIDTH_M, dash_high)))
+            markings.append(Marking((centre - LINE_HALF_WIDTH_M, dash_low, centre + LINE_HALF_WIDTH_M, dash_high)))
         # Whoever comes towards the junction waits at a line on its own half of the street.
-        stop = sorted((middle, middle - side * (side_half - 0.2)))
+        stop = sorted((centre, centre - side * (side_half - 0.2)))
         line_low, line_high = sorted((side * (half + 0.9), side * (half + 1.3)))
         markings.append(Marking((stop[0] + 0.1, line_low, stop[1] - 0.1, line_high)))
         # Going to +y means keeping to the larger x.
         slot_low, slot_high = sorted((side * (half + 3.4), side * SPAWN_REACH_M))
-        slots += _cross_slots(rng, middle + side_lane / 2, 0.5 * np.pi, slot_low, slot_high)
-        slots += _cross_slots(rng, middle - side_lane / 2, -0.5 * np.pi, slot_low, slot_high)
+        slots += _cross_slots(rng, centre + side_lane / 2, 0.5 * np.pi, slot_low, slot_high)
+        slots += _cross_slots(rng, centre - side_lane / 2, -0.5 * np.pi, slot_low, slot_high)
     crossings: list[Rectangle] = []
     if len(arms) == 2 and rng.random() < 0.7:
         for x in (west - 3.6, east + 1.0):

@@ -119,7 +119,7 @@ class _Body:
 def _half_outline(parameter, front, rear, half_width):  # noqa: ANN001, ANN202
     """Left half of a plan outline with bowed ends and elliptic corners; x and y, broadcast.
 
-    ``front`` and ``rear`` hold: x of the middle, bow, the corner's radius along x, its radius along y.
+    ``front`` and ``rear`` hold: x of the centre, bow, the corner's radius along x, its radius along y.
     """
     part = np.minimum(parameter.astype(int), 4)
     along = parameter - part
@@ -158,7 +158,7 @@ def _merged_lines(lines: Sequence[float], gap: float) -> np.ndarray:
     return np.array(sorted(kept))
 
 
-def _middles(lines: np.ndarray) -> np.ndarray:
+def _midpoints(lines: np.ndarray) -> np.ndarray:
     return 0.5 * (lines[1:] + lines[:-1])
 
 
@@ -184,10 +184,10 @@ def _body_rows(spec: VehicleSpec) -> tuple[np.ndarray, np.ndarray]:
     def rows(lamp: tuple[float, float]) -> np.ndarray:
         low, high = lamp
         waist = min(0.47, 0.8 * low)
-        middle = 0.45 * low + 0.55 * high
+        midpoint = 0.45 * low + 0.55 * high
         upper = 0.45 * high + 0.55
         return np.array(
-            [0.0, 0.09, 0.3 * waist + 0.05, 0.8 * waist, waist, waist + 0.02, low, middle, high, upper, 1.0]
+            [0.0, 0.09, 0.3 * waist + 0.05, 0.8 * waist, waist, waist + 0.02, low, midpoint, high, upper, 1.0]
         )
 
     return rows(spec.front_lamp), rows(spec.rear_lamp)
@@ -247,20 +247,20 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> Non
     lines = list(_merged_lines(lines, _LINE_GAP_M / (body.side_front_m - body.side_rear_m)))
     bonnet_end = body.side_parameter(body.x_at(spec.windscreen[0]) - 0.1)
     for low, high in pairwise(tuple(lines)):
-        middle = 0.5 * (low + high)
-        spacing = _BODY_SPACING[min(int(middle), 4)]
-        if fine_m is not None and middle < bonnet_end:
-            spacing = fine_m / (body.side_front_m - body.side_rear_m if middle > _SIDE_START else 0.55)
+        midpoint = 0.5 * (low + high)
+        spacing = _BODY_SPACING[min(int(midpoint), 4)]
+        if fine_m is not None and midpoint < bonnet_end:
+            spacing = fine_m / (body.side_front_m - body.side_rear_m if midpoint > _SIDE_START else 0.55)
         pieces = int(np.ceil((high - low) / spacing - 1e-6))
         lines += list(np.linspace(low, high, pieces + 1)[1:-1])
     column = np.array(sorted(lines))
 
     ring = body.ring_m(column, *_body_rows(spec))
-    middle = _middles(column)
+    midpoint = _midpoints(column)
     row = np.arange(len(_Row) - 1)
-    material = np.full((len(row), len(middle)), Material.PAINT)
+    material = np.full((len(row), len(midpoint)), Material.PAINT)
     for row_low, row_high, low, high, what in panels:
-        material[np.ix_((row >= row_low) & (row < row_high), (middle > low) & (middle < high))] = what
+        material[np.ix_((row >= row_low) & (row < row_high), (midpoint > low) & (midpoint < high))] = what
     builder.add_loft(
         ring,
         material,
@@ -312,21 +312,21 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
     z = floor + (spec.height_m - 0.04 - floor) * height_share
     ring = np.stack([x, y, z], axis=-1)
 
-    middle, level = _middles(column), _middles(height_share[:, 0])
-    material = np.full((len(level), len(middle)), Material.PAINT)
+    midpoint, level = _midpoints(column), _midpoints(height_share[:, 0])
+    material = np.full((len(level), len(midpoint)), Material.PAINT)
     glass = (level > _BELT_SHARE) & (level < spec.glass_top)
-    along = middle - _SIDE_START
+    along = midpoint - _SIDE_START
     side = (along > low) & (along < high)
-    material[np.ix_((level > 0.0) & (level < spec.glass_top), middle < 1.45)] = Material.GLASS
+    material[np.ix_((level > 0.0) & (level < spec.glass_top), midpoint < 1.45)] = Material.GLASS
     material[np.ix_(glass, side)] = Material.GLASS
     pillar = Material.PAINT if spec.painted_pillars else Material.BLACK_PLASTIC
     for start, end in spec.pillars:
         material[np.ix_(glass, (along > start) & (along < end) & side)] = pillar
     if spec.rear_glass:
-        pane = (middle > _DOOR_GLASS_OUTER) & (middle < _DOOR_GLASS_INNER) if spec.rear_doors else middle > 3.5
+        pane = (midpoint > _DOOR_GLASS_OUTER) & (midpoint < _DOOR_GLASS_INNER) if spec.rear_doors else midpoint > 3.5
         material[np.ix_(glass, pane)] = Material.GLASS
     if spec.rear_doors:
-        material[np.ix_(level < bend_start, middle > _DOOR_GAP)] = Material.SEAM
+        material[np.ix_(level < bend_start, midpoint > _DOOR_GAP)] = Material.SEAM
     builder.add_loft(
         ring,
         material,
@@ -472,8 +472,8 @@ def _build(kind: str, spec: VehicleSpec, *, fine_m: float | None = None, shutter
 @cache
 def _baked(kind: str, variant: int) -> tuple[Surface, np.ndarray]:
     surface = _build(kind, _varied(kind, variant), shutter=variant % 2 == 1)
-    middle = 0.5 * (surface.vertex_m[:, 0].min() + surface.vertex_m[:, 0].max())
-    surface = replace(surface, vertex_m=surface.vertex_m - [middle, 0.0, 0.0])
+    centre_x_m = 0.5 * (surface.vertex_m[:, 0].min() + surface.vertex_m[:, 0].max())
+    surface = replace(surface, vertex_m=surface.vertex_m - [centre_x_m, 0.0, 0.0])
     return surface, sky_share(surface)
 
 

@@ -27,10 +27,10 @@ class VehicleSpec:
         seams: Fractions of the length of the door seams.
         front_lamp: (low, high) of the headlamps as fractions of the height from sill to deck.
         rear_lamp: The same for the tail lamps.
-        rear_lamp_inner: How far the tail lamps reach inwards, 4.0 (corner) to 5.0 (middle).
+        rear_lamp_inner: How far the tail lamps reach inwards, 4.0 (corner) to 5.0 (centre).
         corner_front_m: Corner radii in plan, along x and y [m].
         corner_rear_m: The same at the rear.
-        bow_m: How far the nose bows forwards in the middle [m].
+        bow_m: How far the nose bows forwards in the centre [m].
         nose_inset_m: How far the upper edge of the nose lies behind its most forward point [m].
         shoulder_inset_m: How far the upper edge of the sides lies inside the widest point [m].
         taper_m: How much narrower each side is at the very ends [m].

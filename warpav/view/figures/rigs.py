@@ -98,7 +98,7 @@ def without_and_with_constraints(
             else:
                 draw_bounds(axis, surface.bounds_m)
             draw_cameras(axis, run.end, rig_initial=run.start, trajectory_m=run.trajectory_m)
-            excess_m = [constraints.violation_m(Rig.create([camera])) for camera in run.end.cameras]
+            excess_m = [constraints.violation_m(Rig([camera])) for camera in run.end.cameras]
             outside = int(np.count_nonzero(excess_m))
             result = f"{outside} of {len(excess_m)} cameras end outside"
             title(axis, heading, f"{result}, by up to {max(excess_m):.2f} m" if outside else result)

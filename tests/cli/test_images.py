@@ -1,0 +1,255 @@
+"""``warpav scenes``, ``render`` and ``inspect``: what is drawn of scenes, rigs and runs."""
+
+import json
+import math
+import os
+import re
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cli.small_run import SMALL, complaint
+from tests.view.stand_ins import needs_opengl
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.rig.rig import rig_text
+from warpav.runs.inspect import inspector
+from warpav.runs.rig_source import config_for
+from warpav.runs.run_figures import OBJECT_EGO
+from warpav.runs.run_folder import RunFolder
+from warpav.scene.town.town import town_scene
+from warpav.view import Canvas, drawing_of
+
+pytestmark = pytest.mark.usefixtures("working_directory")
+
+
+@needs_opengl
+def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
+    assert main(["scenes", "make", "--seeds", "[5]", "--out", "scenes"]) == 0
+    assert sorted(os.listdir("scenes")) == ["collection.json", "scene_5.glb"]
+    assert main(["scenes", "show", "scenes/scene_5.glb", "--out", "scene.png"]) == 0
+    assert cv2.imread("scene.png").std() > 5.0
+    argv = ["render", "scenes/scene_5.glb", "--rig", "highest", "--out", "images", "rig.cameras=2"]
+    assert main([*argv, "camera.width_px=120", "camera.height_px=80"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert len(views) == 2
+    for view in views:
+        stem = f"images/{view['name']}"
+        assert (view["width_px"], view["height_px"]) == (120, 80)
+        assert np.shape(view["intrinsics"]) == (3, 3)
+        assert np.shape(view["ego_from_camera"]) == (4, 4)
+        assert cv2.imread(f"{stem}_rgb.png").shape == (80, 120, 3)
+        objects = cv2.imread(f"{stem}_object.png", cv2.IMREAD_UNCHANGED)
+        assert objects.dtype == np.uint16
+        depth_m = np.load(f"{stem}_depth_m.npy")
+        assert depth_m.dtype == np.float32
+        assert np.all(objects[~np.isfinite(depth_m)] == 0)
+    assert not [name for name in os.listdir("images") if name.startswith(".")]
+
+
+def test_a_folder_with_a_presets_name_is_no_run_unless_it_holds_one(working_directory):
+    (working_directory / "nuscenes").mkdir()
+    assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
+    assert len(json.loads((working_directory / "images" / "views.json").read_text())) == 6
+
+
+def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
+    assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert {(view["width_px"], view["height_px"]) for view in views} == {(64, 900)}
+
+
+CALIBRATED = """\
+frame: ego
+cameras:
+  - {name: front, position_m: [1.7, 0, 1.6], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, width_px: 640, height_px: 480,
+     lens: %s, focal_px: [500, 510], centre_px: [330, 235], distortion: %s}
+"""
+
+
+def test_a_calibrated_camera_is_resized_as_a_whole(working_directory):
+    (working_directory / "rig.yaml").write_text(CALIBRATED % ("pinhole", "[]"))
+    argv = ["render", "5", "--rig", "rig.yaml", "--out", "images", "camera.width_px=64", "camera.height_px=48"]
+    assert main(argv) == 0
+    (view,) = json.loads((working_directory / "images" / "views.json").read_text())
+    np.testing.assert_allclose(view["intrinsics"], [[50, 0, 33], [0, 51, 23.5], [0, 0, 1]])
+    assert (view["lens"], view["distortion"]) == ("pinhole", [])
+
+
+def test_wide_lenses_are_rendered_from_a_rig_file(working_directory):
+    camera = (
+        "  - {name: %s, position_m: [1.1, 0, 2.2], yaw_deg: 0, pitch_deg: %s, roll_deg: 0, lens: %s, fov_deg: %s, %s}"
+    )
+    size = "width_px: 96, height_px: 64"
+    lines = (camera % row for row in (("fish", 90, "fisheye", 190, size), ("round", 0, "panorama", 360, size)))
+    (working_directory / "rig.yaml").write_text("\n".join(["frame: ego", "cameras:", *lines]))
+    assert main(["render", "5", "--rig", "rig.yaml", "--out", "images"]) == 0
+    views = json.loads((working_directory / "images" / "views.json").read_text())
+    assert [view["lens"] for view in views] == ["fisheye", "panorama"]
+    # a fisheye that looks down sees the ground 2.2 m below it; a panorama at this height sees its own roof behind it
+    depth_m, round_m = (np.load(f"images/{view['name']}_depth_m.npy") for view in views)
+    assert np.isfinite(depth_m[32]).mean() > 0.8
+    assert depth_m.min() < 2.2
+    objects = cv2.imread("images/round_object.png", cv2.IMREAD_UNCHANGED)
+    assert (objects[-1] == OBJECT_EGO).all()
+    assert np.isfinite(round_m[-1]).all()
+
+
+@pytest.mark.slow
+def test_a_fisheye_rig_is_optimised(working_directory):
+    wide = ["camera.lens=fisheye", "camera.fov_deg=200", "camera.distortion=[0.01, -0.002, 0.0, 0.0]"]
+    small = [option for option in SMALL if not option.startswith("camera.")]
+    argv = ["optimise", *small, *wide, "camera.width_px=48", "camera.height_px=48", "run.out=wide"]
+    assert main(argv) == 0
+    rig = RunFolder.open("wide").rig()
+    assert {(camera.model.lens, camera.model.distortion) for camera in rig.cameras} == {
+        ("fisheye", (0.01, -0.002, 0.0, 0.0))
+    }
+
+
+def test_a_field_of_view_beyond_the_lens_is_refused(working_directory, capsys):
+    # t (1 + k1 t^2) stops growing at 1 / sqrt(1.8) rad
+    (working_directory / "rig.yaml").write_text(CALIBRATED % ("fisheye", "[-0.6, 0.0, 0.0, 0.0]"))
+    message = complaint(capsys, "render", "5", "--rig", "rig.yaml", "--out", "images", "camera.fov_deg=100")
+    assert message.startswith(
+        "camera: expected numbers that camera 'front' can have, got: fov_rad must be at most 1.48"
+    )
+    assert os.listdir(working_directory) == ["rig.yaml"]
+
+
+@needs_opengl
+def test_inspect_draws_a_run(run_folder, working_directory, capsys):
+    assert main(["inspect", str(run_folder.path), "--out", "rig.png"]) == 0
+    assert cv2.imread("rig.png").std() > 5.0
+    assert capsys.readouterr().out == "wrote rig.png\n"
+    pictures = [cv2.imread("rig.png")]
+    for shown in ("coverage", "outcomes", "visibility"):
+        argv = ["inspect", str(run_folder.path), "--show", shown, "--out", f"{shown}.png"]
+        assert main(argv) == 0
+        pictures.append(cv2.imread(f"{shown}.png"))
+    for k, one in enumerate(pictures):
+        assert all((one != other).any() for other in pictures[:k])
+    assert "--show" in complaint(capsys, "inspect", "highest", "--show", "blind")
+
+
+def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
+    window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
+    monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
+    for shown in ("rig", "coverage", "outcomes", "visibility", "sight"):
+        assert main(["inspect", "highest", "--show", shown]) == 0
+        warning = "--show sight: is called --show visibility now; the old name goes in the next version\n"
+        assert capsys.readouterr().err == (warning if shown == "sight" else "")
+    assert [options["begin_with"] for options in opened] == ["coverage", "coverage", "outcomes", *2 * ["visibility"]]
+
+
+@needs_opengl
+def test_a_run_is_an_animation_a_plot_and_blocks(run_folder, working_directory, capsys):
+    assert main(["inspect", str(run_folder.path), "--out", "run.gif"]) == 0
+    assert os.path.getsize("run.gif") < 5e6
+    with Image.open("run.gif") as film:
+        assert film.n_frames == 4  # three iterations and the result
+    scene = town_scene(3)
+    first, last = (
+        run_folder.plot(f"{k}.png", iteration=k, scene=scene, window_size=(320, 200), title=str(k)) for k in (0, -1)
+    )
+    assert (cv2.imread(str(first)) != cv2.imread(str(last))).any()
+    message = f"{run_folder.path}: iteration: expected one of 3 from 0, got 3"
+    with pytest.raises(InputError, match=re.escape(message)):
+        run_folder.plot("x.png", iteration=3, scene=scene)
+    canvas = Canvas(off_screen=True, window_size=(320, 200))
+    plotter = drawing_of(run_folder, canvas, iteration=1, scene=scene)  # pyright: ignore[reportCallIssue]
+    assert any(name.startswith("descent/") for name in plotter.actors)
+    plotter.close()
+    blocks = run_folder.to_pyvista(scene=scene)
+    events = run_folder.events()
+    for k, camera in enumerate(run_folder.rig().cameras):
+        places_m = [event["positions_m"][k] for event in events]
+        np.testing.assert_allclose(blocks["path"][camera.name].points, places_m, atol=1e-5)
+    assert blocks["scene"].keys()[:2] == ["environment", "ego"]
+
+
+def _corrupt(run_folder, change):
+    shutil.copytree(run_folder.path, "copy")
+    change(Path("copy"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda run: (run / "config.yaml").unlink(), "copy: run folder: expected a folder written by warpav optimise"),
+        (lambda run: (run / "config.yaml").write_bytes(b"\xff\x00"), "copy/config.yaml: expected a readable YAML"),
+        (lambda run: [file.unlink() for file in run.glob("rig_*.yaml")], "copy: run folder: expected rig_best.yaml"),
+        (lambda run: (run / "events.jsonl").write_text('{"a": 1}\n'), "copy/events.jsonl:1: expected an iteration of"),
+        (lambda run: (run / "events.jsonl").write_bytes(b"\xff\n\x00\n"), "copy/events.jsonl:1: expected one JSON"),
+        (
+            lambda run: (run / "events.jsonl").write_text(
+                3 * '{"iteration": 0, "loss": 1, "positions_m": [[1, 0, 2]], "yaw_deg": [0]}\n'
+            ),
+            "copy: run folder: expected events.jsonl and the rig files of one run, got 1 cameras in the one and 2",
+        ),
+        (
+            lambda run: (run / "events.jsonl").write_text((run / "events.jsonl").read_text()[:-100]),
+            "copy/events.jsonl: expected the 3 iterations of a run that has ended, got 2; was it cut off?",
+        ),
+    ],
+    ids=[
+        "no config",
+        "garbage config",
+        "no rigs",
+        "foreign events",
+        "garbage events",
+        "events of another run",
+        "events cut off",
+    ],
+)
+def test_a_corrupt_run_folder_is_one_line(run_folder, working_directory, capsys, change, message):
+    _corrupt(run_folder, change)
+    assert complaint(capsys, "inspect", "copy", "--out", "x.png").startswith(message)
+    assert os.listdir(working_directory) == ["copy"]
+
+
+@needs_opengl
+def test_a_run_that_was_cut_off_can_be_inspected(run_folder, working_directory, capsys):
+    def cut(run):
+        text = (run / "events.jsonl").read_text()
+        (run / "events.jsonl").write_text(text[: len(text) - 100])
+        (run / "checkpoints" / "last.npz").write_bytes(b"garbage")
+        (run / "evaluation.json").unlink()  # which ends a run
+
+    _corrupt(run_folder, cut)
+    assert len(RunFolder.open("copy").events()) == 2
+    assert main(["inspect", "copy", "--out", "x.gif"]) == 0
+    with Image.open("x.gif") as film:
+        assert film.n_frames == 3
+    (working_directory / "copy" / "events.jsonl").unlink()
+    capsys.readouterr()
+    assert complaint(capsys, "inspect", "copy", "--out", "y.gif").startswith(
+        "copy: expected iterations to animate, got none"
+    )
+    assert main(["inspect", "copy", "--out", "y.png"]) == 0
+
+
+@needs_opengl
+def test_the_inspector_goes_through_a_run(run_folder):
+    with config_for(str(run_folder.path), None, (), default="quick") as settings:
+        opened = inspector(str(run_folder.path), settings, off_screen=True)
+    try:
+        events, frames = run_folder.events(), opened.state.frames
+        assert len(frames) == len(events) + 1
+        for event, frame in zip(events, frames, strict=False):
+            for camera, place_m, yaw_deg in zip(frame.cameras, event["positions_m"], event["yaw_deg"], strict=True):
+                np.testing.assert_allclose(camera.position_m, place_m)
+                assert math.degrees(camera.yaw_rad) == pytest.approx(yaw_deg)
+        assert rig_text(frames[-1]) == rig_text(run_folder.rig())
+        assert opened.save_to == run_folder.path / "rig_inspected.yaml"
+        drawn = {name.partition("/")[0] for name in opened.plotter.actors}
+        assert {"trajectory", "descent"} <= drawn  # as in the picture of the run
+    finally:
+        opened.plotter.close()

@@ -1,0 +1,227 @@
+"""``warpav optimise`` and ``evaluate``: the run folder, its documented fields, interrupted runs."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.small_run import SMALL, complaint
+from warpav.cli.app import main
+from warpav.optimisation.descent import Descent
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.verdict import ARM_ROWS
+from warpav.scene.glb import write_scene
+from warpav.scene.town.town import town_scene
+
+pytestmark = pytest.mark.usefixtures("working_directory")
+
+
+def _numbers(metrics):
+    """The metrics of an arm that are shown, those without a value left out."""
+    return {field: metrics[field] for field in ARM_ROWS if metrics[field] is not None}
+
+
+def test_the_run_folder_is_complete(run_folder):
+    found = {file.relative_to(run_folder.path).as_posix() for file in run_folder.path.rglob("*") if file.is_file()}
+    assert found >= {
+        "config.yaml",
+        "env.json",
+        "events.jsonl",
+        "metrics.csv",
+        "rig_initial.yaml",
+        "rig_best.yaml",
+        "rig_final.yaml",
+        "evaluation.json",
+        "checkpoints/last.npz",
+        "report.html",
+        "figures/loss_curves.png",
+        "figures/rig_top_view.png",
+        "figures/detections.png",
+        "figures/ground.npz",
+        "figures/views.json",
+        "figures/views/0_start_camera_0.webp",
+    }
+    assert not [name for name in found if "draft" in name]
+
+
+def test_the_events_have_the_documented_fields(run_folder):
+    events = run_folder.events()
+    assert [event["iteration"] for event in events] == [0, 1, 2]
+    for event in events:
+        assert set(event["gradient_norm"]) == {"position", "rotation"}
+        assert set(event["seconds"]) == {"render", "detect", "backward", "total"}
+        assert np.shape(event["positions_m"]) == (2, 3)
+        assert np.shape(event["yaw_deg"]) == (2,)
+        assert event["terms"]
+        assert event["multipliers"]
+
+
+def test_the_evaluation_has_the_documented_fields(run_folder):
+    evaluation = run_folder.evaluation()
+    assert (evaluation["schema"], evaluation["scenes"]) == (1, {"test": 2})
+    assert list(evaluation["arms"]) == ["optimised", "start", "highest", "random"]
+    assert list(evaluation["paired"]) == ["start", "highest", "random"]
+    for metrics in evaluation["arms"].values():
+        size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
+        assert set(ARM_ROWS) | size_aps | {"rig_recall", "objects", "frames", "recall_by", "per_scene"} == set(metrics)
+        assert all(len(values) == 2 for values in metrics["per_scene"].values())
+        assert metrics["rig_recall"] == metrics["tp_detection_rate"]
+        for by in ("distance_m", "sector", "category", "road_user"):
+            assert sum(group["objects"] for group in metrics["recall_by"][by].values()) == metrics["objects"]
+        assert metrics["constraint_violation"] == 0.0
+    for arm, metrics in evaluation["arms"].items():
+        told = [seen["outcome"][arm] for seen in evaluation["outcomes"]]
+        assert len(told) == metrics["objects"]
+        assert told.count("detected") == round(metrics["rig_recall"] * metrics["objects"])
+        assert told.count("out of frame") == round((1.0 - metrics["tp_in_frame_rate"]) * metrics["objects"])
+        assert np.shape(evaluation["ground"]["blind"][arm]) == np.shape(evaluation["ground"]["cells"]) == (2, 8, 5)
+        distances = [each["value_m"] for each in evaluation["constraints"][arm] if each["kind"] == "spacing"]
+        assert min(distances) == pytest.approx(metrics["min_camera_distance_m"])
+    by_distance = evaluation["arms"]["optimised"]["recall_by"]["distance_m"]
+    assert sum(seen["distance_m"] < 10.0 for seen in evaluation["outcomes"]) == by_distance["0-10"]["objects"]
+    assert evaluation["descent"] | {"kept": 0} == {"iterations": 3, "planned": 3, "ended": None, "kept": 0}
+    assert evaluation["seconds"]["total"] == pytest.approx(sum(evaluation["seconds"].values()) / 2.0)
+    training = evaluation["training_objective"]
+    assert training["optimised"] <= training["start"]  # the best iterate is kept, and the start is one of them
+
+
+def test_a_run_repeats_itself_and_prints_whole_lines_when_piped(run_folder, capsys):
+    assert main(["optimise", *SMALL, "run.out=again"]) == 0
+    again = RunFolder.open("again")
+    for role in ("initial", "best", "final"):
+        name = f"rig_{role}.yaml"
+        assert (again.path / name).read_bytes() == (run_folder.path / name).read_bytes()
+    assert again.evaluation()["arms"] == run_folder.evaluation()["arms"]
+
+    output = capsys.readouterr().out
+    assert "\x1b" not in output
+    lines = output.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("iteration ")] == ["1/3", "2/3", "3/3"]
+    assert any(line.startswith("constraints met") for line in lines)
+    assert any(line.startswith("objective on the training scenes") for line in lines)
+
+
+def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory):
+    assert main(["evaluate", str(run_folder.path), "--json", "m.json"]) == 0
+    found = json.loads((working_directory / "m.json").read_text())
+    assert found["scenes"] == {"test": 2}
+    of_the_run = run_folder.evaluation()["arms"]["optimised"]
+    assert _numbers(found["arms"]["optimised"]) == pytest.approx(_numbers(of_the_run), abs=1e-3)
+
+
+def test_scenes_from_files_give_the_same_metrics(working_directory):
+    seeds = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
+    assert main(["scenes", "make", "--seeds", "[0, 1000]", "--out", "scenes"]) == 0
+    assert main(["evaluate", "highest", *seeds, "--json", "town.json"]) == 0
+    files = ["scenes.source=folder", "scenes.folder=scenes"]
+    assert main(["evaluate", "highest", *seeds, *files, "--json", "files.json"]) == 0
+    town, folder = (json.loads((working_directory / name).read_text()) for name in ("town.json", "files.json"))
+    assert _numbers(folder["arms"]["highest"]) == pytest.approx(_numbers(town["arms"]["highest"]), rel=1e-5)
+    assert folder["arms"]["highest"]["recall_by"] == town["arms"]["highest"]["recall_by"]
+
+
+def test_targets_that_no_scene_holds_are_named(working_directory, capsys):
+    # the detector's buses stand in for people, whatever labels it has for them
+    folder = working_directory / "scenes"
+    folder.mkdir()
+    for seed in (0, 1000):
+        write_scene(dataclasses.replace(town_scene(seed), others=()), folder / f"scene_{seed}.glb")
+    options = [
+        "scenes.source=folder", "scenes.folder=scenes", "scenes.train_seeds=[0]", "scenes.test_seeds=[1000]",
+        "run.batch_size=1", "rig.cameras=2", "detector.classes.pedestrian=[bus]",
+        "losses={missed: 0, detected_area: 1}",  # else the detection probability of these labels is fitted
+    ]  # fmt: skip
+    assert main(["evaluate", "highest", *options, "scenes.targets=[pedestrian]"]) == 2
+    assert capsys.readouterr().err == (
+        "command line (scenes.targets=[pedestrian]): scenes.targets: expected road users that the scenes hold, got no "
+        "pedestrian in any of the 2 scenes; scenes made from images hold people as parts of the environment\n"
+    )
+    assert main(["evaluate", "highest", *options, "scenes.targets=[vehicle, pedestrian]"]) == 0
+    assert "no pedestrian in any of the 2 scenes, so nothing is optimised or evaluated" in capsys.readouterr().out
+
+
+def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_directory):
+    text = (run_folder.path / "rig_best.yaml").read_text().replace("width_px: 96", "width_px: 128")
+    (working_directory / "wide.yaml").write_text(text)
+    assert main(["evaluate", "wide.yaml", *SMALL, "--json", "m.json"]) == 0
+    metrics = json.loads((working_directory / "m.json").read_text())["arms"]["wide"]
+    assert metrics["objective"] is None
+    assert metrics["tp_in_frame_rate"] > 0.0
+
+
+def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsys):
+    step = Descent.step
+
+    def interrupted(self):
+        if self.iteration == 2:
+            raise KeyboardInterrupt
+        return step(self)
+
+    monkeypatch.setattr(Descent, "step", interrupted)
+    assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
+    captured = capsys.readouterr()
+    assert captured.err == "interrupted\n"
+    assert "what was reached is in stopped" in captured.out
+    folder = RunFolder.open("stopped")
+    assert [event["iteration"] for event in folder.events()] == [0, 1]
+    assert len(folder.rig().cameras) == 2
+    assert folder.evaluation() is None
+    with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
+        assert state["iteration"] == 2
+    assert main(["report", "stopped"]) == 0
+    assert (working_directory / "stopped" / "report.html").is_file()
+
+
+def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warpav.runs.result.evaluate_on", interrupted)
+    assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
+    assert "what was reached is in stopped" in capsys.readouterr().out
+    assert RunFolder.open("stopped").rig("best").cameras
+
+
+def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
+    # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding pair anew
+    steps = ["optimiser.learning_rate_position_m=1e-9", "optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest"]
+    assert main(["optimise", *SMALL, *steps, "run.out=still"]) == 0
+    folder = RunFolder.open("still")
+    arms = folder.evaluation()["arms"]
+    assert arms["optimised"] == arms["start"]
+    assert (folder.path / "rig_best.yaml").read_bytes() == (folder.path / "rig_initial.yaml").read_bytes()
+    assert main(["evaluate", "still", "--json", "m.json"]) == 0
+    with open("m.json") as file:
+        found = json.load(file)["arms"]["optimised"]
+    assert found["objective"] == pytest.approx(arms["optimised"]["objective"], abs=1e-3)
+
+
+def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsys):
+    # steps of 2 m, and the last iterate counts
+    steps = ["optimiser.learning_rate_position_m=2", "optimiser.keep=last", "optimiser.starts=1", "rig.start=highest"]
+    assert main(["optimise", *SMALL, *steps, "run.iterations=4", "run.out=worse"]) == 0
+    captured = capsys.readouterr()
+    folder = RunFolder.open("worse")
+    evaluation = folder.evaluation()
+    training = evaluation["training_objective"]
+    assert training["optimised"] > training["start"]
+    assert evaluation["rig_of_run"] == "start"
+    assert "WORSE THAN ITS START" in captured.out
+    assert captured.err.startswith("warning: WORSE THAN ITS START: the optimised rig has objective")
+    best, start, last = ((folder.path / f"rig_{role}.yaml").read_bytes() for role in ("best", "initial", "final"))
+    assert best == start != last
+    assert "Worse than its start, so the rig of this run is the start." in (folder.path / "report.html").read_text()
+    assert main(["rig", "export", "worse", "--format", "opencv", "--out", "from_run"]) == 0
+    assert main(["rig", "export", "worse/rig_initial.yaml", "--format", "opencv", "--out", "from_start"]) == 0
+    exported = [sorted(file for file in Path(name).rglob("*") if file.is_file()) for name in ("from_run", "from_start")]
+    assert exported[0]
+    assert [file.read_bytes() for file in exported[0]] == [file.read_bytes() for file in exported[1]]
+
+
+def test_an_existing_run_is_refused_before_any_work(run_folder, capsys):
+    before = sorted(run_folder.path.rglob("*"))
+    message = complaint(capsys, "optimise", *SMALL, f"run.out={run_folder.path}")
+    assert message.startswith(f"command line (run.out={run_folder.path}): run.out: expected a folder that does not")
+    assert sorted(run_folder.path.rglob("*")) == before

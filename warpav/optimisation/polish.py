@@ -1,0 +1,227 @@
+"""Polish: move all cameras of a rig at once until the expected miss rate of all scenes settles.
+
+Every step renders each camera once in every scene, with the Jacobian of its probability to detect each object. The
+rig's expected miss rate is then known around the present poses, not as one slope but object by object: the model moves
+each probability's logit along its Jacobian and multiplies what the cameras miss, as the true objective does. So it
+knows that what another camera finds already is worth nothing, and that a sure object cannot become surer. The model is
+minimised under the constraints within a trust region, the found rig is rendered, and what the model promised beside
+what came of it decides whether the rig is taken and how far the next step may go.
+
+Source: trust regions as in Nocedal and Wright, Numerical Optimization, 2006, chapter 4; the model is a composite one,
+convex in nothing, exact to first order, as in Gauss-Newton methods (chapter 10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+
+Detected = tuple[np.ndarray, np.ndarray]
+"""The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
+
+SUREST = 0.9999
+"""Greatest probability that counts, as in the loss."""
+TRUST_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
+"""How far a number of a mount pose may move in a step at radius 1 [m, rad, 1]."""
+RADIUS_MAX = 2.0
+RADIUS_MIN = 0.004
+"""Below this radius (under a millimetre) the rendered objective is rougher than the steps are long."""
+_LOGIT_MAX = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class PolishStep:
+    """What a step of the polish came to.
+
+    Attributes:
+        mount_pose: The best rig so far, float32 [camera, 7]; it satisfies all constraints.
+        objective: Its expected miss rate.
+        tried_objective: That of the rig that the step tried.
+        promised: What the model expected of that rig.
+        radius: Of the trust region in which it was sought, in `TRUST_UNIT`.
+        camera_renders: Camera renders (one camera in one scene) so far.
+    """
+
+    mount_pose: np.ndarray
+    objective: float
+    tried_objective: float
+    promised: float
+    radius: float
+    camera_renders: int
+
+
+def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray) -> float:
+    """Share of the objects that a rig misses, cameras erring independently: the weighted mean of the products of 1 - p.
+
+    Args:
+        detection_probability: Of each camera for each object, float [camera, object].
+        weight: Of each object, their sum 1, float [object].
+    """
+    missed = np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
+    return float(weight @ missed)
+
+
+def polish(
+    mount_pose: np.ndarray,
+    detect: Callable[[np.ndarray], Detected],
+    *,
+    mount: CameraMount,
+    constraints: Constraints,
+    scene_count: int,
+    weight: np.ndarray | None = None,
+    camera_renders_max: int | None = None,
+    tolerance: float = 1e-4,
+) -> Iterator[PolishStep]:
+    """Steps until nothing improves, or until the next would cost more than may be spent.
+
+    Args:
+        mount_pose: Where to begin, float [camera, 7]; brought to the nearest rig that satisfies the constraints.
+        detect: Renders cameras [camera, 7] in all scenes.
+        mount: Says what is free, and how far; frozen cameras stay.
+        constraints: What every rig satisfies.
+        scene_count: Camera renders that a camera costs.
+        weight: Of each object, at least 0; None: all alike.
+        camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
+        tolerance: Relative gain that the model must promise for another step.
+
+    Yields:
+        The start, then every step. Only cameras that moved are rendered.
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+    """
+    problem = _Problem(mount, constraints, len(mount_pose))
+    pose = problem.feasible(np.asarray(mount_pose, np.float32))
+    probability, jacobian = detect(pose)
+    count = probability.shape[1]
+    shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
+    shares = shares / shares.sum()
+    objective = expected_miss_rate(probability, shares)
+    renders = len(pose) * scene_count
+    radius = 1.0
+    yield PolishStep(pose, objective, objective, objective, radius, renders)
+    while radius >= RADIUS_MIN:
+        model = _Model(problem, pose, probability, jacobian, shares)
+        tried = problem.feasible(model.minimised(radius))
+        promised = model.value(problem.free_of(tried) - problem.free_of(pose))
+        if promised > objective * (1.0 - tolerance):
+            if radius <= 0.1:
+                return
+            radius *= 0.25
+            continue
+        moved = np.flatnonzero((tried != pose).any(axis=1))
+        if camera_renders_max is not None and renders + len(moved) * scene_count > camera_renders_max:
+            return
+        new_probability, new_jacobian = probability.copy(), jacobian.copy()
+        new_probability[moved], new_jacobian[moved] = detect(tried[moved])
+        renders += len(moved) * scene_count
+        found = expected_miss_rate(new_probability, shares)
+        kept_share = (objective - found) / (objective - promised)
+        used = radius
+        radius = radius * 0.35 if kept_share < 0.25 else min(radius * 1.6, RADIUS_MAX) if kept_share > 0.75 else radius
+        if found < objective:
+            pose, probability, jacobian, objective = tried, new_probability, new_jacobian, found
+        yield PolishStep(pose, objective, found, promised, used, renders)
+
+
+class _Problem:
+    """The free numbers of a rig as one vector, and what they must satisfy."""
+
+    def __init__(self, mount: CameraMount, constraints: Constraints, camera_count: int) -> None:
+        self.mount, self.constraints = mount, constraints
+        is_free = mount.is_free.copy()
+        is_free[[X_M, Y_M, YAW_RAD]] = True
+        self.is_free = np.tile(is_free, (camera_count, 1))
+        if mount.frozen is not None:
+            self.is_free[mount.frozen.is_frozen] = False
+        unit = np.zeros(len(is_free))
+        unit[list(TRUST_UNIT)] = list(TRUST_UNIT.values())
+        self.unit = np.tile(unit, (camera_count, 1))[self.is_free]
+        self.low, self.high = (np.tile(end, (camera_count, 1))[self.is_free] for end in (mount.low, mount.high))
+
+    def free_of(self, pose: np.ndarray) -> np.ndarray:
+        return np.asarray(pose, np.float64)[self.is_free]
+
+    def pose_of(self, pose: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """A pose whose free numbers are others, float64 [camera, 7]."""
+        result = np.array(pose, np.float64)
+        result[self.is_free] = free
+        return result
+
+    def feasible(self, pose: np.ndarray) -> np.ndarray:
+        """The nearest rig that satisfies everything, float32 [camera, 7]."""
+        near = self.mount.within(np.asarray(pose, np.float32)).astype(np.float64)
+        near[:, [X_M, Y_M]] = self.constraints.project(near[:, [X_M, Y_M]], near[:, HEIGHT_DELTA_M])
+        return self.mount.within(near.astype(np.float32))
+
+    def slack_m(self, pose: np.ndarray) -> np.ndarray:
+        return self.constraints.slack_m(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
+
+
+class _Model:
+    """The expected miss rate around a rig, as a function of how far its free numbers have moved."""
+
+    def __init__(
+        self, problem: _Problem, pose: np.ndarray, probability: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
+    ) -> None:
+        self.problem, self.pose = problem, np.asarray(pose, np.float64)
+        found = np.clip(np.asarray(probability, np.float64), 0.0, SUREST)
+        # an object that no camera sees at all has no Jacobian; one that all see surely has no room
+        used = (found > 0.0).any(axis=0)
+        self._missed_anyway = float(weight[~used].sum())
+        self._weight, found = weight[used], found[:, used]
+        with np.errstate(divide="ignore"):
+            self._logit = np.clip(np.log(found) - np.log1p(-found), -_LOGIT_MAX, _LOGIT_MAX)
+        spread = np.maximum(found * (1.0 - found), 1e-9)
+        slope = np.asarray(jacobian, np.float64)[:, used] / spread[..., None]
+        self._slope = np.where((found > 0.0)[..., None], slope, 0.0)
+        self._is_seen = found > 0.0
+
+    def value(self, step: np.ndarray) -> float:
+        """The modelled objective after a step of the free numbers."""
+        return self._value_and_grad(step)[0]
+
+    def _value_and_grad(self, step: np.ndarray) -> tuple[float, np.ndarray]:
+        moved = np.zeros_like(self.pose)
+        moved[self.problem.is_free] = step
+        logit = np.clip(self._logit + np.einsum("cok,ck->co", self._slope, moved), -_LOGIT_MAX, _LOGIT_MAX)
+        probability = np.where(self._is_seen, 1.0 / (1.0 + np.exp(-logit)), 0.0)
+        missed = np.maximum(1.0 - probability, 1.0 - SUREST)
+        product = missed.prod(axis=0)
+        # d product / d logit of one camera: the others' product times -p (1 - p), and 1 - p is among the product
+        by_logit = -self._weight * product * probability
+        gradient = np.einsum("co,cok->ck", by_logit, self._slope)
+        return float(self._weight @ product) + self._missed_anyway, gradient[self.problem.is_free]
+
+    def minimised(self, radius: float) -> np.ndarray:
+        """The pose with the lowest modelled objective within the trust region and the constraints, [camera, 7]."""
+        from scipy.optimize import minimize
+
+        problem, here = self.problem, self.problem.free_of(self.pose)
+        unit = problem.unit
+        low = np.maximum(-radius, (problem.low - here) / unit)
+        high = np.minimum(radius, (problem.high - here) / unit)
+
+        def objective(scaled: np.ndarray) -> tuple[float, np.ndarray]:
+            value, gradient = self._value_and_grad(scaled * unit)
+            return 100.0 * value, 100.0 * gradient * unit
+
+        def slack_m(scaled: np.ndarray) -> np.ndarray:
+            return problem.slack_m(problem.pose_of(self.pose, here + scaled * unit))
+
+        found = minimize(
+            objective,
+            np.clip(np.zeros(len(here)), low, high),
+            jac=True,
+            method="SLSQP",
+            bounds=np.c_[low, high],
+            constraints={"type": "ineq", "fun": slack_m},
+            options={"maxiter": 60, "ftol": 1e-8},
+        )
+        scaled = np.clip(np.nan_to_num(found.x), low, high)
+        return problem.pose_of(self.pose, here + scaled * unit)

@@ -1,0 +1,357 @@
+"""Pools of single cameras: which of them is how likely to detect which object, the matrix that rigs are chosen from.
+
+`spread_mount_poses` says where the cameras stand, `CameraPool.draw` renders each of them in each scene. What has been
+drawn is kept in a cache folder, camera by camera: a pool that was interrupted goes on where it stopped, and a larger
+one draws only what is new.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.executor import Executor
+from warpav.core.progress import NullProgress, Progress
+from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.pool_cache import (
+    UNREADABLE,
+    Identity,
+    PoolCache,
+    check_identity,
+    pose_keys,
+    read_arrays,
+    rows_of,
+    write_arrays,
+)
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.scene.device_scene import DeviceScene
+
+CHUNK_CAMERAS = 512
+"""Cameras that one task draws in one scene."""
+HALF_ABOVE_BYTES = 2**29
+"""Matrices that would be larger than this in single precision are kept in half precision."""
+_SPREAD_BLOCK = 1024
+_SPREAD_TRIES = 2**22
+
+
+def pool_cache_folder() -> Path:
+    """Where pools are kept; it may not exist yet."""
+    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "pools"
+
+
+def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int, *, seed: int) -> np.ndarray:
+    """Cameras spread evenly over all that is free: a scrambled Sobol sequence, cut to where cameras may stand.
+
+    The first n of more cameras are the n cameras of the same seed.
+
+    Args:
+        mount: Where the cameras stand; its free ranges are covered, what is not free is as configured.
+        constraints: Where a camera that is alone may stand.
+        count: Number of cameras, at least 1.
+        seed: Scrambles the sequence.
+
+    Returns:
+        Mount poses, float32 [camera, 7]; yaws in -pi..pi.
+
+    Raises:
+        InputError: No camera was asked for, or there is next to no room for any.
+    """
+    from scipy.stats import qmc
+
+    if count < 1:
+        raise ArgumentError("count", f"expected at least 1 camera, got {count}")
+    numbers = np.r_[X_M, Y_M, YAW_RAD, np.flatnonzero(mount.is_free)]
+    low, high = mount.low.astype(np.float64), mount.high.astype(np.float64)
+    low[[X_M, Y_M]], high[[X_M, Y_M]] = mount.surface.bounds_m
+    low[YAW_RAD], high[YAW_RAD] = -np.pi, np.pi
+    sequence = qmc.Sobol(len(numbers), scramble=True, rng=seed)
+    kept = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
+    for _ in range(_SPREAD_TRIES // _SPREAD_BLOCK):
+        pose = np.zeros((_SPREAD_BLOCK, MOUNT_POSE_SIZE), np.float32)
+        pose[:, numbers] = low[numbers] + sequence.random(_SPREAD_BLOCK) * (high - low)[numbers]
+        is_free = mount.is_free
+        pose[:, is_free] = np.clip(pose[:, is_free], mount.low[is_free], mount.high[is_free])
+        kept = np.concatenate([kept, pose[constraints.contains(pose[:, [X_M, Y_M]])]])
+        if len(kept) >= count:
+            return kept[:count]
+    raise constraints.do_not_fit(1)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPool:
+    """Single cameras, and the probability that each detects each object of some scenes.
+
+    Attributes:
+        mount_pose: The cameras as the mount counts them, float32 [camera, 7].
+        detection_probability: 0..1, [camera, object], the objects scene by scene; float32, float16 where that would
+            take more than 512 MiB. In half precision a probability is off by at most 1/4096.
+        scene_index: Scene of every object, int32 [object].
+        drawn_count: Camera renders (one camera in one scene) that were drawn for the pool.
+        cached_count: Camera renders that were found in the cache.
+    """
+
+    mount_pose: np.ndarray
+    detection_probability: np.ndarray
+    scene_index: np.ndarray
+    drawn_count: int
+    cached_count: int
+    _source: _Source
+
+    @classmethod
+    def draw(
+        cls,
+        mount_pose: np.ndarray,
+        *,
+        scenes: Sequence[DeviceScene],
+        cameras: SingleCameras,
+        executor: Executor | None = None,
+        cache: Path | None = None,
+        chunk_cameras: int = CHUNK_CAMERAS,
+        progress: Progress | None = None,
+    ) -> CameraPool:
+        """Draw every camera in every scene; neither executor nor chunks nor cache change a bit of the result.
+
+        Args:
+            mount_pose: The cameras, finite numbers, float [camera, 7].
+            scenes: The scenes, on the device of the mount.
+            cameras: What the cameras are, and how likely one is to detect.
+            executor: Where it is done; None: here, with a thread for each core.
+            cache: Folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept. With the
+                executors ``ray`` and ``slurm`` all machines must see it.
+            chunk_cameras: Cameras that one task draws in one scene, at least 1.
+            progress: Told of every task.
+
+        Raises:
+            InputError: There are no cameras or no objects, no camera sees any of them, the cache holds something else
+                under the name of a chunk, or a task failed.
+        """
+        source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
+        none = (np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32))
+        return cls(*none, source.scene_index, 0, 0, source).extended(mount_pose, progress=progress)
+
+    def extended(self, mount_pose: np.ndarray, *, progress: Progress | None = None) -> CameraPool:
+        """The pool with more cameras behind those that it has; only what it does not have yet is drawn.
+
+        Args:
+            mount_pose: The further cameras, as in `draw`.
+            progress: Told of every task.
+
+        Raises:
+            InputError: As `draw`.
+        """
+        more = _checked_poses(mount_pose)
+        new = more[rows_of(more, self.mount_pose) < 0]
+        new = new[np.sort(np.unique(pose_keys(new), return_index=True)[1])]
+        drawn, drawn_count, cached_count = self._source.probabilities(new, progress or NullProgress())
+        known = np.concatenate([self.mount_pose, new])
+        together = np.concatenate([self.mount_pose, more])
+        shape = (len(together), len(self.scene_index))
+        found = np.empty(shape, np.float16 if 4 * shape[0] * shape[1] > HALF_ABOVE_BYTES else np.float32)
+        found[: len(self.mount_pose)] = self.detection_probability
+        row = rows_of(more, known)
+        is_new = row >= len(self.mount_pose)
+        found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
+        found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
+        if not found.any():
+            raise InputError(
+                f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {shape[1]} "
+                f"objects of {len(self._source.scenes)} scenes; check scenes.targets, and where the cameras stand"
+            )
+        return replace(
+            self,
+            mount_pose=together,
+            detection_probability=found,
+            drawn_count=self.drawn_count + drawn_count,
+            cached_count=self.cached_count + cached_count,
+        )
+
+    @property
+    def identity(self) -> Identity:
+        """Hashes of all that it was drawn with: vehicle, camera, detector, version and the scenes in their order."""
+        return self._source.identity
+
+    def write(self, file: Path) -> None:
+        """Write the pool into an ``.npz`` file.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        write_arrays(
+            file,
+            self.identity,
+            mount_pose=self.mount_pose,
+            detection_probability=self.detection_probability,
+            counts=np.array([self.drawn_count, self.cached_count]),
+        )
+
+    @classmethod
+    def read(
+        cls,
+        file: Path,
+        *,
+        scenes: Sequence[DeviceScene],
+        cameras: SingleCameras,
+        executor: Executor | None = None,
+        cache: Path | None = None,
+        chunk_cameras: int = CHUNK_CAMERAS,
+    ) -> CameraPool:
+        """The pool of a file, for the scenes and the cameras that it was drawn with.
+
+        Args:
+            file: That `write` has written.
+            scenes: As in `draw`, as are the others; `extended` goes on with them.
+            cameras: Likewise.
+            executor: Likewise.
+            cache: Likewise.
+            chunk_cameras: Likewise.
+
+        Raises:
+            InputError: It is no pool, or one of other scenes, another vehicle, camera or detector; the text says which.
+        """
+        source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
+        try:
+            arrays, identity = read_arrays(file)
+            pose, found, counts = (arrays[name] for name in ("mount_pose", "detection_probability", "counts"))
+        except UNREADABLE as error:
+            reason = getattr(error, "strerror", None) or "another or a damaged file"
+            raise InputError(f"{file}: expected a pool of cameras, got {reason}; draw it again") from None
+        check_identity(file, identity, source.identity)
+        return cls(pose, found, source.scene_index, int(counts[0]), int(counts[1]), source)
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A task: some cameras in one scene.
+
+    Attributes:
+        cameras: What they are.
+        scene: The scene, or the file that it lies in.
+        scene_number: Its place among the scenes.
+        row: The cameras' places among those to be drawn.
+        mount_pose: They themselves, float32 [camera, 7].
+    """
+
+    cameras: SingleCameras
+    scene: DeviceScene | Path
+    scene_number: int
+    row: np.ndarray
+    mount_pose: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Where a pool's numbers come from."""
+
+    scenes: tuple[DeviceScene, ...]
+    cameras: SingleCameras
+    executor: Executor
+    cache: Path | None
+    chunk_cameras: int
+
+    def __post_init__(self) -> None:
+        if not any(scene.vehicle_count for scene in self.scenes):
+            raise ArgumentError("scenes", f"expected at least one object, got none in {len(self.scenes)} scenes")
+        if self.chunk_cameras < 1:
+            raise ArgumentError("chunk_cameras", f"expected at least 1, got {self.chunk_cameras}")
+        supersampling = self.cameras.supersampling
+        if supersampling < 1:
+            raise ArgumentError("cameras", f"expected supersampling of at least 1, got {supersampling}")
+        if self.cache is None and self.executor.name in ("ray", "slurm"):
+            raise ArgumentError(
+                "cache", f"expected a folder that all machines see, with executor {self.executor.name}, got none"
+            )
+
+    @cached_property
+    def scene_index(self) -> np.ndarray:
+        """Scene of every object, int32 [object]."""
+        counts = [scene.vehicle_count for scene in self.scenes]
+        return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+
+    @property
+    def identity(self) -> Identity:
+        """See `CameraPool.identity`."""
+        return {**self.cameras.identity, "scenes": [scene.fingerprint for scene in self.scenes]}
+
+    @cached_property
+    def _kept(self) -> PoolCache | None:
+        return None if self.cache is None else PoolCache(self.cache, self.cameras.identity)
+
+    def probabilities(self, mount_pose: np.ndarray, progress: Progress) -> tuple[np.ndarray, int, int]:
+        """Detection probabilities of some cameras, float32 [camera, object]; how many renders were drawn and cached."""
+        ends = np.searchsorted(self.scene_index, np.arange(len(self.scenes) + 1))
+        objects = [slice(*pair) for pair in itertools.pairwise(ends)]
+        found = np.zeros((len(mount_pose), ends[-1]), np.float32)
+        missing = []
+        for number, scene in enumerate(self.scenes):
+            row = np.arange(len(mount_pose))
+            if self._kept is not None:
+                is_kept, kept = self._kept.find(scene.fingerprint, scene.vehicle_count, mount_pose)
+                found[is_kept, objects[number]] = kept
+                row = row[~is_kept]
+            missing += [
+                (number, row[first : first + self.chunk_cameras]) for first in range(0, len(row), self.chunk_cameras)
+            ]
+        with self._travelling({number for number, _ in missing}) as (cameras, scene_of):
+            tasks = [_Chunk(cameras, scene_of(number), number, row, mount_pose[row]) for number, row in missing]
+            outcomes = self.executor.run(_draw, tasks)
+            for outcome in progress.steps("pool of cameras", outcomes, count=len(tasks)):
+                task, scene = outcome.task, self.scenes[outcome.task.scene_number]
+                if outcome.error is not None or outcome.result is None:
+                    raise InputError(f"pool: {scene.name}: {outcome.error}")
+                found[task.row, objects[task.scene_number]] = outcome.result
+                if self._kept is not None:
+                    self._kept.keep(scene.fingerprint, task.mount_pose, outcome.result)
+        if self._kept is not None:
+            self._kept.shrink()
+        drawn_count = sum(len(row) for _, row in missing)
+        return found, drawn_count, len(mount_pose) * len(self.scenes) - drawn_count
+
+    @contextlib.contextmanager
+    def _travelling(self, numbers: set[int]) -> Iterator[tuple[SingleCameras, Callable[[int], DeviceScene | Path]]]:
+        """The cameras and the scenes as a task takes them: as they are, or where all tasks start at once in files."""
+        # a process and a worker of Ray have one core each
+        is_alone = self.executor.name in ("process", "ray")
+        cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
+        if self.executor.name in ("serial", "process"):
+            yield cameras, lambda number: self.scenes[number]
+            return
+        assert self.cache is not None
+        try:
+            self.cache.mkdir(parents=True, exist_ok=True)
+            folder = tempfile.TemporaryDirectory(prefix="scenes-", dir=self.cache)
+        except OSError as error:
+            raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
+        with folder as path:
+            for number in numbers:
+                with (Path(path) / f"{number}.npz").open("wb") as stream:
+                    np.savez(stream, **self.scenes[number].arrays())  # pyright: ignore[reportArgumentType]
+            yield cameras, lambda number: Path(path) / f"{number}.npz"
+
+
+def _draw(chunk: _Chunk) -> np.ndarray:
+    """What a task does, maybe in another process."""
+    scene = chunk.scene
+    if isinstance(scene, Path):
+        with np.load(scene, allow_pickle=False) as arrays:
+            scene = DeviceScene.of_arrays(dict(arrays), device=chunk.cameras.mount.device)
+    return chunk.cameras.detection_probability(chunk.mount_pose, scene)
+
+
+def _checked_poses(mount_pose: np.ndarray) -> np.ndarray:
+    """Mount poses, float32 [camera, 7]; no negative zeros, as bytes are compared."""
+    pose = np.array(mount_pose, np.float32)
+    if pose.ndim != 2 or pose.shape[1] != MOUNT_POSE_SIZE or not len(pose):
+        raise ArgumentError("mount_pose", f"expected at least one camera [camera, {MOUNT_POSE_SIZE}], got {pose.shape}")
+    if not np.isfinite(pose).all():
+        raise ArgumentError("mount_pose", f"expected finite numbers, got {pose[~np.isfinite(pose)][0]}")
+    return pose + np.float32(0.0)

@@ -1,0 +1,172 @@
+"""Poses, boxes and places of CARLA's world as right-handed ones, and the geometry of the ego frame in it."""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from warpav.core.frames import (
+    EGO_FROM_CARLA,
+    FLU_FROM_RDF,
+    carla_from_ego_pose,
+    ego_from_carla_pose,
+    rotation_from_yaw_pitch_roll,
+    yaw_pitch_roll_from_rotation,
+)
+from warpav.scene.capture.capture import CaptureView
+from warpav.scene.capture.carla_server import Remote
+from warpav.scene.scene import Box
+
+_SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
+RDF_FROM_FLU = np.eye(4)
+RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
+
+
+def rigid_pose(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    """Pose [4, 4] of a rotation [3, 3] and a position [m]."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position_m
+    return pose
+
+
+def inverse_pose(pose: np.ndarray) -> np.ndarray:
+    """The inverse of a pose [4, 4]."""
+    return rigid_pose(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
+
+
+def point_of(vector: Remote) -> np.ndarray:
+    """A ``carla.Vector3D`` with y turned around."""
+    return EGO_FROM_CARLA @ [vector.x, vector.y, vector.z]
+
+
+def pose_of(transform: Remote) -> np.ndarray:
+    """Right-handed pose [4, 4] of an object with CARLA's ``location`` and ``rotation``."""
+    location, turn = transform.location, transform.rotation
+    position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
+        np.array([location.x, location.y, location.z]), pitch_deg=turn.pitch, yaw_deg=turn.yaw, roll_deg=turn.roll
+    )
+    return rigid_pose(rotation_from_yaw_pitch_roll(yaw_rad, pitch_rad, roll_rad), position_m)
+
+
+def transform_of(carla: ModuleType, pose: np.ndarray) -> Remote:
+    """The ``carla.Transform`` of a right-handed pose."""
+    yaw_rad, pitch_rad, roll_rad = yaw_pitch_roll_from_rotation(pose[:3, :3])
+    location_m, pitch_deg, yaw_deg, roll_deg = carla_from_ego_pose(
+        pose[:3, 3], yaw_rad=yaw_rad, pitch_rad=pitch_rad, roll_rad=roll_rad
+    )
+    x, y, z = (float(value) for value in location_m)
+    return carla.Transform(carla.Location(x=x, y=y, z=z), carla.Rotation(pitch=pitch_deg, yaw=yaw_deg, roll=roll_deg))
+
+
+def place_of(transform: Remote) -> tuple[float, float, float, float]:
+    """Position [m] and heading [rad], right-handed; rounded, so that sorting does not hang on the last bits."""
+    pose = pose_of(transform)
+    x, y, z = (round(float(value), 4) for value in pose[:3, 3])
+    return x, y, z, round(math.atan2(pose[1, 0], pose[0, 0]), 6)
+
+
+def ego_pose_of_wheels(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
+    """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
+
+    Args:
+        wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].
+        radius_m: Their radii [m], [wheel].
+
+    Returns:
+        Pose [4, 4], or None where the wheels cannot be those of a vehicle.
+    """
+    if len(wheel_m) < 4:
+        return None
+    order = np.argsort(wheel_m[:, 0], kind="stable")
+    touch_m = wheel_m - radius_m[:, None] * [0.0, 0.0, 1.0]
+    rear_m, front_m = (pair[np.argsort(pair[:, 1])] for pair in (touch_m[order[:2]], touch_m[order[-2:]]))
+    forward_m = front_m.mean(axis=0) - rear_m.mean(axis=0)
+    left_m = 0.5 * (rear_m[1] - rear_m[0] + front_m[1] - front_m[0])
+    base_m, track_m = np.linalg.norm(forward_m), np.linalg.norm(left_m)
+    if not (1.0 < base_m < 10.0 and 0.8 < track_m < 3.5 and np.linalg.norm(rear_m.mean(axis=0)) < 10.0):
+        return None
+    forward = forward_m / base_m
+    up = np.cross(forward, left_m)
+    up /= np.linalg.norm(up)
+    turn = np.stack([forward, np.cross(up, forward), up], axis=-1)
+    if min(turn[0, 0], turn[2, 2]) < math.cos(math.radians(5.0)):
+        return None
+    return rigid_pose(turn, rear_m.mean(axis=0))
+
+
+def ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Rays through pixels of a view, in the ego frame's axes [pixel, 3]."""
+    return view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
+
+
+def is_inside(box: Box, point_m: np.ndarray) -> np.ndarray:
+    """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
+    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
+    along_m = (point_m - box.center_m) @ ego_from_box
+    half_m = 0.5 * box.size_m
+    is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
+    return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
+
+
+def meets_box(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:
+    """Which rays from a point meet a box that is larger by a margin on each side."""
+    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
+    start_m, along = (origin_m - box.center_m) @ ego_from_box, ray @ ego_from_box
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    half_m = 0.5 * box.size_m + margin_m
+    ends = np.sort(np.stack([(-half_m - start_m) / along, (half_m - start_m) / along]), axis=0)
+    return np.min(ends[1], axis=-1) >= np.maximum(np.max(ends[0], axis=-1), 0.0)
+
+
+def boxes_overlap(first: Box, second: Box) -> bool:
+    """Whether two upright boxes overlap; frozen vehicles do not collide, so CARLA may not report it."""
+    apart_m = second.center_m - first.center_m
+    if abs(apart_m[2]) >= 0.5 * (first.size_m[2] + second.size_m[2]):
+        return False
+    edges = [rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)[:, :2] for box in (first, second)]
+    for axis in np.concatenate(edges, axis=1).T:
+        reach_m = sum(
+            0.5 * float(np.abs(axis @ edge) @ box.size_m[:2]) for box, edge in zip((first, second), edges, strict=True)
+        )
+        if abs(float(axis @ apart_m)) >= reach_m:
+            return False
+    return True
+
+
+def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places of normal driving: the map's own spawn points, and points along its driving lanes outside junctions.
+
+    Of poses within 2.5 m of each other one is kept, the map's own before those of lanes. The order does not depend on
+    the order in which the client lists them, which is none in particular.
+
+    Args:
+        carla_map: A ``carla.Map``.
+        spacing_m: Distance of the points along a lane [m], positive.
+
+    Returns:
+        Position on the ground in the right-handed world [m], float64 [place, 3], and heading [rad], float64 [place].
+    """
+    own, along = [], []
+    for transform in carla_map.get_spawn_points():  # these hang above the road
+        place = place_of(transform)
+        lane = carla_map.get_waypoint(transform.location)
+        if lane is not None:
+            ground = place_of(lane.transform)
+            if math.hypot(ground[0] - place[0], ground[1] - place[1]) < _SAME_PLACE_M:
+                place = (*place[:2], ground[2], place[3])
+        own.append(place)
+    for waypoint in carla_map.generate_waypoints(spacing_m):
+        if waypoint.lane_type.name == "Driving" and not waypoint.is_junction:
+            along.append(place_of(waypoint.transform))
+    places = np.array(sorted(own) + sorted(along), np.float64).reshape(-1, 4)
+    kept = np.ones(len(places), bool)
+    if len(places):
+        tree = KDTree(places[:, :3])
+        for index, position_m in enumerate(places[:, :3]):
+            if kept[index]:
+                near = np.array(tree.query_ball_point(position_m, _SAME_PLACE_M))
+                kept[near[near > index]] = False
+    return places[kept, :3], places[kept, 3]
