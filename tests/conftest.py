@@ -77,3 +77,9 @@ def asset_folder():
 def workload_folder():
     """Outside benchmark workloads with their truth; the test is skipped without them."""
     return _folder("WARPAV_TEST_WORKLOADS")
+
+
+@pytest.fixture
+def pool_folder():
+    """Outside pools of rendered cameras, their detection probabilities; the test is skipped without them."""
+    return _folder("WARPAV_TEST_POOLS")

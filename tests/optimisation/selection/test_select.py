@@ -1,0 +1,298 @@
+"""The rig that is chosen, and what is proven of it, against brute force and against pools of rendered cameras."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
+from warpav.core.errors import InputError
+from warpav.optimisation.selection.pool import Row
+from warpav.optimisation.selection.select import select
+
+ROUNDING = 1e-12
+
+
+@st.composite
+def choices(draw):
+    """A small pool with some of the constraints."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    cameras, objects = draw(st.integers(2, 11)), draw(st.integers(1, 30))
+    count = draw(st.integers(1, min(cameras, 5)))
+    probability = random_pool(rng, cameras, objects)
+    probability[rng.integers(cameras), rng.integers(objects)] = 0.5
+    if draw(st.booleans()):  # twins
+        probability[rng.integers(cameras)] = probability[rng.integers(cameras)]
+        probability[rng.integers(cameras), rng.integers(objects)] = 0.5
+    constraints = {}
+    if draw(st.booleans()):
+        constraints["conflict"] = rng.uniform(size=(cameras, cameras)) < draw(st.sampled_from([0.05, 0.2, 0.4]))
+    if draw(st.booleans()):
+        constraints["required"] = rng.choice(cameras, rng.integers(0, count + 1), replace=False)
+    if draw(st.booleans()):
+        price = rng.integers(1, 9, cameras).astype(float)
+        zone = rng.uniform(size=cameras) < 0.5
+        low = int(rng.integers(0, count + 1))
+        constraints["rows"] = [
+            Row("cost", price, high=float(np.sort(price)[:count].sum() + rng.integers(0, 9))),
+            Row("roof", zone, low=low, high=low + rng.integers(0, 2)),
+        ][: draw(st.integers(1, 2))]
+    weight = rng.uniform(0.0, 2.0, objects) + 1e-3 if draw(st.booleans()) else None
+    return probability, count, weight, constraints
+
+
+@settings(max_examples=150, deadline=None)
+@given(choices())
+def test_equal_to_brute_force(choice):
+    probability, count, weight, constraints = choice
+    best = best_by_brute_force(probability, count, weight=weight, **constraints)
+    if best is None:
+        with pytest.raises(InputError, match=f"count = {count}"):
+            select(probability, count, weight=weight, gap=0.0, **constraints)
+        return
+    found = select(probability, count, weight=weight, gap=0.0, **constraints)
+    assert tuple(found.cameras) in set(every_rig(len(probability), count, **constraints))
+    assert found.objective == pytest.approx(miss_rate(probability, found.cameras, weight), abs=ROUNDING)
+    assert found.objective <= best + 1e-9
+    assert found.bound <= best + ROUNDING
+    assert found.ended == "optimal"
+    assert found.gap <= 1e-9
+
+
+@settings(max_examples=40, deadline=None)
+@given(choices(), st.sampled_from([0.003, 0.03, 0.3]))
+def test_bounds_are_never_above_the_best_rig(choice, gap):
+    probability, count, weight, constraints = choice
+    best = best_by_brute_force(probability, count, weight=weight, **constraints)
+    if best is None:
+        return
+    seen = []
+    found = select(probability, count, weight=weight, gap=gap, on_improvement=seen.append, **constraints)
+    assert found.gap <= gap
+    assert found.objective <= best + gap + ROUNDING
+    assert all(each.bound <= best + ROUNDING for each in seen)
+    assert all(each.objective >= best - ROUNDING for each in seen)
+    for one, other in itertools.pairwise(seen):
+        assert other.objective <= one.objective
+        assert other.bound >= one.bound
+        assert other.seconds >= one.seconds
+
+
+@pytest.fixture(scope="module")
+def streets():
+    """60 cameras, 200 objects."""
+    return random_pool(np.random.default_rng(3), 60, 200)
+
+
+@pytest.mark.parametrize("seed", [7, 9])
+def test_branches_find_the_best_of_a_million_rigs(seed):
+    probability = random_pool(np.random.default_rng(seed), 70, 150)
+    found = select(probability, 4, gap=0.0)
+    assert found.nodes > 1  # the relaxation alone proves nothing here
+    assert found.ended == "optimal"
+    assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
+
+
+def test_branches_without_structure(rng):
+    """Objects that cameras see by chance: groups mean nothing, and the relaxation is weak."""
+    probability = rng.uniform(size=(40, 80)) * (rng.uniform(size=(40, 80)) < 0.3)
+    found = select(probability, 4, gap=0.0)
+    assert found.nodes > 5
+    assert found.ended == "optimal"
+    assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
+
+
+def best_of_four(probability):
+    """Of all rigs of four cameras: every pair against every pair."""
+    missed = 1.0 - probability
+    one, other = np.triu_indices(len(missed), 1)
+    pair = missed[one] * missed[other]
+    value = pair @ pair.T / missed.shape[1]
+    shared = (one[:, None] == one) | (one[:, None] == other) | (other[:, None] == one) | (other[:, None] == other)
+    return value[~shared].min()
+
+
+def test_conflicts_of_cameras_in_a_row(streets):
+    """Cameras that stand too near, as many as a roof has: cliques hold, whichever half or form says so."""
+    place = np.random.default_rng(4).uniform(0.0, 3.0, 60)
+    conflict = np.abs(place[:, None] - place) < 0.7
+    free = select(streets, 4, gap=0.0)
+    found = select(streets, 4, gap=0.0, conflict=conflict)
+    assert found.ended == "optimal"
+    assert np.diff(np.sort(place[found.cameras])).min() >= 0.7
+    assert np.diff(np.sort(place[free.cameras])).min() < 0.7
+    assert found.objective > free.objective
+    half = select(streets, 4, gap=0.0, conflict=sparse.coo_array(np.triu(conflict)))
+    np.testing.assert_array_equal(half.cameras, found.cameras)
+    rigs = (rig for rig in itertools.combinations(np.argsort(place), 4) if np.diff(place[list(rig)]).min() >= 0.7)
+    assert found.objective == pytest.approx(min(miss_rate(streets, rig) for rig in rigs), abs=1e-9)
+
+
+def test_so_tight_that_no_random_rig_fits(streets):
+    """Four numbers with one sum and a large sum of squares: random rigs do not have them, an integer programme does."""
+    number = np.arange(60.0)
+    rows = [Row("sum", number, low=117.0 + 1.0, high=118.0), Row("squares", number**2, low=59.0**2 + 58.0**2 + 1.0)]
+    found = select(streets, 4, rows=rows, gap=0.0)
+    rigs = [rig for rig in itertools.combinations(range(60), 4) if sum(rig) == 118]
+    rigs = [rig for rig in rigs if sum(each**2 for each in rig) >= 59**2 + 58**2 + 1]
+    assert found.objective == pytest.approx(min(miss_rate(streets, rig) for rig in rigs), abs=1e-9)
+
+
+def test_seen_twice(streets):
+    """An object that two cameras must see with a probability of .5 is a row."""
+    seen = (streets[:, 17] >= 0.5).astype(float)
+    found = select(streets, 4, rows=[Row("object 17 twice", seen, low=2.0)], gap=0.0)
+    assert seen[found.cameras].sum() >= 2
+    assert seen[select(streets, 4, gap=0.0).cameras].sum() < 2
+
+
+def test_all_cameras_of_the_pool(streets):
+    found = select(streets[:5], 5, gap=0.0)
+    assert found.cameras.tolist() == [0, 1, 2, 3, 4]
+    assert found.ended == "optimal"
+
+
+def test_all_required(streets):
+    found = select(streets, 3, required=[7, 1, 30], gap=0.0)
+    assert found.cameras.tolist() == [1, 7, 30]
+    assert found.bound == pytest.approx(miss_rate(streets, [1, 7, 30]), abs=1e-9)
+
+
+def test_the_same_seed_gives_the_same(streets):
+    one, other = (select(streets, 5, gap=0.01, seed=2) for _ in range(2))
+    np.testing.assert_array_equal(one.cameras, other.cameras)
+    assert (one.bound, one.nodes) == (other.bound, other.nodes)
+
+
+def test_a_start_is_kept_or_bettered(streets):
+    best = select(streets, 4, gap=0.0)
+    found = select(streets, 4, gap=1.0, start=best.cameras[::-1])
+    np.testing.assert_array_equal(found.cameras, best.cameras)
+    assert found.gap <= 1.0
+
+
+def test_the_time_ends_it_with_a_valid_bound(streets):
+    found = select(streets, 6, gap=0.0, time_limit_s=1e-3)
+    assert found.ended == "time"
+    assert found.price is None  # there was none for the first relaxation
+    best = select(streets, 6, gap=0.0)
+    assert 0.0 < found.bound <= best.objective <= found.objective
+    assert best.ended == "optimal"
+
+
+def test_ctrl_c_keeps_the_best(streets):
+    seen = []
+
+    def stop(improvement):
+        seen.append(improvement)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    found = select(streets, 6, gap=0.0, on_improvement=stop)
+    assert found.ended == "interrupted"
+    assert (found.objective, found.bound) == (seen[-1].objective, seen[-1].bound)
+    np.testing.assert_array_equal(found.cameras, seen[-1].cameras)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"count": 61}, "count: expected 1 to 60, the cameras of the pool, got 61"),
+        ({"count": 0}, "count: expected 1 to 60"),
+        ({"time_limit_s": 0.0}, "time_limit_s: expected more than 0 s, got 0"),
+        ({"time_limit_s": math.nan}, "time_limit_s"),
+        ({"gap": -1.0}, "gap"),
+        ({"required": [3, 3]}, "required: expected different cameras"),
+        ({"required": [60]}, "required: expected different cameras, 0..59"),
+        ({"required": [1, 2, 3, 4, 5]}, "required: expected at most `count` = 4 cameras, got 5"),
+        ({"conflict": np.zeros((3, 3), bool)}, r"conflict: expected \[60, 60\]"),
+        ({"weight": np.full(200, np.nan)}, r"weight: expected \[200\] finite numbers"),
+        ({"weight": np.zeros(200)}, "weight"),
+        ({"rows": [Row("cost", np.ones(3))]}, r"rows: cost: expected \[60\] finite coefficients"),
+        ({"rows": [Row("cost", np.ones(60), low=math.nan)]}, "rows: cost: expected numbers as bounds"),
+        ({"start": [1, 2, 3]}, "start: expected 4 cameras"),
+        ({"start": [1, 2, 3, 99]}, "start"),
+        ({"start": [1, 2, 3, 4], "required": [5]}, "start"),
+        ({"rows": [Row("cost", np.ones(60), high=3.0)]}, "no rig of the pool satisfies count = 4 and cost; loosen"),
+        ({"conflict": np.ones((60, 60), bool)}, "count = 4 and conflict; loosen"),
+    ],
+)
+def test_what_cannot_be_used(streets, change, message):
+    arguments = {"count": 4, **change}
+    with pytest.raises(InputError, match=message):
+        select(streets, arguments.pop("count"), **arguments)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, -0.1, 1.1, math.inf])
+def test_no_probability(streets, wrong):
+    spoilt = streets.copy()
+    spoilt[7, 11] = wrong
+    with pytest.raises(
+        InputError, match=r"detection_probability: expected probabilities 0..1, got .* at camera 7, object 11"
+    ):
+        select(spoilt, 4)
+
+
+def test_a_pool_that_sees_nothing():
+    with pytest.raises(InputError, match="none of the 3 cameras sees any of the 5 objects"):
+        select(np.zeros((3, 5)), 2)
+    with pytest.raises(InputError, match=r"expected \[camera, object\], at least one of each"):
+        select(np.zeros((0, 5)), 2)
+
+
+def test_constraints_in_conflict_are_named_and_none_is_dispensable(streets):
+    front = np.arange(60) < 10
+    rows = [
+        Row("cost", np.ones(60), high=100.0),
+        Row("front", front, low=3.0),
+        Row("rear", ~front, low=1.0),
+        Row("budget", np.where(front, 5.0, 1.0), high=14.0),
+    ]
+    with pytest.raises(InputError, match="count = 4 and front and budget") as raised:
+        select(streets, 4, rows=rows, required=[50], conflict=np.eye(60, k=1, dtype=bool))
+    assert "\n" not in str(raised.value)
+    for name in ("front", "budget"):
+        found = select(streets, 4, rows=[row for row in rows if row.name != name], required=[50], gap=1.0)
+        assert len(found.cameras) == 4
+
+
+def test_required_cameras_that_conflict_are_named(streets):
+    conflict = np.zeros((60, 60), bool)
+    conflict[4, 9] = True
+    with pytest.raises(InputError, match="count = 4 and required and conflict"):
+        select(streets, 4, required=[9, 4], conflict=conflict)
+
+
+def pool_of(folder, name):
+    return np.load(folder / f"{name}.npz")["P"]
+
+
+def test_four_of_204_rendered_cameras(pool_folder):
+    """All pairs of pairs give the same (70 million rigs, 18 s): .0543593, cameras 55, 64, 119, 166."""
+    found = select(pool_of(pool_folder, "pool_4x90"), 4, gap=0.0)
+    assert found.ended == "optimal"
+    assert found.cameras.tolist() == [55, 64, 119, 166]
+    assert found.objective == pytest.approx(0.05435933, abs=1e-8)
+
+
+def test_two_of_300_rendered_cameras(pool_folder):
+    probability = pool_of(pool_folder, "pool_2x60")
+    found = select(probability, 2, gap=0.0)
+    missed = 1.0 - probability.astype(float)
+    value = missed @ missed.T / missed.shape[1]
+    np.fill_diagonal(value, np.inf)
+    assert found.ended == "optimal"
+    assert found.objective == pytest.approx(value.min(), abs=1e-9)
+    assert found.objective == pytest.approx(0.33115, abs=5e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "best"), [(4, 0.063910), (5, 0.051206), (6, 0.042729), (7, 0.0375), (8, 0.0326)])
+def test_of_2496_rendered_cameras(pool_folder, count, best):
+    found = select(pool_of(pool_folder, "pool_150"), count, gap=1e-3, time_limit_s=300.0)
+    assert found.ended == "gap"
+    assert found.objective <= best

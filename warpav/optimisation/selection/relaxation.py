@@ -1,0 +1,383 @@
+"""The linear relaxation of the choice: a live model of few cameras and few cuts, and bounds made of its duals."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpav.optimisation.selection.cut import cut_coefficient, cut_constant, cut_level
+from warpav.optimisation.selection.pool import Pool
+from warpav.optimisation.selection.price import Price
+
+if TYPE_CHECKING:
+    import highspy
+
+ROUNDING = 1e-11
+"""What bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision."""
+
+NEAR = 0.15
+"""Part of what a node's bound lacks to the best rig that further rounds are not worth."""
+
+MOST_NEW_CAMERAS = 60
+"""Cameras that enter the model in a round, those of the lowest reduced cost."""
+
+SOLVER_OPTIONS = {
+    "output_flag": False,
+    "threads": 1,
+    "presolve": "off",
+    "solver": "simplex",
+    "simplex_scale_strategy": 0,
+    "primal_feasibility_tolerance": 1e-9,
+    "dual_feasibility_tolerance": 1e-9,
+}
+"""Of HiGHS."""
+
+LEAST_VIOLATION = 1e-8
+"""By how much a cut must be violated to be added: more than the solver allows itself."""
+
+MOST_IDLE_ROUNDS = 8
+"""Rounds after which a cut without a dual leaves the model."""
+
+STRONG_ITERATIONS = 60
+"""Simplex iterations that a trial of a branch may take."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A part of all rigs.
+
+    Attributes:
+        allowed: Cameras that its rigs may have, bool [camera].
+        required: Cameras that all its rigs have, bool [camera]; allowed ones.
+        branch: Bounds of groups of cameras, by the index of their row in the relaxation.
+        bound: No rig in it is known to have a lower expected miss rate.
+    """
+
+    allowed: np.ndarray
+    required: np.ndarray
+    branch: Mapping[int, tuple[float, float]]
+    bound: float
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The relaxation of a node.
+
+    Attributes:
+        bound: Lower bound on the expected miss rate of the node's rigs; inf where it has none.
+        value: Relaxed expected miss rate of the fractional choice, which exceeds the bound by what is left to do.
+        fraction: The fractional choice, float64 [camera].
+        rise_in: By how much the bound rises if a camera is taken, float64 [camera]; inf where it is not allowed.
+        rise_out: By how much it rises if a camera is left out, float64 [camera]; inf where it is required.
+        price: The duals of the bound.
+    """
+
+    bound: float
+    value: float = math.inf
+    fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    rise_in: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    rise_out: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    price: Price | None = None
+
+
+class Relaxation:
+    """Minimise the weighted sum of u under cuts, over shares 0..1 of the cameras that keep count and rows.
+
+    The model begins empty. Rounds add the cameras that its duals ask for and the cuts that its choice violates, those
+    of cliques of conflicts among them. All of it serves every node, and the simplex goes on where it stopped.
+
+    Bounds are not the solver's. For any duals >= 0 of the cuts, of which an object's sum to its weight at most, and
+    any duals of the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count``
+    cameras is a sort. So tolerances of the solver cost tightness and not validity. That a node has no rig at all is
+    the solver's word.
+    """
+
+    def __init__(self, pool: Pool, deadline_s: float) -> None:
+        """An empty model.
+
+        Args:
+            pool: What is chosen from.
+            deadline_s: When `relax` gives up, on the clock of `time.perf_counter`.
+        """
+        import highspy
+
+        self.pool = pool
+        self._deadline_s = deadline_s
+        with np.errstate(divide="ignore"):
+            self._log_missed = -np.log(pool.missed)
+        self._status = highspy.HighsModelStatus
+        self._model = highspy.Highs()
+        for option, value in SOLVER_OPTIONS.items():
+            self._model.setOptionValue(option, value)
+        objects = pool.object_count
+        self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
+        self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), pool.weight)
+        self._camera = np.zeros(0, np.int64)  # of the model's columns behind those of the objects
+        self._row = np.vstack([np.ones(pool.camera_count), pool.coefficient])  # the first is the count
+        self._low = np.concatenate([[pool.count], pool.low])
+        self._high = np.concatenate([[pool.count], pool.high])
+        # rows of the model: cuts have an object and a level, others the index of their row
+        self._cut_object = np.zeros(0, np.int64)
+        self._cut_level = np.zeros(0)
+        self._row_index = np.zeros(0, np.int64)
+        self._idle = np.zeros(0, np.int64)
+        self._in_force: set[int] = set()
+        self._place_rows(range(len(self._row)))
+
+    def add_cameras(self, camera: np.ndarray) -> None:
+        """Add columns of cameras, int [added], that the model does not have."""
+        coefficient = np.empty((len(self._cut_object), len(camera)))
+        is_cut = self._cut_object >= 0
+        coefficient[is_cut] = self._coefficient(self._cut_object[is_cut], camera, self._cut_level[is_cut])
+        coefficient[~is_cut] = self._row[self._row_index[~is_cut]][:, camera]
+        start, index, value = _sparse(coefficient.T, np.arange(len(coefficient)))
+        zeros = np.zeros(len(camera))
+        self._model.addCols(len(camera), zeros, zeros, zeros + 1.0, len(value), start, index, value)
+        self._camera = np.concatenate([self._camera, camera])
+
+    def add_cuts(self, cut_object: np.ndarray, level: np.ndarray) -> None:
+        """Add cuts of objects, int [added], at their levels, float64 [added]."""
+        columns = np.concatenate([[0], self.pool.object_count + np.arange(len(self._camera))])
+        coefficient = np.hstack([np.ones((len(level), 1)), self._coefficient(cut_object, self._camera, level)])
+        start, index, value = _sparse(coefficient, columns)
+        index[start] = cut_object
+        high = np.full(len(level), math.inf)
+        self._model.addRows(len(level), cut_constant(level), high, len(value), start, index, value)
+        self._note_rows(cut_object, level, np.full(len(level), -1))
+
+    def add_first_cuts(self, fraction: np.ndarray) -> None:
+        """Add the cut of every object that a choice violates most, float64 [camera]."""
+        level, _ = self._most_violated(fraction, np.flatnonzero(fraction))
+        self.add_cuts(np.arange(self.pool.object_count), level)
+
+    def add_row(self, coefficient: np.ndarray, low: float = -math.inf, high: float = math.inf) -> int:
+        """Add a linear row over all cameras, [camera]; returns the index that branches know it by."""
+        self._row = np.vstack([self._row, coefficient])
+        self._low, self._high = np.append(self._low, low), np.append(self._high, high)
+        return len(self._row) - 1
+
+    @property
+    def cuts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Objects and levels of the cuts that had a dual lately, int and float64 [cut]."""
+        is_kept = (self._cut_object >= 0) & (self._idle < 2)
+        return self._cut_object[is_kept], self._cut_level[is_kept]
+
+    @property
+    def cameras(self) -> np.ndarray:
+        """Cameras of the model, int [column]."""
+        return self._camera
+
+    def relax(self, node: Node, enough: float) -> Relaxed:
+        """The bound of a node.
+
+        Args:
+            node: It keeps its bound, where this finds no better one.
+            enough: The bound is not raised beyond this, nor once the fractional choice is so near to it that a small
+                part of the way to here is left at most.
+        """
+        self._drop_idle_cuts()
+        self._enter(node)
+        best = Relaxed(node.bound)
+        in_model = np.zeros(self.pool.camera_count, bool)
+        while True:
+            in_model[self._camera] = True
+            status = self._solve()
+            if status == self._status.kInfeasible:
+                missing = np.flatnonzero(node.allowed & ~in_model)
+                if not len(missing):
+                    return Relaxed(math.inf)
+                self.add_cameras(missing)
+                self._enter(node)
+                continue
+            if status == self._status.kTimeLimit:
+                return best
+            if status != self._status.kOptimal:
+                raise RuntimeError(f"HiGHS ended with {self._model.modelStatusToString(status)}")
+            solution = self._model.getSolution()
+            dual, value = np.array(solution.row_dual), np.array(solution.col_value)
+            self._idle = np.where(np.abs(dual) > 1e-12, 0, self._idle + 1)
+            fraction = np.zeros(self.pool.camera_count)
+            fraction[self._camera] = np.clip(value[self.pool.object_count :], 0.0, 1.0)
+            support = np.flatnonzero(fraction > 1e-9)
+            level, missed = self._most_violated(fraction, support)
+            relaxed, cost = self._bound(node, dual, fraction, self.pool.unseen + float(self.pool.weight @ missed))
+            if relaxed.bound >= best.bound or best.price is None:
+                best = relaxed
+            else:  # the choice is newer, the duals are better
+                best = Relaxed(best.bound, relaxed.value, fraction, best.rise_in, best.rise_out, best.price)
+            cliques = self._violated_cliques(fraction, support, node)
+            near = max(NEAR * (enough - best.bound), LEAST_VIOLATION)
+            if best.bound >= enough or (best.value - best.bound < near and not cliques):
+                return best
+            wanted = np.flatnonzero(node.allowed & ~in_model & (cost < dual[0] - 1e-9))
+            wanted = wanted[np.argsort(cost[wanted])[:MOST_NEW_CAMERAS]]
+            violated = np.flatnonzero(missed - value[: self.pool.object_count] > min(near, 1e-4))
+            if not (len(wanted) or len(violated) or cliques):
+                return best
+            if len(wanted):
+                self.add_cameras(wanted)
+                self._enter(node)
+            if len(violated):
+                self.add_cuts(violated, level[violated])
+            self._place_rows([self.add_row(clique, high=1.0) for clique in cliques])
+
+    def try_branches(self, node: Node, branches: Iterable[Mapping[int, tuple[float, float]]]) -> list[float]:
+        """About the relaxed objective of a node with one more branch each; inf where the model has no choice left.
+
+        No bounds: they know the cameras and cuts of the model alone, and end after a few iterations.
+        """
+        branches = list(branches)
+        self._place_rows({k for branch in branches for k in branch} - set(self._row_index))
+        self._enter(node)
+        self._solve()
+        basis = self._model.getBasis()
+        self._model.setOptionValue("simplex_iteration_limit", STRONG_ITERATIONS)
+        found = []
+        for branch in branches:
+            self._set_branches({**node.branch, **branch})
+            self._model.setBasis(basis)
+            is_infeasible = self._solve() == self._status.kInfeasible
+            found.append(math.inf if is_infeasible else self.pool.unseen + self._model.getObjectiveValue())
+        self._model.setOptionValue("simplex_iteration_limit", 2**31 - 1)
+        self._set_branches(node.branch)
+        return found
+
+    def _solve(self) -> highspy.HighsModelStatus:
+        left_s = self._deadline_s - time.perf_counter()
+        if left_s <= 0.0:
+            return self._status.kTimeLimit
+        self._model.setOptionValue("time_limit", self._model.getRunTime() + left_s)
+        self._model.run()
+        status = self._model.getModelStatus()
+        if status in (self._status.kUnknown, self._status.kSolveError):  # numerical trouble: from a basis of its own
+            self._model.clearSolver()
+            self._model.run()
+            status = self._model.getModelStatus()
+        return status
+
+    def _coefficient(self, cut_object: np.ndarray, camera: np.ndarray, level: np.ndarray) -> np.ndarray:
+        """Of cuts, float64 [cut, camera]."""
+        part = np.ix_(cut_object, camera)
+        return cut_coefficient(self.pool.missed[part], self._log_missed[part], level[:, None])
+
+    def _most_violated(self, fraction: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Levels of the most violated cuts, and what they ask of u, float64 [object] each."""
+        log_missed, missed = self._log_missed[:, support].T, self.pool.missed[:, support].T
+        level = cut_level(fraction[support], log_missed)
+        least = cut_constant(level) - fraction[support] @ cut_coefficient(missed, log_missed, level)
+        return level, np.maximum(least, 0.0)
+
+    def _bound(self, node: Node, dual: np.ndarray, fraction: np.ndarray, value: float) -> tuple[Relaxed, np.ndarray]:
+        """The Lagrangian bound of duals, and every camera's cost in it, float64 [camera]."""
+        pool = self.pool
+        cut = np.flatnonzero((self._cut_object >= 0) & (dual > 0.0))
+        cut_object, level, cut_dual = self._cut_object[cut], self._cut_level[cut], dual[cut]
+        total = np.bincount(cut_object, cut_dual, pool.object_count)
+        cut_dual *= np.minimum(1.0, pool.weight / np.maximum(total, 1e-300))[cut_object]
+        allowed = np.flatnonzero(node.allowed)
+        gain = cut_dual @ self._coefficient(cut_object, allowed, level)
+
+        is_row = self._row_index > 0  # the count is kept exactly, below
+        row, row_dual = self._row_index[is_row], dual[is_row]
+        low, high = self._bounds(node)
+        limit = np.where(row_dual > 0.0, low[row], high[row])
+        row, row_dual, limit = (each[np.isfinite(limit)] for each in (row, row_dual, limit))
+
+        cost = np.full(pool.camera_count, math.inf)
+        cost[allowed] = -gain - row_dual @ self._row[np.ix_(row, allowed)]
+        free = np.where(node.required, math.inf, cost)
+        order = np.argsort(free, kind="stable")
+        left = pool.count - int(np.count_nonzero(node.required))
+        taken = order[:left]
+        bound = pool.unseen + float(cut_dual @ cut_constant(level) + row_dual @ limit)
+        bound += float(cost[node.required].sum() + free[taken].sum()) - ROUNDING
+        dearest = free[order[left - 1]] if left else -math.inf
+        next_cost = free[order[left]] if left < len(order) else math.inf
+        rise_in = np.maximum(free - dearest, 0.0)
+        rise_in[node.required] = 0.0
+        rise_out = np.zeros(pool.camera_count)
+        rise_out[taken] = next_cost - free[taken]
+        rise_out[node.required] = math.inf
+        behind = max(node.bound - bound, 0.0)  # the rises count from the Lagrangian, not from the node's bound
+        rise_in, rise_out = np.maximum(rise_in - behind, 0.0), np.maximum(rise_out - behind, 0.0)
+        whole_row_dual = np.zeros(len(pool.coefficient))
+        is_named = row <= len(whole_row_dual)
+        whole_row_dual[row[is_named] - 1] = row_dual[is_named]
+        price = Price(bound, pool.object_count, cut_object, level, cut_dual, whole_row_dual, float(dearest))
+        return Relaxed(max(bound, node.bound), value, fraction, rise_in, rise_out, price), cost
+
+    def _violated_cliques(self, fraction: np.ndarray, support: np.ndarray, node: Node) -> list[np.ndarray]:
+        """Sets of cameras that exclude each other and of which the choice has more than one, bool [camera] each.
+
+        They are grown greedily from every camera of the choice, and then by all cameras that the node allows.
+        """
+        if not self.pool.conflict.nnz:
+            return []
+        order = support[np.argsort(-fraction[support])]
+        excludes = self.pool.conflict[order][:, order].toarray()
+        found = set()
+        for first in range(len(order)):
+            clique, common = [first], excludes[first].copy()
+            while common.any():
+                clique.append(int(np.argmax(common)))  # the largest share comes first
+                common &= excludes[clique[-1]]
+            if fraction[order[clique]].sum() > 1.0 + 1e-6:
+                found.add(tuple(sorted(clique)))
+        return [self.pool.whole_clique(order[list(clique)], node.allowed) for clique in sorted(found)]
+
+    def _enter(self, node: Node) -> None:
+        columns = (self.pool.object_count + np.arange(len(self._camera))).astype(np.int32)
+        low, high = node.required[self._camera].astype(float), node.allowed[self._camera].astype(float)
+        self._model.changeColsBounds(len(columns), columns, low, high)
+        self._set_branches(node.branch)
+
+    def _set_branches(self, branch: Mapping[int, tuple[float, float]]) -> None:
+        missing = [k for k in branch if k not in self._row_index]
+        self._place_rows(missing)
+        for k in self._in_force | set(branch):
+            place = np.flatnonzero(self._row_index == k)
+            if len(place):
+                low, high = branch.get(k, (self._low[k], self._high[k]))
+                self._model.changeRowBounds(int(place[0]), float(low), float(high))
+        self._in_force = set(branch)
+
+    def _bounds(self, node: Node) -> tuple[np.ndarray, np.ndarray]:
+        low, high = self._low.copy(), self._high.copy()
+        for k, (least, most) in node.branch.items():
+            low[k], high[k] = least, most
+        return low, high
+
+    def _place_rows(self, rows: Iterable[int]) -> None:
+        for k in rows:
+            columns = self.pool.object_count + np.arange(len(self._camera))
+            _, index, value = _sparse(self._row[k, self._camera][None], columns)
+            self._model.addRow(self._low[k], self._high[k], len(value), index, value)
+            self._note_rows(np.array([-1]), np.zeros(1), np.array([k]))
+
+    def _note_rows(self, cut_object: np.ndarray, level: np.ndarray, row: np.ndarray) -> None:
+        self._cut_object = np.concatenate([self._cut_object, cut_object])
+        self._cut_level = np.concatenate([self._cut_level, level])
+        self._row_index = np.concatenate([self._row_index, row])
+        self._idle = np.concatenate([self._idle, np.zeros(len(level), np.int64)])
+
+    def _drop_idle_cuts(self) -> None:
+        is_group = np.isinf(self._low[self._row_index]) & np.isinf(self._high[self._row_index])
+        is_idle = (self._idle > MOST_IDLE_ROUNDS) & ((self._cut_object >= 0) | is_group)
+        if np.count_nonzero(is_idle) < 0.15 * len(is_idle):
+            return
+        dropped = np.flatnonzero(is_idle).astype(np.int32)
+        self._model.deleteRows(len(dropped), dropped)
+        for name in ("_cut_object", "_cut_level", "_row_index", "_idle"):
+            setattr(self, name, getattr(self, name)[~is_idle])
+
+
+def _sparse(dense: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts, indices and values of the rows of a matrix, [row, column]; columns are renamed."""
+    is_kept = dense != 0.0
+    start = np.concatenate([[0], np.cumsum(np.count_nonzero(is_kept, axis=1))[:-1]]).astype(np.int32)
+    return start, np.broadcast_to(column, dense.shape)[is_kept].astype(np.int32), dense[is_kept]
