@@ -7,8 +7,8 @@ knows that what another camera finds already is worth nothing, and that a sure o
 minimised under the constraints within a trust region, the found rig is rendered, and what the model promised beside
 what came of it decides whether the rig is taken and how far the next step may go.
 
-Source: trust regions as in Nocedal and Wright, Numerical Optimization, 2006, chapter 4; the model is a composite one,
-convex in nothing, exact to first order, as in Gauss-Newton methods (chapter 10).
+Source: trust regions as in the textbook of Nocedal and Wright (2006), chapter 4; the model is a composite one, exact to
+first order, as in Gauss-Newton methods (chapter 10).
 """
 
 from __future__ import annotations
