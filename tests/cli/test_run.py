@@ -225,3 +225,19 @@ def test_an_existing_run_is_refused_before_any_work(run_folder, capsys):
     message = complaint(capsys, "optimise", *SMALL, f"run.out={run_folder.path}")
     assert message.startswith(f"command line (run.out={run_folder.path}): run.out: expected a folder that does not")
     assert sorted(run_folder.path.rglob("*")) == before
+
+
+@pytest.mark.slow
+def test_a_run_by_a_pool_records_bounds_and_is_no_worse_than_its_start():
+    words = ["scenes.train_seeds=0..3", "scenes.test_seeds=[1000]", "run.batch_size=4", "run.out=pool"]
+    pool = ["optimiser.search=pool", "optimiser.pool_cameras=24", "optimiser.pool_rounds=1"]
+    assert main(["optimise", *words, *pool, "baselines.random_samples=2"]) == 0
+    events = RunFolder.open("pool").events()
+    assert events[0]["stage"] == "start"
+    assert events[-1]["stage"] == "settled"
+    bounds = [event["bound"] for event in events if event["stage"] == "selection"]
+    assert all(0.0 < bound < events[0]["training_objective"] for bound in bounds)
+    assert events[-1]["training_objective"] < events[0]["training_objective"]
+    found = RunFolder.open("pool").evaluation()
+    assert found["training_objective"]["optimised"] == pytest.approx(events[-1]["training_objective"], abs=1e-9)
+    assert found["arms"]["optimised"]["constraint_violation"] == 0.0

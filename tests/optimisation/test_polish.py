@@ -1,5 +1,6 @@
 """Polish: exact Jacobians object by object, steps that keep their promises, rigs within the constraints."""
 
+import itertools
 import math
 
 import numpy as np
@@ -8,8 +9,11 @@ import pytest
 from tests.driving_scene import ConstantDetector
 from tests.optimisation.objectives import rig_objective
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
+from warpav.optimisation import polish as module
 from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.polish import SUREST, expected_miss_rate
+from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.mount import FreeRanges
+from warpav.optimisation.polish import SUREST, expected_miss_rate, polish
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 
@@ -57,3 +61,68 @@ def test_the_jacobian_adds_up_to_the_gradient_on_the_tape(kind):
         assert scale > 1e-3
         worst = max(worst, np.abs(gradient - expected.gradient).max() / scale)
     assert worst < 2e-4, worst
+
+
+def zone_of(mount, camera_count=3, frozen=None):
+    return ZoneAndSpacing(mount.surface, camera_count=camera_count, min_spacing_m=0.3, margin_m=0.05, frozen=frozen)
+
+
+def polished(cameras, pose, constraints, **options):
+    steps = polish(
+        pose,
+        lambda moved: cameras.with_jacobian(moved, streets()),
+        mount=cameras.mount,
+        constraints=constraints,
+        scene_count=len(streets()),
+        **options,
+    )
+    return list(steps)
+
+
+@pytest.mark.parametrize("free", [None, FreeRanges(pitch_rad=(-0.2, 0.3))])
+def test_every_step_is_no_worse_and_within_the_constraints(free):
+    mount = mount_of(free=free, model=WHOLE)
+    cameras, constraints = cameras_of(mount=mount), zone_of(mount)
+    steps = polished(cameras, poses_of(3, mount), constraints)
+    objectives = [step.objective for step in steps]
+    assert objectives[-1] < 0.9 * objectives[0]
+    assert all(after <= before for before, after in itertools.pairwise(objectives))
+    for step in steps:
+        assert constraints.violation_m(mount.rig(step.mount_pose)) == 0.0
+        np.testing.assert_array_equal(mount.within(step.mount_pose), step.mount_pose)
+    found = cameras.with_jacobian(steps[-1].mount_pose, streets())[0]
+    assert expected_miss_rate(found, np.full(10, 0.1)) == pytest.approx(objectives[-1], abs=1e-9)
+    fixed = [number for number in range(3, 7) if not mount.is_free[number]]
+    assert not steps[-1].mount_pose[:, fixed].any()
+
+
+def test_the_first_step_comes_near_what_was_promised():
+    """The model is exact to first order: within a small radius, what it promises comes true."""
+    mount = mount_of(free=None, model=CameraModel(256, 256, math.pi / 2))
+    cameras, constraints = cameras_of(mount=mount), zone_of(mount)
+    pose = polished(cameras, poses_of(3, mount), constraints, camera_renders_max=9)[0].mount_pose
+    probability, jacobian = cameras.with_jacobian(pose, streets())
+    weight = np.full(10, 0.1)
+    before = expected_miss_rate(probability, weight)
+    problem = module._Problem(mount, constraints, 3)
+    model = module._Model(problem, pose, probability, jacobian, weight)
+    assert model.value(np.zeros(9)) == pytest.approx(before, abs=1e-6)
+    tried = problem.feasible(model.minimised(0.05))
+    promised = model.value(problem.free_of(tried) - problem.free_of(pose))
+    found = expected_miss_rate(cameras.with_jacobian(tried, streets())[0], weight)
+    assert before - promised > 1e-3
+    assert (before - found) / (before - promised) == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_budget_is_kept_and_frozen_cameras_stay():
+    mount = mount_of(free=None)
+    rig = mount.rig(poses_of(3, mount))
+    frozen = mount.freezing(rig, ["camera_1"])
+    constraints = zone_of(frozen, frozen=frozen.frozen)
+    cameras = cameras_of(mount=frozen)
+    steps = polished(cameras, frozen.mount_pose_of_rig(rig), constraints, camera_renders_max=31)
+    assert [step.camera_renders for step in steps][-1] <= 31
+    assert len(steps) > 1
+    for step in steps:
+        np.testing.assert_array_equal(step.mount_pose[1], frozen.frozen.mount_pose[1])
+    assert polished(cameras, frozen.mount_pose_of_rig(rig), constraints, camera_renders_max=9)[-1].camera_renders == 9

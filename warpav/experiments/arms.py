@@ -24,6 +24,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
+from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.rivals import (
     affordable_iterations,
     cma_es,
@@ -269,7 +270,9 @@ def _from_one_start(placement: Placement) -> Placement:
     return placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
 
 
-def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> FoundRig:
+def _descended(
+    placement: Placement, descent: Descent | PoolDescent, began_as: Rig | None, *, start_count: int = 0
+) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     batch_size = placement.config.run.batch_size
     history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}

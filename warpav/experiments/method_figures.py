@@ -38,6 +38,7 @@ from warpav.view.figures.style import checked_png
 
 if TYPE_CHECKING:
     from warpav.optimisation.descent import Descent
+    from warpav.optimisation.pool_descent import PoolDescent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 
@@ -117,7 +118,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
     )
 
 
-def _optimised(placement: Placement, descent: Descent, progress: Progress, how: str) -> OptimisedRig:
+def _optimised(placement: Placement, descent: Descent | PoolDescent, progress: Progress, how: str) -> OptimisedRig:
     """Take all steps; the end is the rig after the last one, moved to a feasible position where constraints count."""
     mount, constraints = placement.objective.mount, placement.objective.constraints
     count = placement.config.run.iterations

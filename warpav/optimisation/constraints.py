@@ -216,6 +216,10 @@ class Constraints(ABC):
                 return place
         raise self.do_not_fit(len(place))
 
+    def nearest_place(self, place_m: np.ndarray) -> np.ndarray:
+        """The nearest places [camera, 2] [m] where cameras that are alone may stand, float64."""
+        return self._brought_in(np.array(place_m, np.float64))
+
     def random_place(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
         """Places that satisfy the constraints, uniform among all that do.
 

@@ -29,6 +29,9 @@ class IterationRecord:
             ``yaw_per_rad``, [camera]; 0 for frozen cameras.
         free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
         descent: From 0, of those that the run has one after the other.
+        stage: Of the search by a pool, see `Found`; None: a step of a descent.
+        bound: No rig of the pool is below it; None before the first selection, and in a descent.
+        camera_renders: One camera in one scene each, so far; None in a descent.
     """
 
     iteration: int
@@ -45,6 +48,9 @@ class IterationRecord:
     gradient: dict[str, list[Any]] = field(default_factory=dict)
     free: dict[str, list[float]] = field(default_factory=dict)
     descent: int = 0
+    stage: str | None = None
+    bound: float | None = None
+    camera_renders: int | None = None
 
 
 @dataclass(eq=False)

@@ -181,6 +181,11 @@ class RigObjective:
         return self._views_for(self.final_schedule).ahead
 
     @property
+    def camera_probability(self) -> CameraProbability | None:
+        """How likely a camera is to detect; None where no loss needs it."""
+        return self._objective.camera_probability
+
+    @property
     def needs_panorama(self) -> bool:
         """Whether a loss looks round from every camera to the end, as those of the thesis do."""
         return self._needs(self.final_schedule).panorama

@@ -55,15 +55,15 @@ class PolishStep:
     camera_renders: int
 
 
-def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray) -> float:
+def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | None = None) -> float:
     """Share of the objects that a rig misses, cameras erring independently: the weighted mean of the products of 1 - p.
 
     Args:
         detection_probability: Of each camera for each object, float [camera, object].
-        weight: Of each object, their sum 1, float [object].
+        weight: Of each object, their sum 1, float [object]; None: all alike.
     """
     missed = np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
-    return float(weight @ missed)
+    return float(missed.mean() if weight is None else weight @ missed)
 
 
 def polish(
@@ -129,19 +129,36 @@ def polish(
         yield PolishStep(pose, objective, found, promised, used, renders)
 
 
+def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:
+    """The nearest rig that satisfies the constraints and the free ranges, float32 [camera, 7].
+
+    Raises:
+        InputError: The cameras do not fit on the mount surface.
+    """
+    near = mount.within(np.asarray(mount_pose, np.float32)).astype(np.float64)
+    near[:, [X_M, Y_M]] = constraints.project(near[:, [X_M, Y_M]], near[:, HEIGHT_DELTA_M])
+    return mount.within(near.astype(np.float32))
+
+
+def trust_unit(mount: CameraMount) -> np.ndarray:
+    """How far each number of a mount pose may move at radius 1, 0 where it is not free, float64 [7]."""
+    is_free = mount.is_free.copy()
+    is_free[[X_M, Y_M, YAW_RAD]] = True
+    unit = np.zeros(len(is_free))
+    unit[list(TRUST_UNIT)] = list(TRUST_UNIT.values())
+    return np.where(is_free, unit, 0.0)
+
+
 class _Problem:
     """The free numbers of a rig as one vector, and what they must satisfy."""
 
     def __init__(self, mount: CameraMount, constraints: Constraints, camera_count: int) -> None:
         self.mount, self.constraints = mount, constraints
-        is_free = mount.is_free.copy()
-        is_free[[X_M, Y_M, YAW_RAD]] = True
-        self.is_free = np.tile(is_free, (camera_count, 1))
+        unit = np.tile(trust_unit(mount), (camera_count, 1))
+        self.is_free = unit > 0.0
         if mount.frozen is not None:
             self.is_free[mount.frozen.is_frozen] = False
-        unit = np.zeros(len(is_free))
-        unit[list(TRUST_UNIT)] = list(TRUST_UNIT.values())
-        self.unit = np.tile(unit, (camera_count, 1))[self.is_free]
+        self.unit = unit[self.is_free]
         self.low, self.high = (np.tile(end, (camera_count, 1))[self.is_free] for end in (mount.low, mount.high))
 
     def free_of(self, pose: np.ndarray) -> np.ndarray:
@@ -154,10 +171,7 @@ class _Problem:
         return result
 
     def feasible(self, pose: np.ndarray) -> np.ndarray:
-        """The nearest rig that satisfies everything, float32 [camera, 7]."""
-        near = self.mount.within(np.asarray(pose, np.float32)).astype(np.float64)
-        near[:, [X_M, Y_M]] = self.constraints.project(near[:, [X_M, Y_M]], near[:, HEIGHT_DELTA_M])
-        return self.mount.within(near.astype(np.float32))
+        return nearest_rig(pose, self.mount, self.constraints)
 
     def slack_m(self, pose: np.ndarray) -> np.ndarray:
         return self.constraints.slack_m(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])

@@ -155,6 +155,19 @@ class OptimiserSettings(Section):
         le=1.0,
         description="expected_miss_rate: share of the run from which the detector counts",
     )
+    search: Literal["descent", "pool"] = Field(
+        default="descent",
+        description="descent: gradient steps on batches from the best of some starts; pool: the best rig of a pool of "
+        "single cameras, with a bound, polished on all scenes",
+    )
+    pool_cameras: int = Field(default=128, ge=16, le=1_000_000, description="search=pool: single cameras at first")
+    pool_rounds: int = Field(default=2, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")
+    pool_gap: float = Field(
+        default=5e-4, ge=0.0, le=1.0, description="search=pool: expected miss rate to which a selection is proven"
+    )
+    selection_time_s: float = Field(
+        default=20.0, gt=0.0, description="search=pool: seconds after which a selection ends at the latest"
+    )
     starts: int = Field(
         default=16, ge=1, le=100_000, description="starting rigs that are evaluated; the run begins with the best"
     )

@@ -11,6 +11,9 @@ from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
+from warpav.optimisation.pool import pool_cache_folder
+from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
@@ -71,7 +74,7 @@ class Optimisation:
         records: What every step did.
     """
 
-    def __init__(self, placement: Placement, descent: Descent, began_as: Rig | None) -> None:
+    def __init__(self, placement: Placement, descent: Descent | PoolDescent, began_as: Rig | None) -> None:
         """A run before its first step."""
         self.placement = placement
         self.descent = descent
@@ -102,6 +105,7 @@ class Optimisation:
             InputError: The cameras do not fit on the mount surface.
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
+        by_pool = config.optimiser.search == "pool"
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
@@ -113,7 +117,7 @@ class Optimisation:
                 start = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng)
             start = start.astype(np.float32)  # as the optimiser keeps it: a start that stays the best is the same rig
             began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
-            if config.optimiser.starts > 1:
+            if config.optimiser.starts > 1 and not by_pool:
                 if progress is not None:
                     progress.stage(f"best of {config.optimiser.starts} rigs to start from")
                 space = SearchSpace.over(
@@ -125,6 +129,18 @@ class Optimisation:
                 )
                 # those without a finite value are no starts; then some are taken twice
                 start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
+        if by_pool:
+            settings = PoolSearchSettings(
+                config.optimiser.pool_cameras,
+                config.optimiser.pool_rounds,
+                gap=config.optimiser.pool_gap,
+                selection_time_s=config.optimiser.selection_time_s,
+            )
+            seed, cache = config.run.seed, pool_cache_folder()
+            searched = PoolDescent(
+                objective, placement.train, start, settings, seed=seed, cache=cache, progress=progress
+            )
+            return cls(placement, searched, began_as)
         descent = Descent(
             objective,
             placement.assigned(placement.train, began_as),

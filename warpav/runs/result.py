@@ -17,6 +17,7 @@ from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import Candidate, IterationRecord
+from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
 from warpav.rig.rig import Rig, write_rig
@@ -70,14 +71,14 @@ class Result:
     placement: Placement
     records: tuple[IterationRecord, ...] = field(repr=False)
     began_as: Rig | None = field(repr=False)
-    _descent: Descent = field(repr=False)
+    _descent: Descent | PoolDescent = field(repr=False)
     _kept: Candidate = field(repr=False)
 
     @classmethod
     def of(
         cls,
         placement: Placement,
-        descent: Descent,
+        descent: Descent | PoolDescent,
         kept: Candidate,
         records: Sequence[IterationRecord],
         began_as: Rig | None,

@@ -1,0 +1,79 @@
+"""The search by a pool: rigs never get worse, bounds hold, budgets and frozen cameras are kept."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.optimisation.test_polish import zone_of
+from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
+from warpav.core.errors import InputError
+from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+
+SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
+
+
+def searched(mount=None, count=3, *, settings=SMALL, frozen=None, **options):
+    mount = mount or mount_of(free=None)
+    constraints = zone_of(mount, count, frozen=frozen)
+    return list(pool_search(cameras_of(mount=mount), streets(), constraints, count, settings=settings, **options))
+
+
+def test_states_never_get_worse_and_satisfy_the_constraints():
+    mount = mount_of(free=None)
+    states = searched(mount)
+    assert states[0].stage == "selection"
+    assert {state.stage for state in states} == {"selection", "polish", "pricing", "settled"}
+    for before, after in itertools.pairwise(states):
+        assert after.objective <= before.objective
+        assert after.camera_renders >= before.camera_renders
+    constraints, weight = zone_of(mount), np.full(10, 0.1)
+    for state in states:
+        assert constraints.violation_m(mount.rig(state.mount_pose)) == 0.0
+        found = np.concatenate(
+            [cameras_of(mount=mount).detection_probability(state.mount_pose, scene) for scene in streets()], axis=1
+        )
+        assert expected_miss_rate(found, weight) == pytest.approx(state.objective, abs=1e-6)
+    assert states[-1].objective < states[0].objective
+    again = searched(mount)
+    np.testing.assert_array_equal(again[-1].mount_pose, states[-1].mount_pose)
+
+
+def test_the_first_selection_is_the_best_rig_of_the_pool_by_brute_force():
+    mount = mount_of(free=None)
+    constraints, cameras = zone_of(mount), cameras_of(mount=mount)
+    first = searched(mount)[0]
+    pose = spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)
+    pool = CameraPool.draw(pose, scenes=streets(), cameras=cameras)
+    point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
+    rigs = [
+        rig
+        for rig in itertools.combinations(range(len(pose)), 3)
+        if all(np.linalg.norm(point[i] - point[j]) > 0.3 + 1e-6 for i, j in itertools.combinations(rig, 2))
+    ]
+    best = min(expected_miss_rate(pool.detection_probability[list(rig)], np.full(10, 0.1)) for rig in rigs)
+    assert first.objective == pytest.approx(best, abs=1e-7)
+    assert first.bound <= best + 1e-9
+    assert first.gap == pytest.approx(0.0, abs=1e-6)
+
+
+def test_frozen_cameras_are_part_of_every_rig():
+    plain = mount_of(free=None)
+    rig = plain.rig(poses_of(3, plain))
+    mount = plain.freezing(rig, ["camera_1"])
+    for state in searched(mount, frozen=mount.frozen):
+        np.testing.assert_array_equal(state.mount_pose[1], mount.frozen.mount_pose[1])
+
+
+def test_the_budget_of_camera_renders_is_kept():
+    settings = PoolSearchSettings(pool_cameras=24, rounds=3, priced_cameras=4, camera_renders_max=110)
+    states = searched(settings=settings)
+    assert states[-1].camera_renders <= 110
+    assert states[-1].objective <= states[0].objective
+
+
+def test_a_pool_that_is_too_small_is_refused():
+    with pytest.raises(InputError, match="pool_cameras: expected at least the rig's 3, got 2"):
+        searched(settings=PoolSearchSettings(pool_cameras=2))

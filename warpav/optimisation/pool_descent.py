@@ -1,0 +1,183 @@
+"""The search by a pool as a run of the optimiser: state by state, with what a run records of each."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import InputError, OptionError
+from warpav.core.progress import Progress
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.history import Candidate, History, IterationRecord
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
+from warpav.optimisation.single_cameras import SingleCameras
+
+
+class PoolDescent:
+    """A run of `pool_search`; call `step` while `verdict` is None, then `finish`. It stands where a `Descent` stands.
+
+    Attributes:
+        objective: What is minimised: the expected miss rate alone.
+        start: Mount poses that the rig begins with, float32 [camera, 7].
+        history: The rigs that were found, each better than those before.
+        iteration: Steps so far.
+        found: The last state; None before the first step.
+    """
+
+    def __init__(
+        self,
+        objective: RigObjective,
+        scenes: Sequence[AssignedScene],
+        start: np.ndarray,
+        settings: PoolSearchSettings,
+        *,
+        seed: int,
+        cache: Path | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        """A run on the training scenes.
+
+        Args:
+            objective: With the loss ``expected_miss_rate`` alone, without the detector's own word.
+            scenes: The training scenes.
+            start: Where the rig begins, float [camera, 7].
+            settings: How much to look at.
+            seed: Of the pool.
+            cache: Folder that keeps what is drawn; None: nothing is kept.
+            progress: Shows the drawing of the pool.
+
+        Raises:
+            InputError: The objective is made of other losses.
+        """
+        losses = [loss for _, loss in objective.losses]
+        loss = losses[0]
+        plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
+        if len(losses) > 1 or not plain or objective.camera_probability is None:
+            raise OptionError(
+                "optimiser.search",
+                "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
+                f"detector_share=0, got {', '.join(each.name for each in losses)}; set optimiser.search=descent",
+            )
+        self.objective = objective
+        self.start = objective.mount.within(np.asarray(start, np.float32))
+        self.history = History()
+        self.iteration = 0
+        self.found: Found | None = None
+        cameras = SingleCameras(
+            objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
+        )
+        self._states = pool_search(
+            cameras,
+            [each.scene for each in scenes],
+            objective.constraints,
+            objective.camera_count,
+            start=self.start,
+            settings=settings,
+            seed=seed,
+            cache=cache,
+            progress=progress,
+        )
+
+    @property
+    def mount_pose(self) -> np.ndarray:
+        """Mount poses of the best rig so far, float32 [camera, 7]."""
+        return (self.start if self.found is None else self.found.mount_pose).copy()
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """The rigs that were found, in order; the first is the start."""
+        return self.history.candidates
+
+    @property
+    def best(self) -> Candidate:
+        """The last of them."""
+        return self.history.best
+
+    @property
+    def verdict(self) -> str | None:
+        """Why there is no use in going on, in words; None while there is."""
+        if self.found is None or self.found.stage != "settled":
+            return None
+        return f"no camera was found that makes the rig better, after {self.found.camera_renders} camera renders"
+
+    def step(self) -> IterationRecord:
+        """Go on until the search comes to another state.
+
+        Raises:
+            InputError: The pool sees nothing, or the cameras do not fit.
+        """
+        began = time.perf_counter()
+        self.found = found = next(self._states)
+        if not self.candidates or found.objective < self.best.training_objective:
+            self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
+        record = self._record(found, time.perf_counter() - began)
+        self.iteration += 1
+        return record
+
+    def finish(self) -> Candidate:
+        """The best rig; where no step was taken, the start."""
+        if not self.candidates:
+            self.step()
+        return self.best
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What was found so far; the pool itself is in the cache."""
+        return {
+            "iteration": np.array(self.iteration),
+            "pose_value": self.mount_pose,
+            "search": np.array(json.dumps({"search": "pool"})),
+            **{f"candidate_{name}": value for name, value in self.history.state().items()},
+        }
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Begin again from the best rig of another run; what that one has drawn comes from the cache.
+
+        Raises:
+            InputError: The state is of other cameras.
+        """
+        shape = np.shape(state.get("pose_value", ()))
+        if shape != self.start.shape:
+            raise InputError(f"checkpoint: expected the state of {len(self.start)} cameras, got {shape}")
+        self.history.restore(
+            {name.removeprefix("candidate_"): value for name, value in state.items() if name.startswith("candidate_")}
+        )
+        self.iteration = int(state["iteration"])
+
+    def _record(self, found: Found, seconds: float) -> IterationRecord:
+        mount, pose = self.objective.mount, found.mount_pose
+        rig = mount.rig(pose)
+        position_m = np.array([camera.position_m for camera in rig.cameras])
+        distance_m = min_camera_distance_m(position_m)
+        free: dict[str, list[float]] = {}
+        if mount.is_free[PITCH_RAD]:
+            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD]).tolist()
+        if mount.is_free[HEIGHT_DELTA_M]:
+            free["height_m"] = (pose[:, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
+        if mount.is_free[LOG_ZOOM]:
+            free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
+        return IterationRecord(
+            iteration=self.iteration,
+            loss=found.objective,
+            terms={"expected_miss_rate": found.objective},
+            multipliers={},
+            gradient_norm={},
+            positions_m=position_m.tolist(),
+            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
+            seconds={"total": seconds},
+            min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
+            training_objective=found.objective,
+            best_training_objective=self.best.training_objective,
+            free=free,
+            stage=found.stage,
+            bound=found.bound or None,
+            camera_renders=found.camera_renders,
+        )
