@@ -11,7 +11,7 @@ from scipy import sparse
 
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
 from warpav.core.errors import InputError
-from warpav.optimisation.selection.pool import Row
+from warpav.optimisation.selection.problem import Row
 from warpav.optimisation.selection.select import select
 
 ROUNDING = 1e-12
@@ -45,7 +45,7 @@ def choices(draw):
     return probability, count, weight, constraints
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(choices())
 def test_equal_to_brute_force(choice):
     probability, count, weight, constraints = choice

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpav.optimisation.selection.exchange import exchange, random_rig
-from warpav.optimisation.selection.pool import Pool
 from warpav.optimisation.selection.price import Price
+from warpav.optimisation.selection.problem import SelectionProblem
 from warpav.optimisation.selection.relaxation import Node, Relaxation, Relaxed
 
 TOLERANCE = 1e-9
@@ -68,7 +68,7 @@ class Search:
 
     def __init__(
         self,
-        pool: Pool,
+        problem: SelectionProblem,
         rigs: np.ndarray,
         *,
         gap: float,
@@ -79,18 +79,18 @@ class Search:
         """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera].
 
         Args:
-            pool: What is chosen from.
+            problem: What is chosen from.
             rigs: At least one.
             gap: Objective less bound at which the search ends, >= 0.
             deadline_s: When it ends, on the clock of `time.perf_counter`.
             rng: Draws rigs from fractional choices.
             on_improvement: Called with every better rig or bound.
         """
-        self.rig, self.objective = np.sort(rigs[0]), pool.miss_rate(rigs[0])
-        self.bound = _each_object_alone(pool)
+        self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])
+        self.bound = _each_object_alone(problem)
         self.price: Price | None = None
         self.nodes = 0
-        self._pool, self._kept = pool, np.arange(pool.camera_count)
+        self._problem, self._kept = problem, np.arange(problem.camera_count)
         self._starts = rigs
         self._gap, self._deadline_s, self._rng = max(gap, TOLERANCE), deadline_s, rng
         self._on_improvement, self._began_s = on_improvement, time.perf_counter()
@@ -101,7 +101,7 @@ class Search:
         relaxation, root = self._root()
         if self._is_over:
             return
-        tree = GroupTree(self._pool)
+        tree = GroupTree(self._problem)
         ties = itertools.count()
         open_nodes = [(root.bound, next(ties), root)]
         closed = math.inf  # least bound of the nodes that are not looked into
@@ -120,15 +120,15 @@ class Search:
 
     def _root(self) -> tuple[Relaxation, Node]:
         """Relax the whole pool, and restrict it to the cameras that a better rig may have."""
-        pool = self._pool
-        every = np.ones(pool.camera_count, bool)
-        required = np.zeros(pool.camera_count, bool)
-        required[pool.required] = True
+        problem = self._problem
+        every = np.ones(problem.camera_count, bool)
+        required = np.zeros(problem.camera_count, bool)
+        required[problem.required] = True
         root = Node(every, required, {}, self.bound)
-        relaxation = Relaxation(pool, self._deadline_s)
+        relaxation = Relaxation(problem, self._deadline_s)
         starts = self._starts[:ROUNDED_RIGS]
         relaxation.add_cameras(np.unique(starts))
-        relaxation.add_first_cuts(np.bincount(starts.ravel(), minlength=pool.camera_count) / len(starts))
+        relaxation.add_first_cuts(np.bincount(starts.ravel(), minlength=problem.camera_count) / len(starts))
         relaxed = relaxation.relax(root, self.objective)
         self.price = relaxed.price
         if relaxed.price is None:
@@ -139,21 +139,21 @@ class Search:
         if self._is_over:
             return relaxation, root
         camera = np.flatnonzero(kept)
-        self._pool, self._kept = pool.restricted(camera), camera
-        smaller = Relaxation(self._pool, self._deadline_s)
+        self._problem, self._kept = problem.restricted(camera), camera
+        smaller = Relaxation(self._problem, self._deadline_s)
         smaller.add_cameras(np.searchsorted(camera, np.intersect1d(relaxation.cameras, camera)))
         smaller.add_cuts(*relaxation.cuts)
         return smaller, replace(root, allowed=root.allowed[camera], required=root.required[camera])
 
     def _split(self, node: Node, relaxation: Relaxation, tree: GroupTree) -> tuple[list[Node], float]:
         """Relax a node; its children, and the least bound of what of it is in none of them."""
-        pool = self._pool
+        problem = self._problem
         if node.bound >= self.objective - TOLERANCE:
             return [], node.bound
-        if np.count_nonzero(node.required) == pool.count:
+        if np.count_nonzero(node.required) == problem.count:
             rig = np.flatnonzero(node.required)
             self._offer(rig)
-            return [], pool.miss_rate(rig) if pool.is_feasible(rig) else math.inf
+            return [], problem.miss_rate(rig) if problem.is_feasible(rig) else math.inf
         enough = self.objective - self._gap
         relaxed = relaxation.relax(node, enough)
         if relaxed.price is None and not math.isinf(relaxed.bound):  # out of time
@@ -165,25 +165,25 @@ class Search:
             return [replace(node, bound=relaxed.bound)], math.inf
         if self.nodes % ROUNDING_EVERY == 0:
             self._round(relaxed.fraction)
-        self._offer(np.argsort(-(relaxed.fraction + node.required), kind="stable")[: pool.count])
+        self._offer(np.argsort(-(relaxed.fraction + node.required), kind="stable")[: problem.count])
         node, _ = _without_useless(node, relaxed, self.objective)
         closed = self.objective  # of what went out
-        if np.count_nonzero(node.allowed) < pool.count or np.count_nonzero(node.required) > pool.count:
+        if np.count_nonzero(node.allowed) < problem.count or np.count_nonzero(node.required) > problem.count:
             return [], closed
         branches = tree.branches(node, relaxed.fraction, relaxation, enough)
-        return [_child(node, branch, tree, self._pool.count) for branch in branches], closed
+        return [_child(node, branch, tree, self._problem.count) for branch in branches], closed
 
     def _round(self, fraction: np.ndarray) -> None:
-        drawn = [random_rig(self._pool, self._rng, fraction) for _ in range(ROUNDED_RIGS)]
+        drawn = [random_rig(self._problem, self._rng, fraction) for _ in range(ROUNDED_RIGS)]
         drawn = [rig for rig in drawn if rig is not None]
         if drawn:
-            rigs, _ = exchange(self._pool, np.array(drawn))
+            rigs, _ = exchange(self._problem, np.array(drawn))
             self._offer(rigs[0])
 
     def _offer(self, rig: np.ndarray) -> None:
         """Keep a rig of the restricted pool if it satisfies the constraints and is better."""
-        value = self._pool.miss_rate(rig)
-        if value < self.objective and self._pool.is_feasible(rig):
+        value = self._problem.miss_rate(rig)
+        if value < self.objective and self._problem.is_feasible(rig):
             self.rig, self.objective = np.sort(self._kept[rig]), value
             self._report()
 
@@ -205,15 +205,15 @@ class GroupTree:
         member: Cameras of the groups, the single ones first, bool [group, camera].
     """
 
-    def __init__(self, pool: Pool) -> None:
+    def __init__(self, problem: SelectionProblem) -> None:
         """Cluster the cameras of a pool."""
         from scipy.cluster.hierarchy import ward
 
-        cameras = pool.camera_count
+        cameras = problem.camera_count
         member = np.zeros((max(2 * cameras - 1, 1), cameras), bool)
         member[:cameras] = np.eye(cameras, dtype=bool)
         if cameras > 1:
-            seen = np.sqrt(pool.weight)[:, None] * (1.0 - pool.missed)
+            seen = np.sqrt(problem.weight)[:, None] * (1.0 - problem.missed)
             square = seen.T @ seen
             length = np.diag(square)
             distance = np.sqrt(np.maximum(length[:, None] + length - 2.0 * square, 0.0))
@@ -281,7 +281,7 @@ def _without_useless(node: Node, relaxed: Relaxed, objective: float) -> tuple[No
     return Node(allowed, required, node.branch, relaxed.bound), allowed
 
 
-def _each_object_alone(pool: Pool) -> float:
+def _each_object_alone(problem: SelectionProblem) -> float:
     """The bound where every object has the cameras that see it best."""
-    best = np.partition(pool.missed, pool.count - 1, axis=1)[:, : pool.count]
-    return pool.unseen + float(pool.weight @ np.prod(best, axis=1)) * (1.0 - 1e-12)
+    best = np.partition(problem.missed, problem.count - 1, axis=1)[:, : problem.count]
+    return problem.unseen + float(problem.weight @ np.prod(best, axis=1)) * (1.0 - 1e-12)

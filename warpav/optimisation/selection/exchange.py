@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpav.optimisation.selection.pool import ROW_TOLERANCE, Pool
+from warpav.optimisation.selection.problem import ROW_TOLERANCE, SelectionProblem
 
 
-def random_rig(pool: Pool, rng: np.random.Generator, fraction: np.ndarray | None = None) -> np.ndarray | None:
+def random_rig(
+    problem: SelectionProblem, rng: np.random.Generator, fraction: np.ndarray | None = None
+) -> np.ndarray | None:
     """A rig that satisfies the constraints, its required cameras first, int [camera]; None where the draw got stuck.
 
     Args:
-        pool: What is drawn from.
+        problem: What is drawn from.
         rng: Draws.
         fraction: How a camera is favoured, >= 0, float64 [camera]; None: all alike.
     """
-    rig = list(pool.required)
-    favour = np.ones(pool.camera_count) if fraction is None else fraction + 1e-6
-    can_be = np.ones(pool.camera_count, bool)
+    rig = list(problem.required)
+    favour = np.ones(problem.camera_count) if fraction is None else fraction + 1e-6
+    can_be = np.ones(problem.camera_count, bool)
     can_be[rig] = False
-    can_be &= ~pool.excluded_by(rig)
-    while len(rig) < pool.count:
-        total = pool.coefficient[:, rig].sum(axis=1)
+    can_be &= ~problem.excluded_by(rig)
+    while len(rig) < problem.count:
+        total = problem.coefficient[:, rig].sum(axis=1)
         wanted = can_be.copy()
-        for coefficient, now, low, high in zip(pool.coefficient, total, pool.low, pool.high, strict=True):
+        for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
             if (coefficient >= 0.0).all():
                 wanted &= now + coefficient <= high + ROW_TOLERANCE
                 if now < low - ROW_TOLERANCE and (wanted & (coefficient > 0.0)).any():
@@ -34,15 +36,15 @@ def random_rig(pool: Pool, rng: np.random.Generator, fraction: np.ndarray | None
         camera = int(rng.choice(choice, p=favour[choice] / favour[choice].sum()))
         rig.append(camera)
         can_be[camera] = False
-        can_be &= ~pool.excluded_by([camera])
-    return np.array(rig) if pool.is_feasible(np.array(rig)) else None
+        can_be &= ~problem.excluded_by([camera])
+    return np.array(rig) if problem.is_feasible(np.array(rig)) else None
 
 
-def exchange(pool: Pool, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Exchange one camera of each rig after the other for the best of the pool, until nothing helps any of them.
 
     Args:
-        pool: What is chosen from.
+        problem: What is chosen from.
         rigs: Rigs that satisfy the constraints, the required cameras first, int [rig, camera].
 
     Returns:
@@ -50,34 +52,34 @@ def exchange(pool: Pool, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     rigs = np.array(rigs)
     every = np.arange(len(rigs))
-    first = len(pool.required)
+    first = len(problem.required)
     slot, unchanged = first, 0
-    while unchanged < pool.count - first:
+    while unchanged < problem.count - first:
         others = np.delete(rigs, slot, axis=1)
-        left = np.prod(pool.missed[:, others], axis=2) * pool.weight[:, None]
-        value = pool.missed.T @ left
+        left = np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None]
+        value = problem.missed.T @ left
         before = value[rigs[:, slot], every]
-        value[~_fits(pool, others)] = np.inf
+        value[~_fits(problem, others)] = np.inf
         best = np.argmin(value, axis=0)
         # what only rounding tells apart would be exchanged for ever
         is_better = value[best, every] < before * (1.0 - 1e-9)
         rigs[is_better, slot] = best[is_better]
         unchanged = 0 if is_better.any() else unchanged + 1
-        slot = slot + 1 if slot + 1 < pool.count else first
-    value = np.array([pool.miss_rate(rig) for rig in rigs])
+        slot = slot + 1 if slot + 1 < problem.count else first
+    value = np.array([problem.miss_rate(rig) for rig in rigs])
     order = np.argsort(value, kind="stable")
     return rigs[order], value[order]
 
 
-def _fits(pool: Pool, others: np.ndarray) -> np.ndarray:
+def _fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
     """Which cameras complete the rigs of which others, bool [camera, rig]; others are int [rig, camera]."""
-    chosen = np.zeros((pool.camera_count, len(others)), bool)
+    chosen = np.zeros((problem.camera_count, len(others)), bool)
     chosen[others.T, np.arange(len(others))] = True
     fits = ~chosen
-    if pool.conflict.nnz:
-        fits &= (pool.conflict @ chosen.astype(np.int32)) == 0
-    total = pool.coefficient @ chosen
-    for coefficient, now, low, high in zip(pool.coefficient, total, pool.low, pool.high, strict=True):
+    if problem.conflict.nnz:
+        fits &= (problem.conflict @ chosen.astype(np.int32)) == 0
+    total = problem.coefficient @ chosen
+    for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
         then = coefficient[:, None] + now
         fits &= (then >= low - ROW_TOLERANCE) & (then <= high + ROW_TOLERANCE)
     return fits

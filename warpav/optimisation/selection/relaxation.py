@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.optimisation.selection.cut import cut_coefficient, cut_constant, cut_level
-from warpav.optimisation.selection.pool import Pool
 from warpav.optimisation.selection.price import Price
+from warpav.optimisation.selection.problem import SelectionProblem
 
 if TYPE_CHECKING:
     import highspy
@@ -97,30 +97,30 @@ class Relaxation:
     the solver's word.
     """
 
-    def __init__(self, pool: Pool, deadline_s: float) -> None:
+    def __init__(self, problem: SelectionProblem, deadline_s: float) -> None:
         """An empty model.
 
         Args:
-            pool: What is chosen from.
+            problem: What is chosen from.
             deadline_s: When `relax` gives up, on the clock of `time.perf_counter`.
         """
         import highspy
 
-        self.pool = pool
+        self.problem = problem
         self._deadline_s = deadline_s
         with np.errstate(divide="ignore"):
-            self._log_missed = -np.log(pool.missed)
+            self._log_missed = -np.log(problem.missed)
         self._status = highspy.HighsModelStatus
         self._model = highspy.Highs()
         for option, value in SOLVER_OPTIONS.items():
             self._model.setOptionValue(option, value)
-        objects = pool.object_count
+        objects = problem.object_count
         self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
-        self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), pool.weight)
+        self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), problem.weight)
         self._camera = np.zeros(0, np.int64)  # of the model's columns behind those of the objects
-        self._row = np.vstack([np.ones(pool.camera_count), pool.coefficient])  # the first is the count
-        self._low = np.concatenate([[pool.count], pool.low])
-        self._high = np.concatenate([[pool.count], pool.high])
+        self._row = np.vstack([np.ones(problem.camera_count), problem.coefficient])  # the first is the count
+        self._low = np.concatenate([[problem.count], problem.low])
+        self._high = np.concatenate([[problem.count], problem.high])
         # rows of the model: cuts have an object and a level, others the index of their row
         self._cut_object = np.zeros(0, np.int64)
         self._cut_level = np.zeros(0)
@@ -142,7 +142,7 @@ class Relaxation:
 
     def add_cuts(self, cut_object: np.ndarray, level: np.ndarray) -> None:
         """Add cuts of objects, int [added], at their levels, float64 [added]."""
-        columns = np.concatenate([[0], self.pool.object_count + np.arange(len(self._camera))])
+        columns = np.concatenate([[0], self.problem.object_count + np.arange(len(self._camera))])
         coefficient = np.hstack([np.ones((len(level), 1)), self._coefficient(cut_object, self._camera, level)])
         start, index, value = _sparse(coefficient, columns)
         index[start] = cut_object
@@ -153,7 +153,7 @@ class Relaxation:
     def add_first_cuts(self, fraction: np.ndarray) -> None:
         """Add the cut of every object that a choice violates most, float64 [camera]."""
         level, _ = self._most_violated(fraction, np.flatnonzero(fraction))
-        self.add_cuts(np.arange(self.pool.object_count), level)
+        self.add_cuts(np.arange(self.problem.object_count), level)
 
     def add_row(self, coefficient: np.ndarray, low: float = -math.inf, high: float = math.inf) -> int:
         """Add a linear row over all cameras, [camera]; returns the index that branches know it by."""
@@ -183,7 +183,7 @@ class Relaxation:
         self._drop_idle_cuts()
         self._enter(node)
         best = Relaxed(node.bound)
-        in_model = np.zeros(self.pool.camera_count, bool)
+        in_model = np.zeros(self.problem.camera_count, bool)
         while True:
             in_model[self._camera] = True
             status = self._solve()
@@ -201,11 +201,11 @@ class Relaxation:
             solution = self._model.getSolution()
             dual, value = np.array(solution.row_dual), np.array(solution.col_value)
             self._idle = np.where(np.abs(dual) > 1e-12, 0, self._idle + 1)
-            fraction = np.zeros(self.pool.camera_count)
-            fraction[self._camera] = np.clip(value[self.pool.object_count :], 0.0, 1.0)
+            fraction = np.zeros(self.problem.camera_count)
+            fraction[self._camera] = np.clip(value[self.problem.object_count :], 0.0, 1.0)
             support = np.flatnonzero(fraction > 1e-9)
             level, missed = self._most_violated(fraction, support)
-            relaxed, cost = self._bound(node, dual, fraction, self.pool.unseen + float(self.pool.weight @ missed))
+            relaxed, cost = self._bound(node, dual, fraction, self.problem.unseen + float(self.problem.weight @ missed))
             if relaxed.bound >= best.bound or best.price is None:
                 best = relaxed
             else:  # the choice is newer, the duals are better
@@ -216,7 +216,7 @@ class Relaxation:
                 return best
             wanted = np.flatnonzero(node.allowed & ~in_model & (cost < dual[0] - 1e-9))
             wanted = wanted[np.argsort(cost[wanted])[:MOST_NEW_CAMERAS]]
-            violated = np.flatnonzero(missed - value[: self.pool.object_count] > min(near, 1e-4))
+            violated = np.flatnonzero(missed - value[: self.problem.object_count] > min(near, 1e-4))
             if not (len(wanted) or len(violated) or cliques):
                 return best
             if len(wanted):
@@ -242,7 +242,7 @@ class Relaxation:
             self._set_branches({**node.branch, **branch})
             self._model.setBasis(basis)
             is_infeasible = self._solve() == self._status.kInfeasible
-            found.append(math.inf if is_infeasible else self.pool.unseen + self._model.getObjectiveValue())
+            found.append(math.inf if is_infeasible else self.problem.unseen + self._model.getObjectiveValue())
         self._model.setOptionValue("simplex_iteration_limit", 2**31 - 1)
         self._set_branches(node.branch)
         return found
@@ -263,22 +263,22 @@ class Relaxation:
     def _coefficient(self, cut_object: np.ndarray, camera: np.ndarray, level: np.ndarray) -> np.ndarray:
         """Of cuts, float64 [cut, camera]."""
         part = np.ix_(cut_object, camera)
-        return cut_coefficient(self.pool.missed[part], self._log_missed[part], level[:, None])
+        return cut_coefficient(self.problem.missed[part], self._log_missed[part], level[:, None])
 
     def _most_violated(self, fraction: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of the most violated cuts, and what they ask of u, float64 [object] each."""
-        log_missed, missed = self._log_missed[:, support].T, self.pool.missed[:, support].T
+        log_missed, missed = self._log_missed[:, support].T, self.problem.missed[:, support].T
         level = cut_level(fraction[support], log_missed)
         least = cut_constant(level) - fraction[support] @ cut_coefficient(missed, log_missed, level)
         return level, np.maximum(least, 0.0)
 
     def _bound(self, node: Node, dual: np.ndarray, fraction: np.ndarray, value: float) -> tuple[Relaxed, np.ndarray]:
         """The Lagrangian bound of duals, and every camera's cost in it, float64 [camera]."""
-        pool = self.pool
+        problem = self.problem
         cut = np.flatnonzero((self._cut_object >= 0) & (dual > 0.0))
         cut_object, level, cut_dual = self._cut_object[cut], self._cut_level[cut], dual[cut]
-        total = np.bincount(cut_object, cut_dual, pool.object_count)
-        cut_dual *= np.minimum(1.0, pool.weight / np.maximum(total, 1e-300))[cut_object]
+        total = np.bincount(cut_object, cut_dual, problem.object_count)
+        cut_dual *= np.minimum(1.0, problem.weight / np.maximum(total, 1e-300))[cut_object]
         allowed = np.flatnonzero(node.allowed)
         gain = cut_dual @ self._coefficient(cut_object, allowed, level)
 
@@ -288,27 +288,27 @@ class Relaxation:
         limit = np.where(row_dual > 0.0, low[row], high[row])
         row, row_dual, limit = (each[np.isfinite(limit)] for each in (row, row_dual, limit))
 
-        cost = np.full(pool.camera_count, math.inf)
+        cost = np.full(problem.camera_count, math.inf)
         cost[allowed] = -gain - row_dual @ self._row[np.ix_(row, allowed)]
         free = np.where(node.required, math.inf, cost)
         order = np.argsort(free, kind="stable")
-        left = pool.count - int(np.count_nonzero(node.required))
+        left = problem.count - int(np.count_nonzero(node.required))
         taken = order[:left]
-        bound = pool.unseen + float(cut_dual @ cut_constant(level) + row_dual @ limit)
+        bound = problem.unseen + float(cut_dual @ cut_constant(level) + row_dual @ limit)
         bound += float(cost[node.required].sum() + free[taken].sum()) - ROUNDING
         dearest = free[order[left - 1]] if left else -math.inf
         next_cost = free[order[left]] if left < len(order) else math.inf
         rise_in = np.maximum(free - dearest, 0.0)
         rise_in[node.required] = 0.0
-        rise_out = np.zeros(pool.camera_count)
+        rise_out = np.zeros(problem.camera_count)
         rise_out[taken] = next_cost - free[taken]
         rise_out[node.required] = math.inf
         behind = max(node.bound - bound, 0.0)  # the rises count from the Lagrangian, not from the node's bound
         rise_in, rise_out = np.maximum(rise_in - behind, 0.0), np.maximum(rise_out - behind, 0.0)
-        whole_row_dual = np.zeros(len(pool.coefficient))
+        whole_row_dual = np.zeros(len(problem.coefficient))
         is_named = row <= len(whole_row_dual)
         whole_row_dual[row[is_named] - 1] = row_dual[is_named]
-        price = Price(bound, pool.object_count, cut_object, level, cut_dual, whole_row_dual, float(dearest))
+        price = Price(bound, problem.object_count, cut_object, level, cut_dual, whole_row_dual, float(dearest))
         return Relaxed(max(bound, node.bound), value, fraction, rise_in, rise_out, price), cost
 
     def _violated_cliques(self, fraction: np.ndarray, support: np.ndarray, node: Node) -> list[np.ndarray]:
@@ -316,10 +316,10 @@ class Relaxation:
 
         They are grown greedily from every camera of the choice, and then by all cameras that the node allows.
         """
-        if not self.pool.conflict.nnz:
+        if not self.problem.conflict.nnz:
             return []
         order = support[np.argsort(-fraction[support])]
-        excludes = self.pool.conflict[order][:, order].toarray()
+        excludes = self.problem.conflict[order][:, order].toarray()
         found = set()
         for first in range(len(order)):
             clique, common = [first], excludes[first].copy()
@@ -328,10 +328,10 @@ class Relaxation:
                 common &= excludes[clique[-1]]
             if fraction[order[clique]].sum() > 1.0 + 1e-6:
                 found.add(tuple(sorted(clique)))
-        return [self.pool.whole_clique(order[list(clique)], node.allowed) for clique in sorted(found)]
+        return [self.problem.whole_clique(order[list(clique)], node.allowed) for clique in sorted(found)]
 
     def _enter(self, node: Node) -> None:
-        columns = (self.pool.object_count + np.arange(len(self._camera))).astype(np.int32)
+        columns = (self.problem.object_count + np.arange(len(self._camera))).astype(np.int32)
         low, high = node.required[self._camera].astype(float), node.allowed[self._camera].astype(float)
         self._model.changeColsBounds(len(columns), columns, low, high)
         self._set_branches(node.branch)
@@ -354,7 +354,7 @@ class Relaxation:
 
     def _place_rows(self, rows: Iterable[int]) -> None:
         for k in rows:
-            columns = self.pool.object_count + np.arange(len(self._camera))
+            columns = self.problem.object_count + np.arange(len(self._camera))
             _, index, value = _sparse(self._row[k, self._camera][None], columns)
             self._model.addRow(self._low[k], self._high[k], len(value), index, value)
             self._note_rows(np.array([-1]), np.zeros(1), np.array([k]))

@@ -15,13 +15,13 @@ from warpav.core.errors import ArgumentError
 from warpav.optimisation.selection.branching import TOLERANCE, Improvement, Search
 from warpav.optimisation.selection.exchange import exchange, random_rig
 from warpav.optimisation.selection.feasibility import feasible_rig, raise_conflict
-from warpav.optimisation.selection.pool import Pool, Row
 from warpav.optimisation.selection.price import Price
+from warpav.optimisation.selection.problem import Row, SelectionProblem
 
 STARTS = 64
 """Random rigs that are exchanged first."""
 
-DRAWS = 16 * STARTS
+DRAWS = 4 * STARTS
 """Draws that may be made for them: with tight constraints most get stuck."""
 
 FEWEST_STARTS = 8
@@ -103,11 +103,13 @@ def select(
         raise ArgumentError("time_limit_s", f"expected more than 0 s, got {time_limit_s:g}")
     if not gap >= 0.0:
         raise ArgumentError("gap", f"expected an expected miss rate of 0 or more, got {gap:g}")
-    pool = Pool.create(detection_probability, count, conflict=conflict, required=required, rows=rows, weight=weight)
+    problem = SelectionProblem.create(
+        detection_probability, count, conflict=conflict, required=required, rows=rows, weight=weight
+    )
     rng = np.random.default_rng(seed)
     deadline_s = began_s + time_limit_s
-    rigs = first_rigs(pool, start, rng, deadline_s)
-    search = Search(pool, rigs, gap=gap, deadline_s=deadline_s, rng=rng, on_improvement=on_improvement)
+    rigs = first_rigs(problem, start, rng, deadline_s)
+    search = Search(problem, rigs, gap=gap, deadline_s=deadline_s, rng=rng, on_improvement=on_improvement)
     ended = "time"
     try:
         search.run()
@@ -117,14 +119,14 @@ def select(
         ended = "optimal"
     elif search.objective - search.bound <= gap:
         ended = "gap"
-    price = None if search.price is None else _for_all_objects(search.price, pool)
+    price = None if search.price is None else _for_all_objects(search.price, problem)
     return Selection(
         search.rig, search.objective, search.bound, ended, time.perf_counter() - began_s, search.nodes, price
     )
 
 
 def first_rigs(
-    pool: Pool, start: Sequence[int] | np.ndarray | None, rng: np.random.Generator, deadline_s: float
+    problem: SelectionProblem, start: Sequence[int] | np.ndarray | None, rng: np.random.Generator, deadline_s: float
 ) -> np.ndarray:
     """Rigs that no exchange of a single camera makes better, the best first, int [rig, camera].
 
@@ -133,17 +135,17 @@ def first_rigs(
     Raises:
         InputError: The start cannot be used, or no rig satisfies the constraints.
     """
-    rigs = [] if start is None else [_checked_start(pool, start)]
-    drawn = (random_rig(pool, rng) for _ in range(DRAWS))
+    rigs = [] if start is None else [_checked_start(problem, start)]
+    drawn = (random_rig(problem, rng) for _ in range(DRAWS))
     rigs += itertools.islice((rig for rig in drawn if rig is not None), STARTS)
-    cost = np.zeros(pool.camera_count)
+    cost = np.zeros(problem.camera_count)
     while len(rigs) < FEWEST_STARTS:
         left_s = deadline_s - time.perf_counter()
         if rigs and left_s <= 0.0:
             break
         try:
             rig = feasible_rig(
-                pool, time_limit_s=max(FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
+                problem, time_limit_s=max(FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
             )
         except TimeoutError:
             if rigs:
@@ -153,31 +155,31 @@ def first_rigs(
                 "expected enough to find a rig that satisfies the constraints; raise it or give a start",
             ) from None
         if rig is None:
-            raise_conflict(pool, time_limit_s=max(left_s, 1.0))
+            raise_conflict(problem, time_limit_s=max(left_s, 1.0))
         else:
             rigs.append(rig)
-        cost = rng.uniform(size=pool.camera_count)
-    return exchange(pool, np.array(rigs))[0]
+        cost = rng.uniform(size=problem.camera_count)
+    return exchange(problem, np.array(rigs))[0]
 
 
-def _checked_start(pool: Pool, start: Sequence[int] | np.ndarray) -> np.ndarray:
+def _checked_start(problem: SelectionProblem, start: Sequence[int] | np.ndarray) -> np.ndarray:
     rig = np.unique(np.asarray(start, np.int64))
-    is_within = len(rig) > 0 and 0 <= rig[0] <= rig[-1] < pool.camera_count
-    if not is_within or not pool.is_feasible(rig):
+    is_within = len(rig) > 0 and 0 <= rig[0] <= rig[-1] < problem.camera_count
+    if not is_within or not problem.is_feasible(rig):
         raise ArgumentError(
-            "start", f"expected {pool.count} cameras of the pool that satisfy the constraints, got {list(start)}"
+            "start", f"expected {problem.count} cameras of the pool that satisfy the constraints, got {list(start)}"
         )
-    return np.concatenate([pool.required, np.setdiff1d(rig, pool.required)])
+    return np.concatenate([problem.required, np.setdiff1d(rig, problem.required)])
 
 
-def _for_all_objects(price: Price, pool: Pool) -> Price:
+def _for_all_objects(price: Price, problem: SelectionProblem) -> Price:
     """A price of the pool's objects, and of those that none of its cameras sees, of which each would count in full."""
-    unseen = np.setdiff1d(np.arange(len(pool.every_weight)), pool.seen)
+    unseen = np.setdiff1d(np.arange(len(problem.every_weight)), problem.seen)
     return replace(
         price,
-        object_count=len(pool.every_weight),
-        cut_object=np.concatenate([pool.seen[price.cut_object], unseen]),
+        object_count=len(problem.every_weight),
+        cut_object=np.concatenate([problem.seen[price.cut_object], unseen]),
         cut_level=np.concatenate([price.cut_level, np.zeros(len(unseen))]),
-        cut_dual=np.concatenate([price.cut_dual, pool.every_weight[unseen]]),
-        row_dual=price.row_dual / pool.row_scale,
+        cut_dual=np.concatenate([price.cut_dual, problem.every_weight[unseen]]),
+        row_dual=price.row_dual / problem.row_scale,
     )

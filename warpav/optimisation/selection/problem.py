@@ -33,7 +33,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Pool:
+class SelectionProblem:
     """Single cameras, and the rigs that may be made of them. Its objects are those that some camera sees.
 
     Attributes:
@@ -76,7 +76,7 @@ class Pool:
         required: Sequence[int] | np.ndarray,
         rows: Sequence[Row],
         weight: np.ndarray | None,
-    ) -> Pool:
+    ) -> SelectionProblem:
         """The arguments of `select`, checked.
 
         Raises:
@@ -158,8 +158,8 @@ class Pool:
             common &= neighbour
         return member
 
-    def restricted(self, camera: np.ndarray) -> Pool:
-        """The same pool without the other cameras; ``camera`` holds those required, int [kept], ascending."""
+    def restricted(self, camera: np.ndarray) -> SelectionProblem:
+        """The same problem without the other cameras; ``camera`` holds those required, int [kept], ascending."""
         return replace(
             self,
             missed=np.ascontiguousarray(self.missed[:, camera]),
