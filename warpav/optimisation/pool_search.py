@@ -291,7 +291,7 @@ def _too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_ar
 
     place = mount_pose[:, [X_M, Y_M]].astype(np.float64)
     point_m = np.c_[place, constraints.surface.height_at_m(place) + mount_pose[:, HEIGHT_DELTA_M]]
-    pair = KDTree(point_m).query_pairs(constraints.min_spacing_m + 1e-6, output_type="ndarray")
+    pair = KDTree(point_m).query_pairs(constraints.min_spacing_m, output_type="ndarray")
     held = 0 if constraints.frozen is None else int(constraints.frozen.is_frozen.sum())
     pair = pair[pair.max(axis=1, initial=-1) >= held]
     count = len(mount_pose)
