@@ -185,7 +185,7 @@ def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
 
 
 def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
-    # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding pair them otherwise
+    # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding swap them
     steps = ["optimiser.learning_rate_position_m=1e-9", "optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest"]
     assert main(["optimise", *SMALL, *steps, "run.out=still"]) == 0
     folder = RunFolder.open("still")
