@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import OptionError
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
@@ -137,20 +137,6 @@ class PoolDescent:
             "search": np.array(json.dumps({"search": "pool"})),
             **{f"candidate_{name}": value for name, value in self.history.state().items()},
         }
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Begin again from the best rig of another run; what that one has drawn comes from the cache.
-
-        Raises:
-            InputError: The state is of other cameras.
-        """
-        shape = np.shape(state.get("pose_value", ()))
-        if shape != self.start.shape:
-            raise InputError(f"checkpoint: expected the state of {len(self.start)} cameras, got {shape}")
-        self.history.restore(
-            {name.removeprefix("candidate_"): value for name, value in state.items() if name.startswith("candidate_")}
-        )
-        self.iteration = int(state["iteration"])
 
     def _record(self, found: Found, seconds: float) -> IterationRecord:
         mount, pose = self.objective.mount, found.mount_pose
