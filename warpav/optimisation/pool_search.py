@@ -72,6 +72,7 @@ class Found:
         seconds: Wall time so far [s].
         price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
+        pool: The cameras that the search knows, and what each of them detects.
     """
 
     mount_pose: np.ndarray
@@ -83,6 +84,7 @@ class Found:
     seconds: float
     price: Price | None = field(repr=False, default=None)
     round: int = 0
+    pool: CameraPool | None = field(repr=False, default=None)
 
     @property
     def gap(self) -> float:
@@ -173,6 +175,7 @@ def _states(
             time.perf_counter() - began,
             selection.price if selection else None,
             number,
+            pool,
         )
 
     def is_spent(more: int = 0) -> bool:
