@@ -14,6 +14,7 @@ from warpav.core.errors import OptionError
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
@@ -72,6 +73,7 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
+        self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         cameras = SingleCameras(
             objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
         )
@@ -129,6 +131,21 @@ class PoolDescent:
             self.step()
         return self.best
 
+    def further_cameras(self) -> FurtherCameras | None:
+        """What each camera of the pool would add to the best rig, which is rendered once more; None before a step."""
+        if self.found is None or self.found.pool is None:
+            return None
+        pool, best = self.found.pool, self.best.mount_pose
+        count, rig = len(pool.mount_pose), pool.extended(best)
+        return further_cameras(
+            pool.mount_pose,
+            pool.detection_probability,
+            rig_mount_pose=best,
+            rig_detection_probability=rig.detection_probability[count:],
+            mount=self.objective.mount,
+            constraints=self.objective.constraints,
+        )
+
     def state(self) -> dict[str, np.ndarray]:
         """What was found so far; the pool itself is in the cache."""
         return {
@@ -139,6 +156,9 @@ class PoolDescent:
         }
 
     def _record(self, found: Found, seconds: float) -> IterationRecord:
+        if found.stage == "selection":
+            self._proven = found.bound, found.pool_cameras
+        bound, pool_cameras = self._proven or (None, None)
         mount, pose = self.objective.mount, found.mount_pose
         rig = mount.rig(pose)
         position_m = np.array([camera.position_m for camera in rig.cameras])
@@ -164,6 +184,7 @@ class PoolDescent:
             best_training_objective=self.best.training_objective,
             free=free,
             stage=found.stage,
-            bound=found.bound or None,
+            bound=bound,
+            pool_cameras=pool_cameras,
             camera_renders=found.camera_renders,
         )

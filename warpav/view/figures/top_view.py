@@ -13,6 +13,7 @@ from warpav.view.frustum import sector_polygon_m
 from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
@@ -68,6 +69,103 @@ def rig_top_view(
         bar.set_label("height of the mount surface [m]")
         bar.outline.set_visible(False)
         return save_figure(figure, path)
+
+
+def further_cameras_map(
+    path: Path | str,
+    *,
+    further: FurtherCameras,
+    rig: Rig,
+    ego: Mesh,
+    mount_surface: MountSurface,
+    objects: str = "vehicles",
+    named: int = 5,
+) -> Path | None:
+    """Draw what each further camera would add to a rig: an arrow at its place, in its direction, in the colour of it.
+
+    Nothing is interpolated: between the arrows nobody has looked. The best ones carry their ranks.
+
+    Args:
+        path: PNG file to write.
+        further: The cameras that could join the rig.
+        rig: The rig, drawn in white.
+        ego: The vehicle; its outline is drawn.
+        mount_surface: The height map below the cameras.
+        objects: What is counted.
+        named: How many carry their ranks.
+
+    Returns:
+        The file; None where there is no such camera.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.patheffects import withStroke
+
+    if not len(further):
+        return None
+    gain = 100.0 * further.gain
+    colours = further_map()
+    scale = Normalize(0.0, max(float(gain.max()), 1e-9))
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.4)
+        axis = figure.subplots()
+        draw_vehicle(axis, ego)
+        draw_height_map(axis, mount_surface, colours=pale_map())
+        last_first = slice(None, None, -1)  # the best are drawn last, on top of the others
+        place, ahead = further.position_m[last_first, :2], further.direction[last_first, :2]
+        rgba = colours(scale(gain[last_first]))
+        axis.quiver(
+            *place.T,
+            *(0.2 * ahead).T,
+            color=rgba,
+            edgecolor=hex_colour(INK_RGB),
+            linewidth=np.linspace(0.0, 0.7, len(gain)) ** 2,
+            units="xy",
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.022,
+            headwidth=4.0,
+            headlength=4.5,
+            headaxislength=4.0,
+            zorder=5,
+        )
+        axis.scatter(*place.T, c=rgba, s=16.0, edgecolors=hex_colour(INK_RGB), linewidths=0.4, zorder=6)
+        for rank in range(min(named, len(further))):
+            axis.annotate(
+                str(rank + 1),
+                further.position_m[rank, :2] - 0.09 * further.direction[rank, :2],
+                ha="center",
+                va="center",
+                fontweight="bold",
+                zorder=9,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )
+        for camera in rig.cameras:
+            outline = sector_polygon_m(camera, radius_m=0.45)
+            axis.fill(*outline.T, facecolor="white", edgecolor=hex_colour(INK_RGB), alpha=0.55, linewidth=0.8, zorder=3)
+            marker = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
+            axis.plot(*camera.position_m[:2], "o", markersize=8, zorder=7, **marker)
+        axis.plot([], [], "o", label="camera of the rig", markersize=8, **marker)
+        axis.plot([], [], linestyle="", marker=r"$\rightarrow$", color=hex_colour(INK_RGB), markersize=13, label="one more camera")
+        figure.legend(loc="outside upper left", ncols=2)
+        axis.set_aspect("equal")
+        axis.use_sticky_edges = False
+        axis.margins(0.03)
+        axis.autoscale_view()
+        axis.set_xlabel("x, forward [m]")
+        axis.set_ylabel("y, left [m]")
+        bar = figure.colorbar(ScalarMappable(scale, colours), ax=axis, shrink=0.75, pad=0.02, aspect=28)
+        bar.set_label(f"further {objects} found of 100")
+        bar.outline.set_visible(False)
+        return save_figure(figure, path)
+
+
+def further_map() -> Any:  # noqa: ANN401 (matplotlib)
+    """Colours of what a further camera would add: pale is nothing, dark red is most."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("further", ["#f7f3dc", "#f6c65b", "#e2622c", "#8a1022"])
 
 
 def draw_cameras(
