@@ -14,7 +14,7 @@ of cameras, the mean of the products of (1 - x_i p_io), at the rig: the reduced 
 from __future__ import annotations
 
 import html
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
 from warpav.optimisation.polish import SUREST
 
+PLACE_M = 0.2
+"""Cameras that stand nearer to each other than this have one place."""
 _SHOWN = 10
 _COLUMNS = ("gain", "x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
 
@@ -54,6 +56,23 @@ class FurtherCameras:
         """Where they look, unit vectors in the ego frame, float64 [camera, 3]."""
         level = np.cos(self.pitch_rad)
         return np.stack([level * np.cos(self.yaw_rad), level * np.sin(self.yaw_rad), -np.sin(self.pitch_rad)], axis=1)
+
+    def best_places(self, apart_m: float = PLACE_M) -> np.ndarray:
+        """The cameras that nobody better stands near to, the best first: their numbers, int [place].
+
+        Args:
+            apart_m: What counts as near: less than this distance [m].
+        """
+        is_left, best = np.ones(len(self), bool), []
+        while is_left.any():
+            best.append(int(is_left.argmax()))
+            is_left &= np.linalg.norm(self.position_m - self.position_m[best[-1]], axis=1) >= apart_m
+            is_left[best[-1]] = False
+        return np.array(best, int)
+
+    def __getitem__(self, index: slice | np.ndarray) -> FurtherCameras:
+        """Some of them."""
+        return FurtherCameras(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def rows(self, count: int = _SHOWN) -> list[dict[str, float]]:
         """The first cameras as numbers by heading: ``gain`` of 100 objects, place [m], angles [deg]."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
 
 
@@ -104,7 +104,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
         axis.plot(spent[is_step], objective[is_step], "o", label="polished", markersize=4.0, zorder=4, **marks)
         dashed = {"color": hex_colour(FALSE_POSITIVE_RGB), "linestyle": (0, (4, 3)), "linewidth": 1.5}
         axis.step(bound_spent, bound, where="post", label="bound of the pool", zorder=3, **dashed)
-        top = max(later) + 0.55 * room  # the legend's
+        top = max(later) + 0.15 * room
         if stage[0] == "start" and objective[0] > top:
             axis.annotate(
                 f"start {objective[0]:.4f} \N{UPWARDS ARROW}",
@@ -119,7 +119,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
             axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
         axis.set_ylim(min(later) - 0.1 * room, top)
         axis.set_xlim(0, max(1.02 * spent[-1], 1))
-        axis.legend(loc="upper right", ncols=2, frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
+        axis.figure.legend(loc="outside lower center", ncols=7 if axis.figure.get_figwidth() > SVG_WIDTH_INCH else 3)
 
     return draw
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
 
 
+_RIG_MARK: Any = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
+
+
 def rig_top_view(
     path: Path | str,
     *,
@@ -81,9 +84,10 @@ def further_cameras_map(
     objects: str = "vehicles",
     named: int = 5,
 ) -> Path | None:
-    """Draw what each further camera would add to a rig: an arrow at its place, in its direction, in the colour of it.
+    """Draw what each further camera would add to a rig: a dot at its place, in the colour of it.
 
-    Nothing is interpolated: between the arrows nobody has looked. The best ones carry their ranks.
+    The best camera of every place has an arrow in its direction, the best places carry their ranks. Nothing is
+    interpolated: between the dots nobody has looked.
 
     Args:
         path: PNG file to write.
@@ -92,7 +96,7 @@ def further_cameras_map(
         ego: The vehicle; its outline is drawn.
         mount_surface: The height map below the cameras.
         objects: What is counted.
-        named: How many carry their ranks.
+        named: How many places carry their ranks.
 
     Returns:
         The file; None where there is no such camera.
@@ -103,38 +107,37 @@ def further_cameras_map(
 
     if not len(further):
         return None
-    gain = 100.0 * further.gain
-    colours = further_map()
-    scale = Normalize(0.0, max(float(gain.max()), 1e-9))
+    colours, ink = further_map(), hex_colour(INK_RGB)
+    scale = Normalize(0.0, max(100.0 * float(further.gain.max()), 1e-9))
+    best = further[further.best_places()]
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 5.4)
+        figure = new_figure(WIDTH_INCH, 4.7)
         axis = figure.subplots()
         draw_vehicle(axis, ego)
         draw_height_map(axis, mount_surface, colours=pale_map())
-        last_first = slice(None, None, -1)  # the best are drawn last, on top of the others
-        place, ahead = further.position_m[last_first, :2], further.direction[last_first, :2]
-        rgba = colours(scale(gain[last_first]))
+        for shown, size, order in ((further, 9.0, 4), (best, 22.0, 6)):
+            rgba = colours(scale(100.0 * shown.gain[::-1]))  # the best last, on top of the others
+            axis.scatter(*shown.position_m[::-1, :2].T, c=rgba, s=size, edgecolors=ink, linewidths=0.4, zorder=order)
         axis.quiver(
-            *place.T,
-            *(0.2 * ahead).T,
-            color=rgba,
-            edgecolor=hex_colour(INK_RGB),
-            linewidth=np.linspace(0.0, 0.7, len(gain)) ** 2,
-            units="xy",
+            *best.position_m[::-1, :2].T,
+            *(0.2 * best.direction[::-1, :2]).T,
+            color=colours(scale(100.0 * best.gain[::-1])),
+            edgecolor=ink,
+            linewidth=0.5,
             angles="xy",
             scale_units="xy",
             scale=1.0,
-            width=0.022,
-            headwidth=4.0,
-            headlength=4.5,
-            headaxislength=4.0,
+            units="xy",
+            width=0.025,
+            headwidth=3.8,
+            headlength=4.2,
+            headaxislength=3.8,
             zorder=5,
         )
-        axis.scatter(*place.T, c=rgba, s=16.0, edgecolors=hex_colour(INK_RGB), linewidths=0.4, zorder=6)
-        for rank in range(min(named, len(further))):
+        for rank, (place_m, ahead) in enumerate(zip(best.position_m[:named], best.direction[:named], strict=True), 1):
             axis.annotate(
-                str(rank + 1),
-                further.position_m[rank, :2] - 0.09 * further.direction[rank, :2],
+                str(rank),
+                place_m[:2] - 0.09 * ahead[:2] / max(float(np.linalg.norm(ahead[:2])), 1e-9),
                 ha="center",
                 va="center",
                 fontweight="bold",
@@ -143,11 +146,11 @@ def further_cameras_map(
             )
         for camera in rig.cameras:
             outline = sector_polygon_m(camera, radius_m=0.45)
-            axis.fill(*outline.T, facecolor="white", edgecolor=hex_colour(INK_RGB), alpha=0.55, linewidth=0.8, zorder=3)
-            marker = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
-            axis.plot(*camera.position_m[:2], "o", markersize=8, zorder=7, **marker)
-        axis.plot([], [], "o", label="camera of the rig", markersize=8, **marker)
-        axis.plot([], [], linestyle="", marker=r"$\rightarrow$", color=hex_colour(INK_RGB), markersize=13, label="one more camera")
+            axis.fill(*outline.T, facecolor="white", edgecolor=ink, alpha=0.55, linewidth=0.8, zorder=3)
+            axis.plot(*camera.position_m[:2], "o", markersize=8, zorder=7, **_RIG_MARK)
+        axis.plot([], [], "o", label="camera of the rig, and what it covers", markersize=8, **_RIG_MARK)
+        arrow = {"linestyle": "", "marker": r"$\rightarrow$", "color": ink, "markersize": 13}
+        axis.plot([], [], label="one more camera: the best at its place", **arrow)
         figure.legend(loc="outside upper left", ncols=2)
         axis.set_aspect("equal")
         axis.use_sticky_edges = False
