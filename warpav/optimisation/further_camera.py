@@ -94,9 +94,7 @@ class FurtherCameras:
         """The first ten as a table of plain text."""
         lines = [[f"{value:.2f}" for value in row.values()] for row in self.rows()]
         width = [max(map(len, column)) for column in zip(_COLUMNS, *lines, strict=True)]
-        return "\n".join(
-            "  ".join(text.rjust(width[k]) for k, text in enumerate(row)) for row in ([*_COLUMNS], *lines)
-        )
+        return "\n".join("  ".join(text.rjust(width[k]) for k, text in enumerate(row)) for row in ([*_COLUMNS], *lines))
 
     def _repr_html_(self) -> str:
         """The same, as Jupyter shows it."""

@@ -241,7 +241,8 @@ class RunFolder:
                 raise ValueError("a number that is not finite")
         except (OSError, ValueError, csv.Error) as error:
             raise InputError(
-                f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {_one_line(error)}; was the file changed?"
+                f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {_one_line(error)}; "
+                "was the file changed?"
             ) from None
         yaw_rad, pitch_rad, fov_rad = np.radians(table[:, 4:]).T
         return FurtherCameras(table[:, 1:4], yaw_rad, pitch_rad, fov_rad, table[:, 0])

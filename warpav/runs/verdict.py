@@ -141,8 +141,8 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     if certificate:
         scenes, count = certificate["scenes"], certificate["pool_cameras"]
         console.print(
-            f"objective {certificate['objective']:.4f} on the {scenes} scenes of the search; there no rig of the pool's "
-            f"{count} cameras is below {certificate['bound']:.4f} (bound)"
+            f"objective {certificate['objective']:.4f} on the {scenes} scenes of the search; there no rig of the "
+            f"pool's {count} cameras is below {certificate['bound']:.4f} (bound)"
         )
     for other, differences in evaluation.get("paired", {}).items():
         found = differences["tp_detection_rate"]

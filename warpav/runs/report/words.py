@@ -272,7 +272,9 @@ def _bound(run: RunContent) -> Statement | None:
         text += " Of cameras that the pool does not hold nothing is proven."
     unseen = None if run.evaluation is None else run.evaluation.arms[run.evaluation.first].numbers["objective"]
     if unseen is not None:
-        text += f" Nor is anything of other scenes: on the test scenes the rig is expected to miss {percent(unseen, 2)}."
+        text += (
+            f" Nor is anything of other scenes: on the test scenes the rig is expected to miss {percent(unseen, 2)}."
+        )
     return Statement("Bound", text)
 
 

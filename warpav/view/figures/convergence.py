@@ -1,4 +1,4 @@
-"""Loss, loss terms, multipliers and camera distances over the iterations of a run; what a search by a pool has proven."""
+"""Loss, loss terms, multipliers and camera distances of a run over its iterations; objective and bound of a search."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def search_curve(records: Sequence[Mapping[str, Any]], path: Path | str) -> Path
 
 
 _SPENT_ON = {"start": ("pool", "#e4e8ee"), "polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
-"""What camera renders before a state were spent on, by its stage, and the colour of the band; a selection needs none."""
+"""What camera renders before a state were spent on, by its stage, and the colour of the band; selections need none."""
 
 
 def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] | None:
@@ -79,7 +79,8 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     stage = [record["stage"] for record in shown]
     spent = np.array([record["camera_renders"] for record in shown])
     objective = np.array([record["training_objective"] for record in shown])
-    bound_spent = [*(record["camera_renders"] for record in proven), spent[-1]]
+    end = max(1.03 * float(spent[-1]), 1.0)  # so that what came last is seen
+    bound_spent = [*(record["camera_renders"] for record in proven), end]
     bound = [*(record["bound"] for record in proven), proven[-1]["bound"]]
     later = [*objective[stage.index("selection") :], *bound]
     room = max(max(later) - min(later), 0.02 * max(later))
@@ -89,17 +90,21 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
         axis.set_xlabel("camera renders (one camera in one scene)")
         axis.set_ylabel("expected miss rate")
         named: set[str] = set()
-        for k, end in enumerate(spent):
+        for k, until in enumerate(spent):
             begin = spent[k - 1] if k else 0
             name, colour = _SPENT_ON.get(stage[k] if k else "start", ("", ""))
-            if name and end > begin:
-                axis.axvspan(begin, end, color=colour, linewidth=0, label=None if name in named else name, zorder=0.5)
+            if name and until > begin:
+                axis.axvspan(begin, until, color=colour, linewidth=0, label=None if name in named else name, zorder=0.5)
                 named.add(name)
         colour = hex_colour(camera_rgb(0))
-        axis.step(spent, objective, where="post", color=colour, label="best rig so far", zorder=3)
+        axis.step(
+            [*spent, end], [*objective, objective[-1]], where="post", color=colour, label="best rig so far", zorder=3
+        )
         is_selection = np.array([each == "selection" for each in stage])
         marks = {"linestyle": "", "color": colour, "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 0.7}
-        axis.plot(spent[is_selection], objective[is_selection], "s", label="selected", markersize=6.5, zorder=4, **marks)
+        axis.plot(
+            spent[is_selection], objective[is_selection], "s", label="selected", markersize=6.5, zorder=4, **marks
+        )
         is_step = np.array([each == "polish" for each in stage])
         axis.plot(spent[is_step], objective[is_step], "o", label="polished", markersize=4.0, zorder=4, **marks)
         dashed = {"color": hex_colour(FALSE_POSITIVE_RGB), "linestyle": (0, (4, 3)), "linewidth": 1.5}
@@ -118,7 +123,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
         elif stage[0] == "start":
             axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
         axis.set_ylim(min(later) - 0.1 * room, top)
-        axis.set_xlim(0, max(1.02 * spent[-1], 1))
+        axis.set_xlim(0, end)
         axis.figure.legend(loc="outside lower center", ncols=7 if axis.figure.get_figwidth() > SVG_WIDTH_INCH else 3)
 
     return draw

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
 from warpav.view.frustum import sector_polygon_m
-from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, further_map, hex_colour
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
@@ -162,13 +162,6 @@ def further_cameras_map(
         bar.set_label(f"further {objects} found of 100")
         bar.outline.set_visible(False)
         return save_figure(figure, path)
-
-
-def further_map() -> Any:  # noqa: ANN401 (matplotlib)
-    """Colours of what a further camera would add: pale is nothing, dark red is most."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("further", ["#f7f3dc", "#f6c65b", "#e2622c", "#8a1022"])
 
 
 def draw_cameras(
