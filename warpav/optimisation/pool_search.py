@@ -47,6 +47,7 @@ class PoolSearchSettings:
         gap: Objective less bound at which a selection ends, an expected miss rate.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent; None: as many as it takes.
+        polishes: Whether selected rigs are polished.
     """
 
     pool_cameras: int = 128
@@ -55,6 +56,7 @@ class PoolSearchSettings:
     gap: float = 5e-4
     selection_time_s: float = 20.0
     camera_renders_max: int | None = None
+    polishes: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +189,7 @@ def _states(
         selection = select(
             np.minimum(pool.detection_probability, SUREST),
             camera_count,
-            conflict=_too_near(pool.mount_pose, constraints),
+            conflict=too_near(pool.mount_pose, constraints),
             required=np.arange(len(rig_of.frozen)),
             start=known,
             gap=settings.gap,
@@ -212,7 +214,7 @@ def _states(
             if settings.camera_renders_max is None
             else settings.camera_renders_max - pool.drawn_count - further,
         )
-        for step in steps:
+        for step in steps if settings.polishes else ():
             further = before + step.camera_renders
             if step.objective < objective:
                 best, objective = step.mount_pose, step.objective
@@ -285,7 +287,7 @@ class _Assembly:
         return result
 
 
-def _too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_array:
+def too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_array:
     """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
     from scipy.spatial import KDTree
 
