@@ -21,6 +21,7 @@ import numpy as np
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
 from warpav.optimisation.polish import SUREST
+from warpav.optimisation.pool_cache import pose_keys
 
 PLACE_M = 0.2
 """Cameras that stand nearer to each other than this have one place."""
@@ -127,27 +128,25 @@ def further_gain(missed: np.ndarray, detection_probability: np.ndarray) -> np.nd
 def further_cameras(
     mount_pose: np.ndarray,
     detection_probability: np.ndarray,
+    rig: np.ndarray,
     *,
-    rig_mount_pose: np.ndarray,
-    rig_detection_probability: np.ndarray,
     mount: CameraMount,
     constraints: Constraints,
 ) -> FurtherCameras:
     """What each camera of a pool would add to a rig; those that stand too near to one of its cameras are left out.
 
     Args:
-        mount_pose: The pool, float [camera, 7].
+        mount_pose: The pool, float [camera, 7]; some cameras may be in it twice.
         detection_probability: What it detects, 0..1, float [camera, object].
-        rig_mount_pose: The rig, float [camera, 7].
-        rig_detection_probability: What it detects of the same objects.
-        mount: Says where the cameras stand; of frozen ones, where in the rig.
+        rig: Which of them are the rig, int [camera of the rig].
+        mount: Says where they stand.
         constraints: Ask for the spacing.
     """
-    gain = further_gain(missed_probability(rig_detection_probability), detection_probability)
-    rig_m = np.array([camera.position_m for camera in mount.rig(rig_mount_pose).cameras])
+    gain = further_gain(missed_probability(detection_probability[rig]), detection_probability)
     position_m = mount.position_m(mount_pose)
-    apart_m = np.linalg.norm(position_m[:, None] - rig_m, axis=2).min(axis=1)
-    order = np.argsort(-gain, kind="stable")
+    apart_m = np.linalg.norm(position_m[:, None] - position_m[rig], axis=2).min(axis=1)
+    one_of_each = np.unique(pose_keys(mount_pose), return_index=True)[1]
+    order = one_of_each[np.argsort(-gain[one_of_each], kind="stable")]
     order = order[apart_m[order] >= constraints.min_spacing_m]
     pose = np.asarray(mount_pose, np.float64)[order]
     return FurtherCameras(

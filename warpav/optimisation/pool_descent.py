@@ -19,6 +19,7 @@ from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.single_cameras import SingleCameras
 
@@ -132,18 +133,18 @@ class PoolDescent:
         return self.best
 
     def further_cameras(self) -> FurtherCameras | None:
-        """What each camera of the pool would add to the best rig, which is rendered once more; None before a step."""
-        if self.found is None or self.found.pool is None:
+        """What each camera of the pool would add to the best rig, which is in the pool; None before a step."""
+        if self.found is None:
             return None
-        pool, best = self.found.pool, self.best.mount_pose
-        count, rig = len(pool.mount_pose), pool.extended(best)
+        pool, objective = self.found.pool, self.objective
+        rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)
+        assert (rig >= 0).all(), "whatever was rendered is in the pool"
         return further_cameras(
             pool.mount_pose,
             pool.detection_probability,
-            rig_mount_pose=best,
-            rig_detection_probability=rig.detection_probability[count:],
-            mount=self.objective.mount,
-            constraints=self.objective.constraints,
+            rig,
+            mount=objective.mount,
+            constraints=objective.constraints,
         )
 
     def state(self) -> dict[str, np.ndarray]:

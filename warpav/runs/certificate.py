@@ -14,7 +14,7 @@ class Bound:
     Attributes:
         bound: No rig of the pool's cameras is expected to miss less than this share of the objects.
         pool_cameras: Cameras of the pool.
-        camera_renders: Camera renders (one camera, one scene) until then; those found in the cache are not counted.
+        camera_renders: Camera renders (one camera, one scene) until then, those that the cache has spared among them.
     """
 
     bound: float

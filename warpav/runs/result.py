@@ -138,7 +138,7 @@ class Result:
     def further_cameras(self) -> FurtherCameras | None:
         """What each camera of the pool would add to `found`, the one that helps most first; None for a descent.
 
-        The rig is rendered once more for it. See `warpav.optimisation.further_camera`.
+        See `warpav.optimisation.further_camera`.
         """
         return self._descent.further_cameras() if isinstance(self._descent, PoolDescent) else None
 
