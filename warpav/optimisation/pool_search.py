@@ -273,11 +273,15 @@ class _Search:
             scene_count=len(self.scenes),
             camera_renders_max=self._left,
         )
+        is_better = True
         for step in steps:
             while drawn:
                 self.pool = self.pool.joined(*drawn.pop())
-            if self._is_better(step.mount_pose, step.objective):
+            is_better = self._is_better(step.mount_pose, step.objective)
+            if is_better:
                 yield self.found("polish")
+        if not is_better:  # what the last steps have cost is the polish's too
+            yield self.found("polish")
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
