@@ -40,6 +40,16 @@ def test_the_gain_is_what_the_objective_falls_by(seed, rig_count, count, object_
         assert each == pytest.approx(by_hand / object_count, abs=1e-12)
 
 
+def test_large_pools_in_half_precision_have_the_same_gain():
+    rng = np.random.default_rng(3)
+    found = rng.random((1100, 7)).astype(np.float16)
+    found[:, 0] = 1.0
+    missed = missed_probability(found[:1])
+    assert missed[0] == pytest.approx(1e-4)
+    expected = np.minimum(found.astype(float), 0.9999) @ missed / 7
+    np.testing.assert_allclose(further_gain(missed, found), expected, rtol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def pool():
     return CameraPool.draw(poses_of(40), scenes=streets(), cameras=cameras_of())

@@ -15,7 +15,7 @@ from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Steepest
-from warpav.view.further_view import ARROW_M
+from warpav.view.further_view import ARROW_M, TITLE
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
@@ -344,7 +344,7 @@ def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector
         np.testing.assert_allclose(dot.mean(axis=0), FURTHER.position_m[1], atol=1e-3)
         assert np.abs(picture(opened) - before).max() > 50
         scale = list(opened.plotter.scalar_bars.keys())
-        assert scale == ["one more camera: further vehicles found of 100"]
+        assert scale == [TITLE]
         opened.go_to(0)  # another rig
         assert "further_cameras" not in opened.plotter.actors
         assert not list(opened.plotter.scalar_bars.keys())

@@ -26,6 +26,7 @@ from warpav.optimisation.pool_cache import pose_keys
 PLACE_M = 0.2
 """Cameras that stand nearer to each other than this have one place."""
 _SHOWN = 10
+_BLOCK = 512
 _COLUMNS = ("gain", "x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
 
 
@@ -122,7 +123,11 @@ def further_gain(missed: np.ndarray, detection_probability: np.ndarray) -> np.nd
         missed: The probability that the rig misses each object, 0..1, float [object].
         detection_probability: Of each further camera for each object, 0..1, float [camera, object].
     """
-    return np.minimum(detection_probability, SUREST) @ np.asarray(missed, np.float64) / len(missed)
+    gain = np.empty(len(detection_probability))
+    for first in range(0, len(gain), _BLOCK):  # matrices may be large, and kept in half precision
+        found = np.asarray(detection_probability[first : first + _BLOCK], np.float64)
+        gain[first : first + _BLOCK] = np.minimum(found, SUREST) @ missed
+    return gain / len(missed)
 
 
 def further_cameras(

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 ARROW_M = 0.32
 """Length of an arrow [m]."""
 
+TITLE = "one more camera: further objects found of 100"
+"""Of the scale."""
+
 _DOT_RADIUS_M = 0.022
 
 
@@ -44,21 +47,17 @@ def further_to_pyvista(further: FurtherCameras) -> PolyData:
     return pyvista.merge(parts)
 
 
-def add_further_cameras(
-    plotter: Plotter, further: FurtherCameras | None, *, objects: str = "vehicles", name: str = "further_cameras"
-) -> None:
+def add_further_cameras(plotter: Plotter, further: FurtherCameras | None, *, name: str = "further_cameras") -> None:
     """Add what each further camera would bring, with a scale; what was drawn before under the same name goes.
 
     Args:
         plotter: Where to draw.
         further: The cameras; None: nothing is drawn.
-        objects: What is counted.
         name: Of the actor.
     """
-    title = f"one more camera: further {objects} found of 100"
     plotter.remove_actor(name)
-    if title in plotter.scalar_bars:
-        plotter.remove_scalar_bar(title)
+    if TITLE in plotter.scalar_bars:
+        plotter.remove_scalar_bar(TITLE)
     if further is None or not len(further):
         return
     font_size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
@@ -70,7 +69,7 @@ def add_further_cameras(
         ambient=0.5,
         name=name,
         scalar_bar_args={
-            "title": title,
+            "title": TITLE,
             "color": hex_colour(INK_RGB),
             "fmt": "%.1f",
             "n_labels": 3,

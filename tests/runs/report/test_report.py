@@ -589,7 +589,6 @@ BROKEN = {
     "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected values by name, got 5"),
     "loss is a text": (_event(loss="a"), "events.jsonl:1: loss: expected a number or null, got 'a'"),
     "bound is a text": (_event(bound="a"), "events.jsonl:1: bound: expected a number or null, got 'a'"),
-    "stage is a number": (_event(stage=5), "events.jsonl: 0.stage: expected what"),
     "further cameras are none": (
         _replace("further_cameras.csv", "x\n1\n"),
         "further_cameras.csv: expected rows of gain",

@@ -101,14 +101,12 @@ def further_cameras_map(
     Returns:
         The file; None where there is no such camera.
     """
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
     from matplotlib.patheffects import withStroke
 
     if not len(further):
         return None
-    colours, ink = further_map(), hex_colour(INK_RGB)
-    scale = Normalize(0.0, max(100.0 * float(further.gain.max()), 1e-9))
+    ink, most = hex_colour(INK_RGB), max(100.0 * float(further.gain.max()), 1e-9)
+    scale = {"cmap": further_map(), "clim": (0.0, most)}
     best = further[further.best_places()]
     with figure_style():
         figure = new_figure(WIDTH_INCH, 4.7)
@@ -116,12 +114,13 @@ def further_cameras_map(
         draw_vehicle(axis, ego)
         draw_height_map(axis, mount_surface, colours=pale_map())
         for shown, size, order in ((further, 9.0, 4), (best, 22.0, 6)):
-            rgba = colours(scale(100.0 * shown.gain[::-1]))  # the best last, on top of the others
-            axis.scatter(*shown.position_m[::-1, :2].T, c=rgba, s=size, edgecolors=ink, linewidths=0.4, zorder=order)
+            place_m, gain = shown.position_m[::-1, :2], 100.0 * shown.gain[::-1]  # the best last, on top of the others
+            dots = axis.scatter(*place_m.T, c=gain, s=size, edgecolors=ink, linewidths=0.4, zorder=order, **scale)
         axis.quiver(
             *best.position_m[::-1, :2].T,
             *(0.2 * best.direction[::-1, :2]).T,
-            color=colours(scale(100.0 * best.gain[::-1])),
+            100.0 * best.gain[::-1],
+            **scale,
             edgecolor=ink,
             linewidth=0.5,
             angles="xy",
@@ -158,7 +157,7 @@ def further_cameras_map(
         axis.autoscale_view()
         axis.set_xlabel("x, forward [m]")
         axis.set_ylabel("y, left [m]")
-        bar = figure.colorbar(ScalarMappable(scale, colours), ax=axis, shrink=0.75, pad=0.02, aspect=28)
+        bar = figure.colorbar(dots, ax=axis, shrink=0.75, pad=0.02, aspect=28)
         bar.set_label(f"further {objects} found of 100")
         bar.outline.set_visible(False)
         return save_figure(figure, path)
