@@ -113,7 +113,7 @@ class RunDisplay:
             rows = iteration_rows(record, min_spacing_m=min_spacing_m)
             stage = getattr(record, "stage", None)
             if stage is not None:  # how many more there will be is not known
-                self._replace_task("searching", None)
+                self._replace_task("searching", None, completed=number)
                 if not self.console.is_terminal and stage != last_stage:
                     self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
                 last_stage = stage
@@ -127,10 +127,10 @@ class RunDisplay:
             yield record
         self._numbers = None
 
-    def _replace_task(self, description: str, count: int | None) -> None:
+    def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
         if self._task is not None:
             self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(description, total=count, speed="")
+        self._task = self._bar.add_task(description, total=count, completed=completed, speed="")
 
     def _start(self, description: str, count: int | None) -> None:
         self._numbers = None
