@@ -1,8 +1,8 @@
 """The polish against Adam and L-BFGS-B: the same starting rigs, constraints, exact Jacobians and camera renders.
 
-Left out of the ordinary run; ``pytest tests/benchmarks/test_polish.py --benchmark-only --benchmark-json FILE`` runs it; among the
-extra figures is the mean expected miss rate that each method ends with. The starting rigs are those that the selection chooses of pools of 64
-cameras in 20 town scenes; every method may render its cameras 20 times.
+Left out of the ordinary run; ``pytest tests/benchmarks/test_polish.py --benchmark-only --benchmark-json FILE`` runs it.
+Among the extra figures is the mean expected miss rate that each method ends with. The starting rigs are those that the
+selection chooses of pools of 64 cameras in 20 town scenes; every method may render its cameras 20 times.
 """
 
 import contextlib
