@@ -24,6 +24,13 @@ from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_sear
 from warpav.optimisation.single_cameras import SingleCameras
 
 
+def fits(objective: RigObjective) -> bool:
+    """Whether a pool of single cameras can stand for an objective: its one loss is the expected miss rate."""
+    loss = objective.losses[0][1]
+    plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
+    return plain and len(objective.losses) == 1 and objective.camera_probability is not None
+
+
 class PoolDescent:
     """A run of `pool_search`; call `step` while `verdict` is None, then `finish`. It stands where a `Descent` stands.
 
@@ -46,11 +53,11 @@ class PoolDescent:
         cache: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """A run on the training scenes.
+        """A run on some scenes.
 
         Args:
             objective: With the loss ``expected_miss_rate`` alone, without the detector's own word.
-            scenes: The training scenes.
+            scenes: The scenes of the search.
             start: Where the rig begins, float [camera, 7].
             settings: How much to look at.
             seed: Of the pool.
@@ -60,14 +67,12 @@ class PoolDescent:
         Raises:
             InputError: The objective is made of other losses.
         """
-        losses = [loss for _, loss in objective.losses]
-        loss = losses[0]
-        plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
-        if len(losses) > 1 or not plain or objective.camera_probability is None:
+        if not fits(objective):
             raise OptionError(
                 "optimiser.search",
                 "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
-                f"detector_share=0, got {', '.join(each.name for each in losses)}; set optimiser.search=descent",
+                f"detector_share=0, got {', '.join(loss.name for _, loss in objective.losses)}; set "
+                "optimiser.search=descent",
             )
         self.objective = objective
         self.start = objective.mount.within(np.asarray(start, np.float32))
@@ -75,6 +80,7 @@ class PoolDescent:
         self.iteration = 0
         self.found: Found | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
+        assert objective.camera_probability is not None
         cameras = SingleCameras(
             objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
         )

@@ -12,7 +12,7 @@ from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_descent import PoolDescent, fits
 from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
@@ -105,7 +105,8 @@ class Optimisation:
             InputError: The cameras do not fit on the mount surface.
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
-        by_pool = config.optimiser.search == "pool"
+        search = config.optimiser.search
+        by_pool = search == "pool" or (search == "auto" and fits(objective))
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
@@ -138,7 +139,7 @@ class Optimisation:
             )
             seed, cache = config.run.seed, pool_cache_folder()
             searched = PoolDescent(
-                objective, placement.train, start, settings, seed=seed, cache=cache, progress=progress
+                objective, placement.search_scenes, start, settings, seed=seed, cache=cache, progress=progress
             )
             return cls(placement, searched, began_as)
         descent = Descent(

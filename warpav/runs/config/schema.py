@@ -309,7 +309,9 @@ FovRange = Annotated[
 class FreeConfig(Section):
     """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
 
-    pitch_deg: PitchRange = Field(default=None, description="bounds of each camera's pitch, nose-down positive")
+    pitch_deg: PitchRange = Field(
+        default=(-10.0, 20.0), description="bounds of each camera's pitch, nose-down positive; null: level cameras"
+    )
     height_m: HeightRange = Field(
         default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
     )
