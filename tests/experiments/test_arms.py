@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rivals import gradient_renders
+from warpav.runs.config import load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
@@ -135,3 +137,34 @@ def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run
+
+
+def test_the_thesis_as_printed_is_the_shipped_configuration_on_the_task_of_the_experiment():
+    arm, printed = common_arms()["thesis_as_printed"], option_values(load_config("thesis"))
+    changes = ["rig.cameras=6", "rig.free.pitch_deg=[-20, 20]", "camera.fov_deg=60", "mount.margin_m=0.1"]
+    task = load_config("default", [*changes, "detector.classes.vehicle=[car]", "scenes.validation_seeds=150..159"])
+    found, asked = option_values(arm.search_config(task)), option_values(task)
+    own = ("scenes", "camera", "capture", "reconstruction", "baselines", "device", "executor", "run.seed", "run.out")
+    own = (
+        *own,
+        "rig.cameras",
+        "rig.freeze",
+        "detector.model",
+        "detector.format",
+        "detector.labels",
+        "detector.classes",
+    )
+    own = (*own, "detector.input_px", "detector.provider")
+    for name, value in found.items():
+        assert value == (asked if name.startswith(own) else printed)[name], name
+    assert (found["run.batch_size"], found["rig.start"], found["detector.confidence_min"]) == (4, "random", 0.1)
+    assert arm.evaluation_config(task) == task
+
+
+def test_the_thesis_as_printed_takes_its_own_steps(problem):
+    arm = common_arms()["thesis_as_printed"]
+    small = ("run.iterations=1", "run.batch_size=2")
+    one_step = replace(arm, search_overrides=(*arm.search_overrides, *small))
+    placement = problem.with_config(one_step.search_config(problem.config))
+    found = find_rig_of(one_step, placement, None)
+    assert found.renders == 2 + 2 * len(placement.validation)  # one batch of two, first and last rig

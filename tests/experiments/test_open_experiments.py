@@ -144,7 +144,7 @@ def test_an_arm_under_other_constraints_is_told_apart(rng):
     results = {**made_results(rng), "thesis_gradient": [made_run("thesis_gradient", 0, 0.6, violation=0.125)]}
     found = goals(results)[0]
     assert found.reached is True
-    assert found.text.endswith("except thesis_gradient, which uses the thesis's bounding rectangle")
+    assert found.text.endswith("except thesis_gradient, searched in the thesis's bounding rectangle")
     assert found.numbers == "worst of 14 runs 0 m; thesis_gradient up to 0.125 m outside the mount zone"
 
 

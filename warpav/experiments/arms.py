@@ -199,11 +199,15 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
 def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
-    ``gradient`` is the gradient method of the configuration, ``thesis_gradient`` that of the shipped configuration
-    ``thesis``, evaluated like all others.
+    ``gradient`` is the gradient method of the configuration. ``thesis_as_printed`` is that of the shipped configuration
+    ``thesis``, ``thesis_gradient`` a hybrid of both (`thesis_method`); they are evaluated like all others.
     """
-    arms = [Arm(name, name) for name in (*METHODS, *preset_names())]
-    return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=thesis_method()), *arms)}
+    arms = [
+        Arm("thesis_gradient", "gradient", search_overrides=thesis_method()),
+        Arm("thesis_as_printed", "gradient", search_overrides=thesis_as_printed()),
+        *(Arm(name, name) for name in (*METHODS, *preset_names())),
+    ]
+    return {arm.name: arm for arm in arms}
 
 
 def common_fov_deg(preset: str) -> float:
@@ -232,10 +236,35 @@ def odd_fields(preset: str) -> str:
 
 
 def thesis_method() -> tuple[str, ...]:
-    """Overrides that make a configuration search as the thesis does."""
-    sections = ("method", "losses", "visibility", "optimiser")
+    """Overrides for a search with the thesis's losses, occlusion, optimiser and bounding rectangle.
+
+    A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
+    """
+    return _thesis_options("method", "losses", "visibility", "optimiser")
+
+
+def thesis_as_printed() -> tuple[str, ...]:
+    """Overrides for a search by the whole shipped configuration ``thesis``.
+
+    The task stays that of the configuration: scenes, number and model of the cameras, detection network.
+    """
+    whole = _thesis_options(
+        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "segregation", "losses"),
+        *("visibility", "optimiser"),
+    )
+    task = ("rig.cameras", "rig.freeze", "detector.")
+    thresholds = ("detector.confidence_min", "detector.iou_min", "detector.nms_iou_max")
+    return tuple(each for each in whole if not each.startswith(task) or each.startswith(thresholds))
+
+
+def _thesis_options(*parts: str) -> tuple[str, ...]:
+    """Overrides with the values of the shipped configuration ``thesis``, of whole sections or single options."""
     values = option_values(load_config("thesis"))
-    return tuple(f"{name}={json.dumps(value)}" for name, value in values.items() if name.partition(".")[0] in sections)
+    return tuple(
+        f"{name}={json.dumps(value)}"
+        for name, value in values.items()
+        if any(f"{name}.".startswith(f"{part}.") for part in parts)
+    )
 
 
 def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:

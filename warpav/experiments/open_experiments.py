@@ -45,6 +45,7 @@ _QUICK = (
 )
 _RIVALS = (
     "thesis_gradient",
+    "thesis_as_printed",
     "highest",
     "random",
     "sobol",
@@ -203,6 +204,8 @@ def _remarks(name: str, config: Config) -> tuple[str, ...]:
     return (
         f"Searches compare rigs on {ranked} training scenes, drawn once per run. The gradient method optimises on all "
         "training scenes and compares rigs on all validation scenes; the budget includes both.",
-        "thesis_gradient takes the same number of steps, but evaluates the validation scenes only twice.",
+        "thesis_gradient: the thesis's losses, optimiser and bounding rectangle with this configuration's batch size, "
+        "start and detector thresholds; it takes the same number of steps, but evaluates the validation scenes only "
+        "twice. thesis_as_printed: the shipped configuration thesis in full, with its own number of steps.",
         "Presets and gradient_as_ arms have their own number of cameras.",
     )
