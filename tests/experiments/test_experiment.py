@@ -51,7 +51,7 @@ def test_every_task_leaves_its_result(finished, scenes):
         for result in finished.results[arm.name]:
             name = f"{arm.name}_{result['seed']}"
             assert result == json.loads((finished.folder / "results" / f"{name}.json").read_text())
-            assert (result["schema"], result["arm"]) == (1, arm.name)
+            assert (result["schema"], result["arm"]) == (2, arm.name)
             rig = read_rig(finished.folder / "results" / f"{name}.yaml")
             assert [camera["position_m"] for camera in result["rig"]["cameras"]] == [
                 pytest.approx(camera.position_m, abs=1e-6) for camera in rig.cameras
@@ -180,9 +180,9 @@ def description(folder, **changes):
 
 def test_a_folder_of_something_else_is_refused(copied, scenes, tmp_path):
     description(copied, schema=7)
-    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 1, got 7.*choose another .* `out`"):
+    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 2, got 7.*choose another .* `out`"):
         run(copied, scenes)
-    description(copied, schema=1, experiment="table9")
+    description(copied, schema=2, experiment="table9")
     with pytest.raises(InputError, match="experiment: expected small, got 'table9'"):
         run(copied, scenes)
     (tmp_path / "diary").mkdir()
@@ -199,7 +199,7 @@ def test_results_of_another_configuration_are_refused(copied, scenes):
     with pytest.raises(InputError, match="render_budget: expected 9, got None"):
         run(copied, scenes, render_budget=9)
     changed = [dataclasses.replace(ARMS[0], method="start"), ARMS[1]]
-    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 1 made with this"):
+    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 2 made with this"):
         run(copied, scenes, arms=changed)
     (copied / "results" / "sgd_ifr_doa_0.json").write_text("{")
     with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a readable JSON file, got: .*; delete it"):

@@ -62,6 +62,7 @@ def made_run(arm, seed, recall, *, rng=None, objective=0.3, violation=0.0):
     noise = 0.0 if rng is None else rng.normal(0.0, 0.02, SCENES)
     per_scene = list(np.clip(recall + noise + np.linspace(-0.1, 0.1, SCENES), 0.0, 1.0))
     metrics = dict.fromkeys(("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate", "detection_confidence"), recall)
+    metrics |= {"misses_per_100": 100.0 * (1.0 - recall), "recall_at_equal_false_alarms": recall}
     metrics |= {"false_alarms_per_frame": 0.2, "objective": objective}
     return {
         "arm": arm,
@@ -340,16 +341,16 @@ def test_files_of_another_version_are_told_by_name(copied, scenes, capsys):
         stray.write_text(content)
         for words in (again, anew):
             told = complaint(capsys, *words)
-            assert "stray_0.json: schema: expected a result of schema 1 with an arm and a seed" in told
+            assert "stray_0.json: schema: expected a result of schema 2 with an arm and a seed" in told
             assert told.endswith(f"got {got}; delete it")
     stray.unlink()
     change(copied / "summary.json", schema=3)
     assert "summary.json: schema: expected 1, got 3" in complaint(capsys, *anew)
     change(copied / "experiment.json", schema=7)
     for words in (again, anew):
-        assert "experiment.json: schema: expected 1, got 7" in complaint(capsys, *words)
+        assert "experiment.json: schema: expected 2, got 7" in complaint(capsys, *words)
     (copied / "experiment.json").write_text("[]")
-    assert "experiment.json: schema: expected 1, got None" in complaint(capsys, *anew)
+    assert "experiment.json: schema: expected 2, got None" in complaint(capsys, *anew)
 
 
 def test_the_same_judge_gives_the_same_numbers(copied):

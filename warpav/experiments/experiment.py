@@ -53,7 +53,7 @@ from warpav.runs.scene_set import (
 
 Task = TypeVar("Task")
 
-SCHEMA = 1
+SCHEMA = 2
 GRADIENTS = "gradients"
 """Method of an arm that finds no rig but measures gradients (tables I and V)."""
 

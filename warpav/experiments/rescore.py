@@ -46,7 +46,7 @@ from warpav.runs.environment import environment
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
 
-SCHEMA = 1
+SCHEMA = 2
 RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 

@@ -22,7 +22,8 @@ from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"
-_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "constraint_violation", "objects")
+_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "confidence_at_equal_false_alarms")
+_METRICS = (*_METRICS, "constraint_violation", "objects")
 _VERSIONS = ("warpav", "git_commit", "python", "platform", "device", "packages")
 _DIGITS = 5
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
 from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
 from warpav.experiments.gradient_magnitude import LOSS_OF, pooled_magnitudes
 from warpav.experiments.thesis_tables import WARNING, thesis_table
@@ -213,6 +214,8 @@ def _markdown_row(cells: Sequence[str]) -> str:
 
 COMPARED = {
     "tp_detection_rate": "recall of the rig",
+    "misses_per_100": "misses per 100",
+    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms per frame",
     "ap50_pooled": "AP50",
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
@@ -221,7 +224,7 @@ COMPARED = {
 }
 """Metrics in which arms are compared, and their headings; all of them exist scene by scene."""
 
-RATES_OF_OBJECTS = ("tp_detection_rate", "tp_in_frame_rate")
+RATES_OF_OBJECTS = ("tp_detection_rate", "misses_per_100", "recall_at_equal_false_alarms", "tp_in_frame_rate")
 """Those whose scenes weigh by their objects."""
 
 
