@@ -24,7 +24,6 @@ ARM_ROWS = {
     "tp_detection_rate": "recall of the rig",
     "misses_per_100": "misses per 100",
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
-    "confidence_at_equal_false_alarms": "confidence there",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
     "false_alarms_per_frame": "false alarms a frame",
