@@ -20,7 +20,7 @@
 import os
 
 os.environ["OPTIONS"] = ""  # of the command, such as run.iterations=20
-train_seeds, test_seeds, iterations = range(20), range(1000, 1010), 50  # of the second question
+train_seeds, test_seeds, iterations = range(20), range(5000, 5010), 50  # of the second question
 
 # %%
 import json

@@ -233,7 +233,7 @@ class RigObservation:
     def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
         """Whether some camera detects an object at other thresholds, bool [object]; see `Observation`."""
         detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
-        return np.concatenate(detected).any(axis=0)
+        return np.asarray(np.concatenate(detected).any(axis=0))
 
     @property
     def confidence(self) -> np.ndarray:
