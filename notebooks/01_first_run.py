@@ -111,7 +111,7 @@ arms = {
     "highest": "around the highest point",
     "random": "best of random rigs",
     "cma": "CMA-ES",
-    "thesis_gradient": "method of the thesis",
+    "thesis_gradient": "losses and steps of the thesis",
 }
 figure, axis = plt.subplots(figsize=(8, 2.8), layout="constrained")
 for row, (arm, name) in enumerate(arms.items()):

@@ -23,7 +23,7 @@ ARM_OF = {
     "CMA-ES": "cma",
     "differential evolution": "differential_evolution",
     "greedy set cover": "greedy_cover",
-    "the thesis's losses and steps": "thesis_gradient",
+    "hybrid: the thesis's losses and steps, our batch, start and thresholds": "thesis_gradient",
 }
 """Rows of README's table of arms."""
 
@@ -120,6 +120,31 @@ def test_readme_quotes_the_runs(label):
     interval = re.search(rf"^\| {ARM_OF[label]} \|.*\n.*\n\|  \|  \| \S+ \[(\S+), (\S+)\]", _open_table(), re.MULTILINE)
     quoted = [float(end) for end in re.findall(r"[+-][\d.]+", lead)]
     assert quoted == ([float(end) for end in interval.groups()] if interval else [])
+
+
+def test_descents_of_the_thesis_fail_where_a_camera_looks_at_its_own_vehicle():
+    """What docs/method.md says of tables II and IV."""
+    low, high, with_blockage = [], [], []
+    for name in ("table2", "table4"):
+        for run in json.loads(SUMMARIES[name].read_text())["runs"]:
+            if run["arm"].startswith("sgd"):
+                blocked = any(each["position_m"][0] > 1.9 and abs(each["yaw_deg"]) > 120.0 for each in run["cameras"])
+                (low if run["tp_detection_rate"] < 0.75 else high).append((run["tp_detection_rate"], blocked))
+                if run["arm"].endswith(("_sb", "_sb_ac")):
+                    with_blockage.append(blocked)
+    assert (len(low), len(high)) == (11, 24)
+    assert all(blocked for _, blocked in low)
+    assert not any(blocked for _, blocked in high)
+    assert [round(end(rate for rate, _ in high), 2) for end in (min, max)] == [0.8, 0.94]
+    assert len(with_blockage) == 10
+    assert not any(with_blockage)
+
+
+def test_the_random_rows_of_table_two_are_one_measurement():
+    runs = json.loads(SUMMARIES["table2"].read_text())["runs"]
+    one, other = ([run["cameras"] for run in runs if run["arm"] == f"random_ifr_{loss}"] for loss in ("doa", "10doa"))
+    assert len(one) == 5
+    assert one == other
 
 
 def _open_table():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -35,7 +36,8 @@ _CONSTRAINTS = {"constraint_loss": "constraint loss", "min_pair_distance_m": "mi
 _GRADIENTS = {"positional": "positional", "rotational": "rotational"}
 
 NOTES = {
-    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs.",
+    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs. That "
+    "of IFR includes vehicles already in frame, whose gradient equation 12 multiplies by epsilon.",
     "II": "± standard deviation over runs (none for a single run); all numbers are on the test scenes.",
     "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
     "in the thesis; the returned rig is the nearest feasible one.",
@@ -168,7 +170,22 @@ def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, 
             )
         )
     caption = "Constraint results" if number == "III" else thesis["caption"]  # it is printed as table I's
-    return ThesisTable(number, caption, ("method", "loss"), dict(columns), tuple(rows), _notes(number, thesis))
+    notes = (*_notes(number, thesis), *_same_rigs(results, labels))
+    return ThesisTable(number, caption, ("method", "loss"), dict(columns), tuple(rows), notes)
+
+
+def _same_rigs(results: Results, labels: Mapping[str, tuple[str, str]]) -> tuple[str, ...]:
+    """A note for arms that found the same rigs, which are one measurement."""
+    arms_of: dict[str, list[str]] = {}
+    for arm, found in results.items():
+        rigs = [(result["seed"], result["rig"]["cameras"]) for result in found if "rig" in result]
+        if len(rigs) > 1:
+            arms_of.setdefault(json.dumps(rigs), []).append(" ".join(labels.get(arm, (arm,))))
+    return tuple(
+        f"Ours hold the same rigs, so they are one measurement: {' and '.join(arms)}."
+        for arms in arms_of.values()
+        if len(arms) > 1
+    )
 
 
 def _gradient_table(number: str, results: Results) -> ThesisTable:
