@@ -36,8 +36,8 @@ _CONSTRAINTS = {"constraint_loss": "constraint loss", "min_pair_distance_m": "mi
 _GRADIENTS = {"positional": "positional", "rotational": "rotational"}
 
 NOTES = {
-    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs. That "
-    "of IFR includes vehicles already in frame, whose gradient equation 12 multiplies by epsilon.",
+    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs. "
+    "That of IFR includes vehicles already in frame, whose gradient equation 12 multiplies by epsilon.",
     "II": "± standard deviation over runs (none for a single run); all numbers are on the test scenes.",
     "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
     "in the thesis; the returned rig is the nearest feasible one.",
