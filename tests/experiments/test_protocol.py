@@ -325,7 +325,7 @@ def test_the_command_decides_by_folders(capsys, tmp_path, monkeypatch, rng):
     folder = tmp_path / "4x90"
     (folder / "results").mkdir(parents=True)
     options = {"scenes.test_seeds": "5000..5049"}
-    (folder / "experiment.json").write_text(json.dumps({"schema": 2, "experiment": "4x90", "options": options}))
+    (folder / "experiment.json").write_text(json.dumps({"schema": 2, "experiment": "rivals_4x90", "options": options}))
     for arm, runs in setting(rng).items():
         for run in runs:
             file = folder / "results" / f"{arm}_{run['seed']}.json"

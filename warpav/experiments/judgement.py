@@ -205,7 +205,7 @@ def judged_text(folders: Sequence[Path]) -> str:
     scenes = []
     for folder in folders:
         described = read_description(folder)
-        name = described["experiment"]
+        name = described["experiment"].removeprefix("rivals_")
         if name not in protocol().settings or name in results_of:
             raise InputError(
                 f"{folder / DESCRIPTION}: experiment: expected a setting of the protocol, each once, out of "
@@ -217,7 +217,7 @@ def judged_text(folders: Sequence[Path]) -> str:
             f"- {name}: " + ("test scenes that nobody sealed: no evidence" if seal is None else f"sealed by {seal}")
         )
     if not results_of:
-        raise InputError("experiment judge: expected folders of experiments such as runs/4x90, got none")
+        raise InputError("experiment judge: expected folders of experiments such as runs/rivals_4x90, got none")
     return "\n".join([judgements_text(judge(results_of)), *scenes, ""])
 
 
