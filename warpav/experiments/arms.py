@@ -27,7 +27,6 @@ from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
 from warpav.optimisation.polish import polish
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.optimisation.pool_search import Found
 from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.optimisation.rivals import (
     Draw,
@@ -71,7 +70,7 @@ class FoundRig:
         history: Columns, one entry per step or look: ``camera_renders``, ``seconds`` and ``best_value`` so far, on the
             scenes that the method compares rigs on; of a descent ``loss``, of a search by a pool ``stage``, ``round``
             and ``bound``, as in `Found`.
-        training_objective: Its objective on all validation scenes; None if not evaluated.
+        training_objective: Its objective on the scenes that the method compares rigs on; None if not evaluated.
         mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
         notes: What else is worth knowing, by name.
     """
@@ -302,38 +301,35 @@ def _from_one_start(placement: Placement) -> Placement:
 def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool = False) -> FoundRig:
     """The search by a pool; ``only`` the pool and the best rig of it, with the whole budget in the pool.
 
-    What the cache holds is drawn again, as it would cost nothing otherwise.
+    What the cache holds is drawn again, so that the seconds count.
     """
     placement = placement.with_config(changed_config(placement.config, ["optimiser.search=pool"]))
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
-    most = _budget(placement, camera_renders_max)
-    affordable = most // len(placement.train) - placement.config.rig.cameras  # beside the start
     if only:
-        settings = replace(settings, pool_cameras=affordable, rounds=0, polishes=False)
+        most = _budget(placement, camera_renders_max)
+        every = most // len(placement.train)
+        settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
     begun = Optimisation.begin(placement, pool=settings, keeps_pool=False)
     descent, began = begun.descent, time.perf_counter()
     assert isinstance(descent, PoolDescent)
     columns = ("camera_renders", "seconds", "best_value", "stage", "round", "bound")
     history: dict[str, list[Any]] = {name: [] for name in columns}
-    best: Found | None = None
     while descent.verdict is None:
         descent.step()
         found = descent.found
         assert found is not None
-        if camera_renders_max is not None and found.camera_renders > camera_renders_max:
-            break
-        best = found
         row = (found.camera_renders, time.perf_counter() - began, found.objective)
         for column, entry in zip(history.values(), (*row, found.stage, found.round, found.bound or None), strict=True):
             column.append(entry)
-    if best is None:
-        raise ValueError(f"the pool costs more than {camera_renders_max} camera renders")
+    best = descent.found
+    assert best is not None
     mount = placement.objective.mount
     return FoundRig(
         mount.rig(best.mount_pose),
         begun.began_as,
         best.camera_renders,
         history,
+        training_objective=best.objective,
         mount_pose=best.mount_pose,
         notes={"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras},
     )
@@ -349,13 +345,17 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
         looks = start_count + len(descent.candidates)
         return config.rig.cameras * (descent.iteration * config.run.batch_size + looks * len(placement.validation))
 
-    while descent.iteration < config.run.iterations and descent.verdict is None:
-        record = descent.step()
-        row = (camera_renders(), time.perf_counter() - began, record.best_training_objective, record.loss)
+    def add(best_value: float | None, loss: float | None) -> None:
+        row = (camera_renders(), time.perf_counter() - began, best_value, loss)
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
+
+    while descent.iteration < config.run.iterations and descent.verdict is None:
+        record = descent.step()
+        add(record.best_training_objective, record.loss)
     unprojected = descent.mount_pose
     result = descent.finish()
+    add(min(each.training_objective for each in descent.candidates), None)
     return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         began_as,
@@ -386,8 +386,14 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
     assert step is not None
-    rig = mount.rig(step.mount_pose)
-    return FoundRig(rig, begun.began_as, step.camera_renders, history, mount_pose=step.mount_pose)
+    return FoundRig(
+        mount.rig(step.mount_pose),
+        begun.began_as,
+        step.camera_renders,
+        history,
+        training_objective=values.weight * step.objective,
+        mount_pose=step.mount_pose,
+    )
 
 
 def _single_values(placement: Placement) -> SingleCameraValues:
@@ -576,6 +582,7 @@ def _found(placement: Placement, result: SearchResult) -> FoundRig:
         placement.frozen_rig,
         result.camera_renders,
         _columns(result.history),
+        training_objective=result.value,
         mount_pose=result.mount_pose,
     )
 
