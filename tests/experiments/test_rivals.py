@@ -197,10 +197,17 @@ def test_the_table_is_there_without_the_default():
 # ------------------------------------------------------------------------------------------------ one camera
 
 
-@pytest.mark.parametrize("search", ["descent", "pool"])
-def test_one_camera_from_end_to_end(tmp_path, search):
-    words = [*SMALL, "rig.cameras=1", "camera.fov_deg=120", "losses.probability=visible_share"]
-    words += [f"optimiser.search={search}", "optimiser.pool_cameras=16", f"run.out={tmp_path / 'run'}"]
+@pytest.mark.parametrize(
+    "way",
+    [
+        ("optimiser.search=pool", "optimiser.pool_cameras=16", "losses.probability=visible_share"),
+        ("optimiser.search=descent", "losses.probability=visible_share"),
+        ("method=thesis", "losses={missed: 0, in_frame_rotation: 1, detected_area: 10}"),
+    ],
+)
+def test_one_camera_from_end_to_end(tmp_path, way):
+    words = [word for word in SMALL if not word.startswith("losses")]
+    words += ["rig.cameras=1", "camera.fov_deg=120", *way, f"run.out={tmp_path / 'run'}"]
     assert main(["optimise", *words]) == 0
     assert (tmp_path / "run" / "report.html").is_file()
     evaluation = json.loads((tmp_path / "run" / "evaluation.json").read_text())
