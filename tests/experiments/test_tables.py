@@ -185,7 +185,7 @@ def test_table1_measures_and_writes(working_directory, scenes, capsys):
     assert [row["runs"] for row in written["rows"]] == [2] * 4
     assert written["rows"][0]["thesis"]["positional"] == {"mean": 0.977, "std": None}
     found = json.loads((folder / "results" / "gradients_1.json").read_text())
-    assert found["renders"] == 2  # two iterations of one scene
+    assert found["camera_renders"] == 4  # two iterations of one scene in two cameras
     assert (folder / "table1.md").read_text().startswith("**Table I.")
     page = working_directory / "results.md"
     assert main(["experiment", "results", str(folder), "--out", str(page)]) == 0
@@ -216,7 +216,7 @@ def test_table2_and_table3_share_their_runs(working_directory, scenes, capsys):
 
 
 def test_a_failed_arm_ends_the_command_with_1(working_directory, scenes, monkeypatch, capsys):
-    def fail(problem, render_budget):
+    def fail(problem, camera_renders_max):
         raise ValueError("no luck")
 
     monkeypatch.setitem(arms.METHODS, "fails", fail)
@@ -238,7 +238,7 @@ def test_bad_words_are_told_in_one_line(working_directory, scenes, capsys):
     assert line("table2", *given, "--budget", "0") == "command line (--budget): expected at least 1, got 0"
     assert line("table2", *given, "--runs", "0") == "command line (--runs): expected at least 1, got 0"
     assert line("table2", *given, "--budget", "5").startswith(
-        "arm sgd_ifr: --budget: expected at least 6 scene renders"
+        "arm sgd_ifr: --budget: expected at least 12 camera renders"
     )
     assert line("table1", *given[:3], "--arms", "cma").startswith(
         "command line (--arms): expected nothing, as table1 measures gradients"

@@ -20,10 +20,11 @@ experiment_app = App(name="experiment", help="Run experiments, rescore their rig
 @experiment_app.default
 def experiment(
     name: Annotated[
-        Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation"],
+        Literal["table1", "table2", "table3", "table4", "table5", "open", "rivals", "ablations", "correlation"],
         Parameter(
-            help="A table of the thesis; open: all methods at equal budgets; ablations: the default method "
-            "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does."
+            help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
+            "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "
+            "correlation: whether the objective ranks rigs as the detector does."
         ),
     ],
     config: Annotated[
@@ -33,9 +34,17 @@ def experiment(
     *overrides: Overrides,
     runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the experiment's.")] = None,
     arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
-    budget: Annotated[
-        int | None, Parameter(help="Scene renders for every search; by default what the gradient method takes.")
+    setting: Annotated[
+        str | None,
+        Parameter(help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus."),
     ] = None,
+    budget: Annotated[
+        int | None,
+        Parameter(help="Camera renders (one scene, one camera) for every search; by default the experiment's."),
+    ] = None,
+    detector: Annotated[
+        bool, Parameter(help="Of rivals: run the detector on the unseen scenes as well.", negative="")
+    ] = False,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
@@ -47,7 +56,10 @@ def experiment(
     ] = None,
 ) -> int:
     """Run an experiment and print its table; the same command again does what is missing."""
-    from warpav.experiments import open_experiments, thesis_experiments
+    from functools import partial
+
+    from warpav.core.errors import ArgumentError
+    from warpav.experiments import open_experiments, rival_settings, thesis_experiments
     from warpav.experiments.experiment import arms_of, overrides_of
     from warpav.experiments.protocol import sealed_override
     from warpav.runs.config import placed_config
@@ -55,9 +67,18 @@ def experiment(
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
-    is_thesis = name in thesis_experiments.EXPERIMENTS
-    found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
-    run = thesis_experiments.run_table if is_thesis else open_experiments.run_open
+    if name == "rivals":
+        setting, found = rival_settings.find_setting(setting)
+        run = partial(rival_settings.run_rivals, setting, is_judged=detector)
+    elif setting is not None or detector:
+        option = "setting" if setting is not None else "detector"
+        raise ArgumentError(
+            option, f"expected nothing, as it is an option of the experiment rivals, got it with {name}"
+        )
+    else:
+        is_thesis = name in thesis_experiments.EXPERIMENTS
+        found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
+        run = partial(thesis_experiments.run_table if is_thesis else open_experiments.run_open, name)
     if sealed is not None:
         overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
@@ -65,11 +86,10 @@ def experiment(
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
     with placed_config(config or found.config, whole) as settings, RunDisplay() as display:
         done = run(
-            name,
             settings,
             arms=chosen,
             runs=runs,
-            render_budget=budget,
+            camera_renders_max=budget,
             out=out,
             quick=quick,
             progress=display,

@@ -71,7 +71,7 @@ def goals_of(results: Results, table: ArmsTable, presets: Sequence[str], *, resa
     Args:
         results: Results by arm.
         table: `compare_results` of them, with the default method as the reference.
-        presets: Presets that arms ``gradient_as_<preset>`` answer.
+        presets: Presets that arms ``default_as_<preset>`` answer.
         resamples: Of the bootstraps.
     """
     reference = results[table.reference]
@@ -174,7 +174,7 @@ def _small_spread(metric: str, table: ArmsTable) -> Goal:
 
 
 def _above_preset(preset: str, results: Results, resamples: int) -> Goal:
-    ours, theirs = results.get(f"gradient_as_{preset}"), results.get(preset)
+    ours, theirs = results.get(f"default_as_{preset}"), results.get(preset)
     text = f"recall at least {PRESET_GAIN_MIN:.0%} above {preset}'s with the same number of cameras (relative)"
     if not ours or not theirs:
         return Goal(text, None, "not among the arms")

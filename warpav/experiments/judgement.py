@@ -12,7 +12,13 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.evaluation.statistics import RESAMPLES, holm, paired_difference
-from warpav.experiments.experiment import DESCRIPTION, read_description, results_in
+from warpav.experiments.experiment import (
+    DESCRIPTION,
+    objective_of_tests,
+    objective_on_tests,
+    read_description,
+    results_in,
+)
 from warpav.experiments.protocol import Hypothesis, protocol, seal_of
 from warpav.experiments.tables import Results
 from warpav.runs.config import read_seeds
@@ -132,14 +138,16 @@ def _compared(
     seeds = [seed for seed in wanted if seed in ours and seed in theirs]
     if len(seeds) < 2:
         return Comparison(setting, arm, rival, None, len(seeds))
-    values = np.array([[runs[seed]["metrics"]["objective"] for seed in seeds] for runs in (ours, theirs)], np.float64)
+    values = np.array([[objective_on_tests(runs[seed]) for seed in seeds] for runs in (ours, theirs)], np.float64)
     scale = 1.0 - hypothesis.margin
     paired = (
         [ours[seed] for seed in seeds],
         [theirs[seed] for seed in seeds[: 1 if rival in protocol().seedless else None]],
     )
-    tables = [np.array([run["metrics"]["per_scene"]["objective"] for run in runs], np.float64) for runs in paired]
-    difference = paired_difference(tables[0], scale * tables[1], resamples=resamples)
+    tables = [np.array([objective_of_tests(run) for run in runs], np.float64) for runs in paired]
+    difference = paired_difference(
+        tables[0], scale * tables[1], weight=paired[0][0]["objects_of_scene"], resamples=resamples
+    )
     mean = values.mean(axis=1)
     not_above = int((values[0] <= values[1] + TOLERANCE).sum())
     change, p_value = float(mean[0] / mean[1] - 1.0), _one_sided(difference.mean, difference.p_value)
@@ -186,9 +194,7 @@ def _smaller_spread(ours: np.ndarray, theirs: np.ndarray) -> float | None:
 
 
 def _renders_ratio(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]]) -> float | None:
-    means = [
-        float(np.mean([run.get("camera_renders", run.get("renders")) or 0 for run in runs])) for runs in (ours, theirs)
-    ]
+    means = [float(np.mean([run["camera_renders"] for run in runs])) for runs in (ours, theirs)]
     return means[0] / means[1] if min(means) > 0.0 else None
 
 

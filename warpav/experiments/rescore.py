@@ -54,7 +54,7 @@ RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibil
 RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
 
-_REFERENCE = "gradient"
+_REFERENCE = "default"
 _RECALL = "tp_detection_rate"
 
 
@@ -244,7 +244,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "schema": SCHEMA,
         "made_with": task.made_with,
         "commit": asdict(running_commit()),
-        **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
+        **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],

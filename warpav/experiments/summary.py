@@ -15,7 +15,7 @@ from typing import Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
-from warpav.experiments.experiment import DESCRIPTION, read_json
+from warpav.experiments.experiment import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.goals import Goal
 from warpav.experiments.protocol import code_since_seal, seal_of
 from warpav.experiments.tables import COMPARED, Results
@@ -48,7 +48,7 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
             "command": shlex.join(map(_without_folders, shlex.split(command_line()))),
             "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": {key: made[key] for key in _VERSIONS},
-            "render_budget": described.get("render_budget"),
+            "camera_renders_max": described.get("camera_renders_max"),
             "options": {
                 name: _without_folders(value) if isinstance(value, str) else value
                 for name, value in described["options"].items()
@@ -56,7 +56,7 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
             "commits": _commits(results),
             "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
             "goals": [goal.data() for goal in goals],
-            "runs": [_run(run) if "metrics" in run else _gradients(run) for runs in results.values() for run in runs],
+            "runs": [_gradients(run) if "gradients" in run else _run(run) for runs in results.values() for run in runs],
         },
     )
 
@@ -93,18 +93,26 @@ def _without_folders(word: str) -> str:
 
 
 def _run(run: Mapping[str, Any]) -> dict[str, Any]:
-    metrics = run["metrics"]
+    if "metrics" in run:
+        metrics = run["metrics"]
+        tested: dict[str, Any] = {name: _rounded(metrics.get(name)) for name in _METRICS}
+        tested["recall_of_scene"] = [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]]
+    else:
+        tested = {
+            "objective": _rounded(objective_on_tests(run)),
+            "constraint_violation": _rounded(run["constraint_violation_m"]),
+            "objects": sum(run["objects_of_scene"]),
+        }
     return {
         "arm": run["arm"],
         "seed": run["seed"],
         "overrides": run.get("overrides", []),
-        **{name: _rounded(metrics.get(name)) for name in _METRICS},
+        **tested,
         "validation_objectives": {
             name: _rounded(value) for name, value in run.get("validation_objectives", {}).items()
         },
-        "renders": run.get("renders"),
+        "camera_renders": run.get("camera_renders"),
         "search_seconds": _rounded(run.get("seconds", {}).get("search")),
-        "recall_of_scene": [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]],
         "cameras": [
             {key: camera[key] for key in ("position_m", "yaw_deg", "pitch_deg", "fov_deg") if key in camera}
             for camera in run.get("rig", {}).get("cameras", [])
@@ -114,7 +122,7 @@ def _run(run: Mapping[str, Any]) -> dict[str, Any]:
 
 def _gradients(run: Mapping[str, Any]) -> dict[str, Any]:
     """A run that measured gradients and found no rig."""
-    return {name: run[name] for name in ("arm", "seed", "gradients", "renders")}
+    return {name: run[name] for name in ("arm", "seed", "gradients", "camera_renders")}
 
 
 def _rounded(value: float | None) -> float | None:

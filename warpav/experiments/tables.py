@@ -255,7 +255,7 @@ class ArmsTable:
         numbers: By metric and arm: mean over runs, and standard deviation.
         intervals: By metric and arm: the mean's 95 % interval over scenes and runs.
         violation_m: Worst violation of the constraints in any run, by arm [m].
-        renders: Mean scene renders of a search, by arm.
+        camera_renders: Mean camera renders of a search, by arm.
         seconds: Mean time of a search, by arm [s].
         differences: By metric and arm: the reference less the arm, with its 95 % interval; p-values are corrected by
             Holm's method for the number of arms, metric by metric.
@@ -268,7 +268,7 @@ class ArmsTable:
     numbers: dict[str, dict[str, Cell]]
     intervals: dict[str, dict[str, Difference]]
     violation_m: dict[str, float | None]
-    renders: dict[str, float | None]
+    camera_renders: dict[str, float | None]
     seconds: dict[str, float | None]
     differences: dict[str, dict[str, Difference]]
     missing: tuple[str, ...]
@@ -284,7 +284,7 @@ class ArmsTable:
             "Intervals: paired bootstrap (BCa) over test scenes and runs. Rates of objects weight each scene by its "
             "number of objects; other metrics are means over scenes, printed before the interval if they differ from "
             "the first line.",
-            "Violation: worst run. Renders (scenes, each in all cameras) and seconds: mean per search.",
+            "Violation: worst run. Camera renders (one scene, one camera) and seconds: mean per search.",
             *self.remarks,
             *gone,
         )
@@ -319,7 +319,7 @@ class ArmsTable:
 
     @property
     def _headings(self) -> list[str]:
-        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "renders", "seconds"]
+        return [*(COMPARED[metric] for metric in self.numbers), "violation m", "camera renders", "seconds"]
 
     def _lines(self, arm: str) -> list[list[str]]:
         ends = ["-" if end is None else form.format(end) for end, form in self._ends(arm)]
@@ -339,7 +339,7 @@ class ArmsTable:
         return f"{mean}[{interval.low:.3f}, {interval.high:.3f}]"
 
     def _ends(self, arm: str) -> list[tuple[float | None, str]]:
-        return [(self.violation_m[arm], "{:g}"), (self.renders[arm], "{:.0f}"), (self.seconds[arm], "{:.0f}")]
+        return [(self.violation_m[arm], "{:g}"), (self.camera_renders[arm], "{:.0f}"), (self.seconds[arm], "{:.0f}")]
 
 
 def compare_results(
@@ -386,7 +386,7 @@ def compare_results(
         violation_m={
             arm: max(_each(runs, "metrics", "constraint_violation"), default=None) for arm, runs in there.items()
         },
-        renders={arm: _cell([run.get("renders") for run in runs]).mean for arm, runs in there.items()},
+        camera_renders={arm: _cell([run.get("camera_renders") for run in runs]).mean for arm, runs in there.items()},
         seconds={arm: _cell(_each(runs, "seconds", "search")).mean for arm, runs in there.items()},
         differences=differences,
         missing=tuple(arm for arm in results if arm not in there),

@@ -15,11 +15,10 @@ from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.history import Candidate, History, IterationRecord
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.rig_values import single_cameras_of
 
 
 class PoolDescent:
@@ -58,23 +57,19 @@ class PoolDescent:
         Raises:
             InputError: The objective is made of other losses.
         """
-        losses = [loss for _, loss in objective.losses]
-        loss = losses[0]
-        plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
-        if len(losses) > 1 or not plain or objective.camera_probability is None:
+        cameras = single_cameras_of(objective)
+        if cameras is None:
             raise OptionError(
                 "optimiser.search",
                 "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
-                f"detector_share=0, got {', '.join(each.name for each in losses)}; set optimiser.search=descent",
+                f"detector_share=0, got {', '.join(loss.name for _, loss in objective.losses)}; set "
+                "optimiser.search=descent",
             )
         self.objective = objective
         self.start = objective.mount.within(np.asarray(start, np.float32))
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
-        cameras = SingleCameras(
-            objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
-        )
         self._states = pool_search(
             cameras,
             [each.scene for each in scenes],

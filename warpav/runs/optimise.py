@@ -17,7 +17,7 @@ from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
-from warpav.runs.config import changed_config
+from warpav.runs.config import Config, changed_config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
@@ -63,6 +63,17 @@ def optimise(
         return optimisation.result()
 
 
+def pool_search_settings(config: Config) -> PoolSearchSettings:
+    """How much a search by a pool looks at, as configured."""
+    optimiser = config.optimiser
+    return PoolSearchSettings(
+        optimiser.pool_cameras,
+        optimiser.pool_rounds,
+        gap=optimiser.pool_gap,
+        selection_time_s=optimiser.selection_time_s,
+    )
+
+
 class Optimisation:
     """One run of the optimiser, step by step.
 
@@ -88,6 +99,8 @@ class Optimisation:
         *,
         start: np.ndarray | None = None,
         began_as: Rig | None = None,
+        pool: PoolSearchSettings | None = None,
+        keeps_pool: bool = True,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -99,6 +112,8 @@ class Optimisation:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
+            pool: How much a search by a pool looks at; None: as configured.
+            keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
             progress: Shows that several starts are tried.
 
         Raises:
@@ -130,13 +145,8 @@ class Optimisation:
                 # those without a finite value are no starts; then some are taken twice
                 start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
         if by_pool:
-            settings = PoolSearchSettings(
-                config.optimiser.pool_cameras,
-                config.optimiser.pool_rounds,
-                gap=config.optimiser.pool_gap,
-                selection_time_s=config.optimiser.selection_time_s,
-            )
-            seed, cache = config.run.seed, pool_cache_folder()
+            settings = pool_search_settings(config) if pool is None else pool
+            seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
             searched = PoolDescent(
                 objective, placement.train, start, settings, seed=seed, cache=cache, progress=progress
             )

@@ -321,7 +321,7 @@ class FreeConfig(Section):
 class RigConfig(Section):
     """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
-    cameras: int = Field(default=4, ge=2, le=16, description="cameras on the vehicle")
+    cameras: int = Field(default=4, ge=1, le=16, description="cameras on the vehicle")
     start: Annotated[str, Expectation(START_TEXT)] = Field(
         default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
     )
