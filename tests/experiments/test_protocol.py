@@ -24,6 +24,7 @@ from warpav.experiments.protocol import (
     sealed_test_seeds,
     unknown_code,
 )
+from warpav.experiments.rival_settings import SETTINGS
 from warpav.runs import commit as git
 from warpav.runs.commit import Commit, code_of, commit_of_code, history, is_known, running_commit
 from warpav.runs.config import config_names, load_config
@@ -47,6 +48,19 @@ def test_hypotheses_name_arms_and_settings_that_there_are():
         assert {*hypothesis.arms, *hypothesis.rivals} <= set(protocol().arms)
         assert protocol().settings_of(hypothesis)
     assert set(protocol().seedless) <= set(protocol().arms)
+
+
+def test_the_experiments_are_those_of_the_protocol():
+    assert list(SETTINGS) == list(protocol().settings)
+    for name, experiment in SETTINGS.items():
+        assert [arm.name for arm in experiment.arms] == sorted(
+            protocol().arms, key=[arm.name for arm in experiment.arms].index
+        )
+        assert experiment.runs == len(protocol().seeds)
+        config = load_config(experiment.config, experiment.options)
+        assert len(config.scenes.test_seeds) == protocol().sealed_scenes
+        assert (config.rig.free.pitch_deg is not None) == protocol().settings[name].pitch_free
+        assert {arm.name for arm in experiment.arms if not arm.is_seeded} == set(protocol().seedless)
 
 
 def test_settings_follow_from_what_is_free():
