@@ -17,6 +17,7 @@ from warpav.optimisation.rig_values import SingleCameraValues
 from warpav.optimisation.rivals import descent_camera_renders
 from warpav.optimisation.search import BudgetedValue
 from warpav.optimisation.single_cameras import SingleCameras
+from warpav.rig.rig import write_rig
 from warpav.runs.config import changed_config, load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
@@ -159,6 +160,24 @@ def test_values_of_single_cameras_are_those_of_the_objective(missing, rng):
     double = missing.with_config(changed_config(missing.config, ["losses.expected_miss_rate=2"]))
     again = BudgetedValue.of(double.objective, double.train, space, camera_renders_max=20).of_rigs(rigs)
     np.testing.assert_allclose(again, 2.0 * found, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["default", "pool_only", "descent_only", "random_selected", "sobol_selected", "sobol"])
+def test_frozen_cameras_stay(missing, tmp_path, name):
+    start = find_rig_of(Arm("random_rig", "random_rig"), missing, None).rig
+    write_rig(start, tmp_path / "mine.yaml")
+    held = [f"rig.start={tmp_path / 'mine.yaml'}", f"rig.freeze={start.cameras[1].name}"]
+    placement = missing.with_config(changed_config(missing.config, held))
+    placement = Placement.from_config(placement.config).prepare()
+    found = find_rig_of(Arm(name, name) if name != "default" else find_arm(name, {}), placement, 90)
+    frozen, free = found.rig.cameras[1], found.rig.cameras[0]
+    np.testing.assert_allclose(frozen.position_m, start.cameras[1].position_m, atol=1e-5)
+    assert frozen.yaw_rad == pytest.approx(start.cameras[1].yaw_rad, abs=1e-5)
+    if name != "descent_only":  # the start sees too little to follow a gradient
+        assert free.position_m != pytest.approx(start.cameras[0].position_m, abs=1e-3)
+    assert placement.objective.constraints.violation_m(found.rig) == 0.0
+    value = placement.objective.evaluate(found.mount_pose, placement.train).objective
+    assert found.history["best_value"][-1] == pytest.approx(value, abs=1e-6)
 
 
 def test_losses_that_single_cameras_do_not_know_are_refused(problem, missing):
