@@ -16,19 +16,11 @@ from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
-from warpav.optimisation.single_cameras import SingleCameras
-
-
-def fits(objective: RigObjective) -> bool:
-    """Whether a pool of single cameras can stand for an objective: its one loss is the expected miss rate."""
-    loss = objective.losses[0][1]
-    plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
-    return plain and len(objective.losses) == 1 and objective.camera_probability is not None
+from warpav.optimisation.rig_values import single_cameras_of
 
 
 class PoolDescent:
@@ -67,7 +59,8 @@ class PoolDescent:
         Raises:
             InputError: The objective is made of other losses.
         """
-        if not fits(objective):
+        cameras = single_cameras_of(objective)
+        if cameras is None:
             raise OptionError(
                 "optimiser.search",
                 "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
@@ -80,10 +73,6 @@ class PoolDescent:
         self.iteration = 0
         self.found: Found | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
-        assert objective.camera_probability is not None
-        cameras = SingleCameras(
-            objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
-        )
         self._states = pool_search(
             cameras,
             [each.scene for each in scenes],

@@ -12,12 +12,13 @@ from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
-from warpav.optimisation.pool_descent import PoolDescent, fits
+from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
+from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
-from warpav.runs.config import changed_config
+from warpav.runs.config import Config, changed_config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
@@ -63,6 +64,17 @@ def optimise(
         return optimisation.result()
 
 
+def pool_search_settings(config: Config) -> PoolSearchSettings:
+    """How much a search by a pool looks at, as configured."""
+    optimiser = config.optimiser
+    return PoolSearchSettings(
+        optimiser.pool_cameras,
+        optimiser.pool_rounds,
+        gap=optimiser.pool_gap,
+        selection_time_s=optimiser.selection_time_s,
+    )
+
+
 class Optimisation:
     """One run of the optimiser, step by step.
 
@@ -88,6 +100,8 @@ class Optimisation:
         *,
         start: np.ndarray | None = None,
         began_as: Rig | None = None,
+        pool: PoolSearchSettings | None = None,
+        keeps_pool: bool = True,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -99,6 +113,8 @@ class Optimisation:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
+            pool: How much a search by a pool looks at; None: as configured.
+            keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
             progress: Shows that several starts are tried.
 
         Raises:
@@ -106,7 +122,7 @@ class Optimisation:
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
         search = config.optimiser.search
-        by_pool = search == "pool" or (search == "auto" and fits(objective))
+        by_pool = search == "pool" or (search == "auto" and single_cameras_of(objective) is not None)
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
@@ -131,13 +147,8 @@ class Optimisation:
                 # those without a finite value are no starts; then some are taken twice
                 start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
         if by_pool:
-            settings = PoolSearchSettings(
-                config.optimiser.pool_cameras,
-                config.optimiser.pool_rounds,
-                gap=config.optimiser.pool_gap,
-                selection_time_s=config.optimiser.selection_time_s,
-            )
-            seed, cache = config.run.seed, pool_cache_folder()
+            settings = pool_search_settings(config) if pool is None else pool
+            seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
             searched = PoolDescent(
                 objective, placement.search_scenes, start, settings, seed=seed, cache=cache, progress=progress
             )

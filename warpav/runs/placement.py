@@ -143,7 +143,7 @@ class Placement:
         Args:
             train: Scenes that the optimiser sees, at least one, all around the same ego vehicle.
             validation: Scenes on which rigs are compared; none: the training scenes.
-            cameras: Number of cameras, 2 to 16; None: those of ``start``, else ``config.rig.cameras``.
+            cameras: Number of cameras, 1 to 16; None: those of ``start``, else ``config.rig.cameras``.
             fov_deg: Horizontal field of view of every camera [deg].
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
             ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, `Mesh`, trimesh, or
