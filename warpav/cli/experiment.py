@@ -20,10 +20,11 @@ experiment_app = App(name="experiment", help="Run experiments, rescore their rig
 @experiment_app.default
 def experiment(
     name: Annotated[
-        Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation"],
+        Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation", "scene_count"],
         Parameter(
             help="A table of the thesis; open: all methods at equal budgets; ablations: the default method "
-            "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does."
+            "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does; "
+            "scene_count: the search by a pool on 50 to 1500 training scenes, judged on others."
         ),
     ],
     config: Annotated[
@@ -34,7 +35,11 @@ def experiment(
     runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the experiment's.")] = None,
     arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
     budget: Annotated[
-        int | None, Parameter(help="Scene renders for every search; by default what the gradient method takes.")
+        int | None,
+        Parameter(
+            help="Scene renders for every search, of scene_count camera renders; by default what the gradient method "
+            "takes."
+        ),
     ] = None,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
@@ -50,11 +55,20 @@ def experiment(
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
+    given = executor_overrides(executor, workers, address)
+    if name == "scene_count":
+        from warpav.experiments import scene_count
+
+        whole = [*scene_count.OPTIONS, *(scene_count.QUICK if quick else ()), *overrides, *given]
+        with placed_config(config or "default", whole) as settings, RunDisplay() as display:
+            failed = scene_count.run_scene_count(
+                settings, arms=arms, runs=runs, render_budget=budget, out=out, quick=quick, progress=display
+            )
+        return 1 if failed else 0
     is_thesis = name in thesis_experiments.EXPERIMENTS
     found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
     run = thesis_experiments.run_table if is_thesis else open_experiments.run_open
     chosen = arms_of(found, arms)
-    given = executor_overrides(executor, workers, address)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
     with placed_config(config or found.config, whole) as settings, RunDisplay() as display:
         done = run(

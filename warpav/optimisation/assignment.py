@@ -23,7 +23,7 @@ class AssignedScene:
 
         Args:
             scene: The scene on the device.
-            assigned_camera: As the property, or what finds it; not every loss asks for it, and finding it takes renders.
+            assigned_camera: As the property, or what finds it: that takes renders, and few losses ask for it.
         """
         self.scene = scene
         self._given = assigned_camera

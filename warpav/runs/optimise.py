@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
@@ -88,6 +89,7 @@ class Optimisation:
         *,
         start: np.ndarray | None = None,
         began_as: Rig | None = None,
+        executor: Executor | None = None,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -99,6 +101,7 @@ class Optimisation:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
+            executor: Where the search by a pool draws its cameras; None: here.
             progress: Shows that several starts are tried.
 
         Raises:
@@ -138,7 +141,14 @@ class Optimisation:
             )
             seed, cache = config.run.seed, pool_cache_folder()
             searched = PoolDescent(
-                objective, placement.train, start, settings, seed=seed, cache=cache, progress=progress
+                objective,
+                placement.train,
+                start,
+                settings,
+                seed=seed,
+                executor=executor,
+                cache=cache,
+                progress=progress,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

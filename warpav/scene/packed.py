@@ -1,16 +1,18 @@
-"""Scenes as a device takes them, in files that are mapped into memory: made once, several at a time, then there at once.
+"""Scenes as a device takes them, in files that are mapped into memory: made once, by several processes, then opened.
 
-A file is named after all that it was made of: the source, the vehicle, the targets, the code that makes and packs scenes
-and the versions of NumPy and Embree. So it never has to be checked for its age; one that is damaged is made again. On
-the CPU a `StoredScene` reads its meshes where the file lies in memory, and lets go of them after each use where more than
-`MAPPED_BYTES` are held already: thousands of scenes take no more memory than a hundred.
+A file is named after all that it was made of: the source, the vehicle, the targets, the code that makes and packs
+scenes, and the versions of NumPy and Embree. So it never has to be checked for its age; one that is damaged is made
+again. On the CPU a `StoredScene` reads its meshes where the file lies in memory. Where a process holds on to
+`HELD_BYTES` already, it lets go of them after use: thousands of scenes take no more memory than a hundred.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import weakref
 import zlib
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,14 +37,13 @@ from warpav.scene.scene import Scene
 
 CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
-MAPPED_BYTES = 2**29
+HELD_BYTES = 2**29
 """Meshes that a process holds on to, of all its stored scenes together."""
+RECENT_COUNT = 8
+"""Further scenes, those that were used last, whose meshes it has not let go of yet."""
 _PARALLEL_MIN = 4  # fewer scenes are made sooner than processes start
 _FORMAT = 1
 _CHECKED_FROM = 8  # the checksum itself comes first
-
-_mapped_bytes = 0
-_mapped_lock = threading.Lock()
 
 
 def packed_scene_folder() -> Path:
@@ -129,6 +130,7 @@ class StoredScene(DeviceScene):
             upright_box=boxes_of_arrays(record, device=device),
             _made_of=(recipe, folder, device),
             _held=None,
+            _recent=lambda: None,
         )
         if wp.get_device(device).is_cuda or not isinstance(record, np.memmap):
             self.__dict__["_held"] = RasterScene.of_arrays(record, device=device)
@@ -136,25 +138,18 @@ class StoredScene(DeviceScene):
     @property
     def raster(self) -> RasterScene:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The meshes as the rasteriser takes them; whoever keeps a part of them keeps the whole."""
-        held = self.__dict__["_held"]
-        if held is not None:
-            return held
-        recipe, folder, device = self.__dict__["_made_of"]
-        record = _record(recipe, folder, is_checked=True)
-        raster = RasterScene.of_arrays(record, device=device)
-        if not isinstance(record, np.memmap) or self._may_hold(record.nbytes):
-            self.__dict__["_held"] = raster
+        state = self.__dict__
+        raster = state["_held"] or state["_recent"]()
+        if raster is None:
+            recipe, folder, device = state["_made_of"]
+            record = _record(recipe, folder, is_checked=True)
+            raster = RasterScene.of_arrays(record, device=device)
+            state["_recent"] = weakref.ref(raster)
+            if not isinstance(record, np.memmap) or _held.take(self, record.nbytes):
+                state["_held"] = raster
+        if state["_held"] is None:
+            _recent.append(raster)
         return raster
-
-    def _may_hold(self, size: int) -> bool:
-        """Whether there is room to hold so many bytes until the scene goes."""
-        global _mapped_bytes
-        with _mapped_lock:
-            if self.__dict__["_held"] is not None or _mapped_bytes + size > MAPPED_BYTES:
-                return False
-            _mapped_bytes += size
-        weakref.finalize(self, _let_go, size).atexit = False
-        return True
 
     @property
     def vehicle_count(self) -> int:
@@ -228,11 +223,9 @@ def _record(recipe: SceneRecipe, folder: Path, *, is_checked: bool = False) -> n
             file.touch()
     except (OSError, ValueError, EOFError):
         record = _packed(recipe)
-        try:
+        with contextlib.suppress(OSError):  # then it stays in memory
             _write(record, file)
             record = _mapped(file, is_checked=True)
-        except OSError:
-            pass  # then it stays in memory
     return record
 
 
@@ -276,7 +269,26 @@ def _write(record: np.ndarray, file: Path) -> None:
         np.save(stream, record, allow_pickle=False)
 
 
-def _let_go(size: int) -> None:
-    global _mapped_bytes
-    with _mapped_lock:
-        _mapped_bytes -= size
+class _Held:
+    """Counts the bytes of meshes that scenes hold on to."""
+
+    def __init__(self) -> None:
+        self._size = 0
+        self._lock = threading.Lock()
+
+    def take(self, scene: StoredScene, size: int) -> bool:
+        """Whether a scene may hold on to so many bytes; they are free again when the scene goes."""
+        with self._lock:
+            if self._size + size > HELD_BYTES:
+                return False
+            self._size += size
+        weakref.finalize(scene, self._give_back, size).atexit = False
+        return True
+
+    def _give_back(self, size: int) -> None:
+        with self._lock:
+            self._size -= size
+
+
+_held = _Held()
+_recent: deque[RasterScene] = deque(maxlen=RECENT_COUNT)
