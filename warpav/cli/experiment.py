@@ -41,6 +41,9 @@ def experiment(
             "takes."
         ),
     ] = None,
+    scenes: Annotated[
+        str | None, Parameter(help="Of scene_count: numbers of training scenes; by default 50,150,500,1500.")
+    ] = None,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
@@ -62,7 +65,14 @@ def experiment(
         whole = [*scene_count.OPTIONS, *(scene_count.QUICK if quick else ()), *overrides, *given]
         with placed_config(config or "default", whole) as settings, RunDisplay() as display:
             failed = scene_count.run_scene_count(
-                settings, arms=arms, runs=runs, render_budget=budget, out=out, quick=quick, progress=display
+                settings,
+                arms=arms,
+                scene_counts=scenes,
+                runs=runs,
+                render_budget=budget,
+                out=out,
+                quick=quick,
+                progress=display,
             )
         return 1 if failed else 0
     is_thesis = name in thesis_experiments.EXPERIMENTS

@@ -93,6 +93,7 @@ def run_scene_count(
     config: Config,
     *,
     arms: str | None = None,
+    scene_counts: str | None = None,
     runs: int | None = None,
     render_budget: int | None = None,
     out: Path | None = None,
@@ -104,6 +105,7 @@ def run_scene_count(
     Args:
         config: The configuration, with `OPTIONS`; its training scenes are those to choose from.
         arms: Names of `ARMS`, with commas; None: all.
+        scene_counts: Numbers of training scenes, with commas; None: `COUNTS`.
         runs: Run seeds, from ``run.seed``; None: `RUNS`.
         render_budget: Camera renders of each search of `SAME_RENDERS`; None: see `BUDGET_SCENES`.
         out: Folder; None: ``run.out``, or ``runs/scene_count``. Searches that it holds are not done again.
@@ -119,7 +121,9 @@ def run_scene_count(
     """
     name = f"{NAME}_quick" if quick else NAME
     folder = (out or config.run.out or RUNS_FOLDER / name).absolute()
-    tasks = _tasks(config, arms, runs or (1 if quick else RUNS), render_budget, folder / RESULTS, quick=quick)
+    runs = (1 if quick else RUNS) if runs is None else runs
+    counts = _counts(scene_counts, len(config.scenes.train_seeds), QUICK_COUNTS if quick else COUNTS)
+    tasks = _tasks(config, arms, counts, runs, render_budget, folder / RESULTS)
     try:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -149,8 +153,20 @@ def run_scene_count(
     return failed
 
 
+def _counts(text: str | None, there: int, usual: Sequence[int]) -> list[int]:
+    """Numbers of training scenes, ascending."""
+    if text is None:
+        return sorted({count for count in usual if count <= there} | {there})
+    words = text.split(",")
+    if not all(word.strip().isdecimal() and 1 <= int(word) <= there for word in words):
+        raise ArgumentError(
+            "scenes", f"expected numbers from 1 to the {there} scenes.train_seeds, such as 50,150, got {text!r}"
+        )
+    return sorted({int(word) for word in words})
+
+
 def _tasks(
-    config: Config, arms: str | None, runs: int, render_budget: int | None, folder: Path, *, quick: bool
+    config: Config, arms: str | None, counts: Sequence[int], runs: int, render_budget: int | None, folder: Path
 ) -> list[_Search]:
     if config.optimiser.search != "pool" or config.scenes.mirror:
         raise OptionError(
@@ -163,8 +179,6 @@ def _tasks(
     for option, value in (("runs", runs), ("budget", render_budget)):
         if value is not None and value < 1:
             raise ArgumentError(option, f"expected at least 1, got {value}")
-    there = len(config.scenes.train_seeds)
-    counts = sorted({count for count in (QUICK_COUNTS if quick else COUNTS) if count <= there} | {there})
     budget = render_budget or 2 * BUDGET_SCENES * config.optimiser.pool_cameras
     config = with_absolute_paths(config)
     seeded = [changed_config(config, [f"run.seed={config.run.seed + k}"]) for k in range(runs)]
