@@ -79,12 +79,12 @@ def test_scenes_are_drawn_by_the_run_seed_and_fewer_are_among_more():
     [
         (
             ["--scenes", "2,5"],
-            "--scenes: expected numbers from 1 to the 4 scenes.train_seeds, such as 50,150, got '2,5'",
+            "(--scenes): expected numbers from 1 to the 4 scenes.train_seeds, such as 50,150, got '2,5'",
         ),
-        (["--scenes", "two"], "--scenes: expected numbers from 1 to the 4"),
-        (["--arms", "gradient"], "--arms: expected some of same_cameras, same_renders, got 'gradient'"),
-        (["--runs", "0"], "--runs: expected at least 1, got 0"),
-        (["--budget", "15"], "--budget: expected at least 16 camera renders, for 2 cameras in 4 scenes"),
+        (["--scenes", "two"], "(--scenes): expected numbers from 1 to the 4"),
+        (["--arms", "gradient"], "(--arms): expected some of same_cameras, same_renders, got 'gradient'"),
+        (["--runs", "0"], "(--runs): expected at least 1, got 0"),
+        (["--budget", "15"], "(--budget): expected at least 16 camera renders, for 2 cameras in 4 scenes"),
         (["optimiser.search=descent"], "optimiser.search: expected pool"),
     ],
 )
