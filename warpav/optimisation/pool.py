@@ -175,6 +175,27 @@ class CameraPool:
             cached_count=self.cached_count + cached_count,
         )
 
+    def joined(self, mount_pose: np.ndarray, detection_probability: np.ndarray) -> CameraPool:
+        """The pool with cameras behind those that it has that were rendered elsewhere in all its scenes.
+
+        They count as drawn. They are not kept in the cache: with a Jacobian a camera is rendered another way, and its
+        probabilities may differ in the last digits.
+
+        Args:
+            mount_pose: The further cameras, as in `draw`.
+            detection_probability: Theirs, float [camera, object].
+        """
+        pose = _checked_poses(mount_pose)
+        dtype = self.detection_probability.dtype
+        return replace(
+            self,
+            mount_pose=np.concatenate([self.mount_pose, pose]),
+            detection_probability=np.concatenate(
+                [self.detection_probability, np.asarray(detection_probability, dtype)]
+            ),
+            drawn_count=self.drawn_count + len(pose) * len(self._source.scenes),
+        )
+
     @property
     def identity(self) -> Identity:
         """Hashes of all that it was drawn with: vehicle, camera, detector, version and the scenes in their order."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -22,9 +22,10 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, CameraMount
+from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, trust_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.selection.price import Price
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import SingleCameras
@@ -43,18 +44,21 @@ class PoolSearchSettings:
     Attributes:
         pool_cameras: Single cameras of the first pool, at least as many as the rig has.
         rounds: How often further cameras are priced, at most.
-        priced_cameras: Cameras that a round adds at most.
+        priced_cameras: Cameras that a round follows along their prices, each for a few steps.
         gap: Objective less bound at which a selection ends, an expected miss rate.
         selection_time_s: When a selection ends at the latest [s].
-        camera_renders_max: Camera renders (one camera, one scene) that may be spent; None: as many as it takes.
+        camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
+            those with a Jacobian among them; the pool is no larger than that. None: as many as it takes.
+        polishes: Whether selected rigs are polished.
     """
 
     pool_cameras: int = 128
-    rounds: int = 2
-    priced_cameras: int = 16
+    rounds: int = 4
+    priced_cameras: int = 8
     gap: float = 5e-4
     selection_time_s: float = 20.0
     camera_renders_max: int | None = None
+    polishes: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +71,7 @@ class Found:
         bound: No rig of cameras of the pool is below it; 0 before the first selection. It says nothing of cameras that
             the pool does not have.
         stage: What has just been done; ``settled`` where nothing is left to do.
-        camera_renders: Camera renders so far, those that were found in the cache not among them.
+        camera_renders: Camera renders so far, those that the cache has spared among them.
         pool_cameras: Cameras of the pool.
         seconds: Wall time so far [s].
         price: What further cameras would bring; None before the first relaxation.
@@ -124,147 +128,182 @@ def pool_search(
     Raises:
         InputError: The pool sees nothing, or the cameras do not fit.
     """
-    options = (start, settings or PoolSearchSettings(), seed, executor, cache, progress)
-    state = None
-    for state in _states(cameras, scenes, constraints, camera_count, *options):
-        yield state
-    assert state is not None
-    yield replace(state, stage="settled")
-
-
-def _states(
-    cameras: SingleCameras,
-    scenes: Sequence[DeviceScene],
-    constraints: Constraints,
-    camera_count: int,
-    start: np.ndarray | None,
-    settings: PoolSearchSettings,
-    seed: int,
-    executor: Executor | None,
-    cache: Path | None,
-    progress: Progress | None,
-) -> Iterator[Found]:
+    settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
-    began = time.perf_counter()
-    mount = cameras.mount
-    rig_of = _Assembly(mount, camera_count)
-    spread = spread_mount_poses(mount, constraints, settings.pool_cameras, seed=seed)
-    known: np.ndarray | None = None
-    if start is not None:
-        start = nearest_rig(start, mount, constraints)
-        known = np.arange(camera_count)
-        spread = np.concatenate([start[~rig_of.is_frozen], spread])
-    pose = np.concatenate([rig_of.frozen, spread])
-    pool = CameraPool.draw(pose, scenes=scenes, cameras=cameras, executor=executor, cache=cache, progress=progress)
-    further = 0  # camera renders of the polish and of the pricing
-    best: np.ndarray | None = None
-    objective = np.inf
+    search = _Search(cameras, scenes, constraints, camera_count, settings, seed)
+    yield from search.states(start, executor, cache, progress)
+    yield search.found("settled")
 
-    def found(stage: Stage, selection: Selection | None, number: int) -> Found:
-        assert best is not None
+
+class _Search:
+    """What a search knows; every method that looks at something new adds it to the pool and yields what it has found.
+
+    Whatever was rendered joins the pool: the cameras of the polish and those that the prices led to as well, so that
+    each selection chooses among all that is known.
+    """
+
+    def __init__(
+        self,
+        cameras: SingleCameras,
+        scenes: Sequence[DeviceScene],
+        constraints: Constraints,
+        camera_count: int,
+        settings: PoolSearchSettings,
+        seed: int,
+    ) -> None:
+        self.cameras, self.scenes, self.constraints = cameras, scenes, constraints
+        self.camera_count, self.settings, self.seed = camera_count, settings, seed
+        self.assembly = _Assembly(cameras.mount, camera_count)
+        self.began = time.perf_counter()
+        self.pool: CameraPool
+        self.best: np.ndarray | None = None
+        self.objective = np.inf
+        self.selection: Selection | None = None
+        self.round = 0
+
+    def found(self, stage: Stage) -> Found:
+        """The state of the search."""
+        assert self.best is not None
+        selection = self.selection
         return Found(
-            best,
-            objective,
+            self.best,
+            self.objective,
             selection.bound if selection else 0.0,
             stage,
-            pool.drawn_count + further,
-            len(pool.mount_pose),
-            time.perf_counter() - began,
+            self.camera_renders,
+            len(self.pool.mount_pose),
+            time.perf_counter() - self.began,
             selection.price if selection else None,
-            number,
+            self.round,
         )
 
-    def is_spent(more: int = 0) -> bool:
-        limit = settings.camera_renders_max
-        return limit is not None and pool.drawn_count + further + more > limit
+    def states(
+        self, start: np.ndarray | None, executor: Executor | None, cache: Path | None, progress: Progress | None
+    ) -> Iterator[Found]:
+        mount, spread_count = self.cameras.mount, self.settings.pool_cameras
+        first = self.assembly.frozen
+        if start is not None:
+            start = nearest_rig(start, mount, self.constraints)
+            first = self.assembly.in_order(start)
+        limit = self.settings.camera_renders_max
+        if limit is not None:
+            spread_count = min(spread_count, limit // len(self.scenes) - len(first))
+        if len(first) + spread_count < self.camera_count:
+            expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
+            raise ArgumentError("camera_renders_max", f"{expected}, got {limit}")
+        pose = first
+        if spread_count > 0:
+            pose = np.concatenate([first, spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)])
+        self.pool = CameraPool.draw(
+            pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
+        )
+        if start is not None:
+            self._is_better(start, expected_miss_rate(self.pool.detection_probability[: self.camera_count]))
+            yield self.found("start")
+        yield from self._select_and_polish()
+        while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
+            self.round += 1
+            before = self.objective
+            yield from self._price()
+            yield from self._select_and_polish()
+            if self.objective > before - _SAME:
+                return
 
-    if start is not None and known is not None:
-        best = start
-        objective = expected_miss_rate(pool.detection_probability[known])
-        yield found("start", None, 0)
-    for number in range(settings.rounds + 1):
-        selection = select(
+    @property
+    def camera_renders(self) -> int:
+        """Camera renders so far."""
+        return self.pool.drawn_count + self.pool.cached_count
+
+    @property
+    def _left(self) -> int | None:
+        """Camera renders that may still be spent; None: as many as it takes."""
+        limit = self.settings.camera_renders_max
+        return None if limit is None else max(limit - self.camera_renders, 0)
+
+    def _affordable(self, camera_count: int) -> int:
+        """Of so many cameras, those that may still be rendered in all scenes."""
+        return camera_count if self._left is None else min(camera_count, self._left // len(self.scenes))
+
+    def _is_better(self, rig: np.ndarray, objective: float) -> bool:
+        """Whether a rig is better than the best so far, which it then is."""
+        if objective < self.objective - (_SAME if self.best is not None else 0.0):
+            self.best, self.objective = rig, objective
+            return True
+        return False
+
+    def _select_and_polish(self) -> Iterator[Found]:
+        pool, known = self.pool, None
+        if self.best is not None:
+            known = rows_of(self.assembly.in_order(self.best) + np.float32(0.0), pool.mount_pose)
+        self.selection = selection = select(
             np.minimum(pool.detection_probability, SUREST),
-            camera_count,
-            conflict=_too_near(pool.mount_pose, constraints),
-            required=np.arange(len(rig_of.frozen)),
+            self.camera_count,
+            conflict=too_near(pool.mount_pose, self.constraints),
+            required=np.arange(len(self.assembly.frozen)),
             start=known,
-            gap=settings.gap,
-            time_limit_s=settings.selection_time_s,
-            seed=seed,
+            gap=self.settings.gap,
+            time_limit_s=self.settings.selection_time_s,
+            seed=self.seed,
         )
-        chosen = rig_of.rig(pool.mount_pose[selection.cameras])
-        is_news = number == 0 or selection.objective < objective - _SAME
-        if best is None or selection.objective < objective - _SAME:
-            best, objective = chosen, selection.objective
-        yield found("selection", selection, number)
-        if not is_news:
+        chosen = self.assembly.rig(pool.mount_pose[selection.cameras])
+        is_news = self._is_better(chosen, selection.objective) or self.round == 0
+        yield self.found("selection")
+        if is_news and self.settings.polishes:
+            yield from self._polish(chosen)
+
+    def _polish(self, rig: np.ndarray) -> Iterator[Found]:
+        drawn: list[tuple[np.ndarray, np.ndarray]] = []
+
+        def detect(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            probability, jacobian = self.cameras.with_jacobian(moved, self.scenes)
+            drawn.append((moved, probability))
+            return probability, jacobian
+
+        if self._affordable(self.camera_count) < self.camera_count:
             return
-        before = further
         steps = polish(
-            chosen,
-            lambda moved: cameras.with_jacobian(moved, scenes),
-            mount=mount,
-            constraints=constraints,
-            scene_count=len(scenes),
-            camera_renders_max=None
-            if settings.camera_renders_max is None
-            else settings.camera_renders_max - pool.drawn_count - further,
+            rig,
+            detect,
+            mount=self.cameras.mount,
+            constraints=self.constraints,
+            scene_count=len(self.scenes),
+            camera_renders_max=self._left,
         )
         for step in steps:
-            further = before + step.camera_renders
-            if step.objective < objective:
-                best, objective = step.mount_pose, step.objective
-                yield found("polish", selection, number)
-        if number == settings.rounds or selection.price is None or is_spent(len(scenes) * settings.priced_cameras):
+            while drawn:
+                self.pool = self.pool.joined(*drawn.pop())
+            if self._is_better(step.mount_pose, step.objective):
+                yield self.found("polish")
+
+    def _price(self) -> Iterator[Found]:
+        """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
+        price = None if self.selection is None else self.selection.price
+        count = self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
+        if price is None or count < 1:
             return
-        priced, renders = _priced(cameras, scenes, constraints, pool, selection.price, settings)
-        further += renders
-        first_new = len(pool.mount_pose)
-        polished = chosen if best is None else best
-        pool = pool.extended(np.concatenate([polished[~rig_of.is_frozen], priced]))
-        known = np.concatenate(
-            [np.arange(len(rig_of.frozen)), first_new + np.arange(camera_count - len(rig_of.frozen))]
-        )
-        yield found("pricing", selection, number)
-
-
-def _priced(
-    cameras: SingleCameras,
-    scenes: Sequence[DeviceScene],
-    constraints: Constraints,
-    pool: CameraPool,
-    price: Price,
-    settings: PoolSearchSettings,
-) -> tuple[np.ndarray, int]:
-    """Cameras that promise to lower the bound, float32 [camera, 7], and the camera renders of looking for them.
-
-    From the cheapest cameras of the pool the reduced cost is followed downhill along its exact slope.
-    """
-    cost = price.reduced_cost(np.minimum(np.asarray(pool.detection_probability, np.float64), SUREST))
-    pose = pool.mount_pose[np.argsort(cost, kind="stable")[: settings.priced_cameras]]
-    mount, unit = cameras.mount, trust_unit(cameras.mount)
-    length = np.full(len(pose), 0.5)
-    lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
-    renders = 0
-    tried = pose
-    for _ in range(PRICED_STEPS):
-        probability, jacobian = cameras.with_jacobian(tried, scenes)
-        renders += len(pose) * len(scenes)
-        probability = np.minimum(probability, SUREST)
-        cost = price.reduced_cost(probability)
-        is_lower = cost < lowest
-        length = np.where(is_lower, length, 0.4 * length)
-        kept = np.where(is_lower[:, None], tried, kept)
-        downhill = -np.einsum("co,cok->ck", price.reduced_cost_slope(probability), jacobian) * unit
-        slope = np.where(is_lower[:, None], downhill, slope)
-        lowest = np.minimum(cost, lowest)
-        norm = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-12)
-        tried = np.clip(kept + length[:, None] * slope / norm * unit, mount.low, mount.high)
-        tried[:, [X_M, Y_M]] = constraints.nearest_place(tried[:, [X_M, Y_M]])
-        tried = tried.astype(np.float32)
-    return tried, renders
+        cost = price.reduced_cost(np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST))
+        mount, unit = self.cameras.mount, trust_unit(self.cameras.mount)
+        pose = _apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
+        length = np.full(len(pose), 0.5)
+        lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
+        tried = pose
+        for _ in range(PRICED_STEPS):
+            probability, jacobian = self.cameras.with_jacobian(tried, self.scenes)
+            self.pool = self.pool.joined(tried, probability)
+            probability = np.minimum(probability, SUREST)
+            cost = price.reduced_cost(probability)
+            is_lower = cost < lowest
+            length = np.where(is_lower, length, 0.4 * length)
+            kept = np.where(is_lower[:, None], tried, kept)
+            downhill = -np.einsum("co,cok->ck", price.reduced_cost_slope(probability), jacobian) * unit
+            slope = np.where(is_lower[:, None], downhill, slope)
+            lowest = np.minimum(cost, lowest)
+            norm = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-12)
+            tried = np.clip(kept + length[:, None] * slope / norm * unit, mount.low, mount.high)
+            tried[:, [X_M, Y_M]] = self.constraints.nearest_place(tried[:, [X_M, Y_M]])
+            tried = tried.astype(np.float32)
+        yield self.found("pricing")
 
 
 class _Assembly:
@@ -277,6 +316,10 @@ class _Assembly:
             np.zeros((0, 7), np.float32) if frozen is None else frozen.mount_pose[frozen.is_frozen].astype(np.float32)
         )
 
+    def in_order(self, rig: np.ndarray) -> np.ndarray:
+        """The cameras of a rig, the frozen ones first, as `rig` takes them."""
+        return np.concatenate([self.frozen, rig[~self.is_frozen]])
+
     def rig(self, pose: np.ndarray) -> np.ndarray:
         """The rig of chosen cameras, the frozen ones first among them, float32 [camera, 7]."""
         result = np.empty((len(self.is_frozen), 7), np.float32)
@@ -285,7 +328,21 @@ class _Assembly:
         return result
 
 
-def _too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_array:
+def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
+    """The first cameras of some that differ by more than a unit in a number, at most so many, [camera, 7]."""
+    scale = np.where(unit > 0.0, unit, np.inf)
+    chosen = mount_pose[:1]
+    for pose in mount_pose[1:]:
+        if len(chosen) >= count:
+            break
+        difference = chosen - pose
+        difference[:, YAW_RAD] = (difference[:, YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+        if (np.abs(difference) / scale).max(axis=1).min() > 1.0:
+            chosen = np.concatenate([chosen, pose[None]])
+    return chosen
+
+
+def too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_array:
     """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
     from scipy.spatial import KDTree
 
