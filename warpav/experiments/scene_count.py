@@ -197,13 +197,13 @@ def _tasks(
 def _run(task: _Search) -> dict[str, Any]:
     """Search, measure, write the result and return it."""
     config = task.config
-    probability = needed_fit(config, NullProgress())
+    probability = CameraProbability.of(config.losses, needed_fit(config, NullProgress()))
     scenes = traffic_of_process(config, NullProgress())
     if probability is None:
         raise OptionError("losses.expected_miss_rate", "expected a weight above 0, as a pool knows this loss alone")
     cameras = SingleCameras(
         scenes.mount,
-        CameraProbability.of(config.losses, probability),
+        probability,
         Occlusion(config.visibility.occlusion),
         config.camera.supersampling,
     )
@@ -220,7 +220,7 @@ def _run(task: _Search) -> dict[str, Any]:
     )
     began = time.perf_counter()
     states = list(
-        _with_rig(
+        _without_prices(
             pool_search(
                 cameras,
                 train,
@@ -259,7 +259,7 @@ def _run(task: _Search) -> dict[str, Any]:
     return result
 
 
-def _with_rig(states: Iterator[Found]) -> Iterator[Found]:
+def _without_prices(states: Iterator[Found]) -> Iterator[Found]:
     """The states of a search, without prices, which are as large as the pool."""
     for state in states:
         yield replace(state, price=None)

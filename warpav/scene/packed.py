@@ -255,7 +255,7 @@ def _packed(recipe: SceneRecipe) -> np.ndarray:
 
 
 def _checksum(record: np.ndarray) -> int:
-    return zlib.crc32(record.reshape(1).view(np.uint8)[_CHECKED_FROM:])
+    return zlib.crc32(record.reshape(1).view(np.uint8).data[_CHECKED_FROM:])
 
 
 def _write(record: np.ndarray, file: Path) -> None:
