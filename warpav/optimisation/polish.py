@@ -4,11 +4,14 @@ Every step renders each camera once in every scene, with the Jacobian of its pro
 rig's expected miss rate is then known around the present poses, not as one slope but object by object: the model moves
 each probability's logit along its Jacobian and multiplies what the cameras miss, as the true objective does. So it
 knows that what another camera finds already is worth nothing, and that a sure object cannot become surer. The model is
-minimised under the constraints within a trust region, the found rig is rendered, and what the model promised beside
-what came of it decides whether the rig is taken and how far the next step may go.
+minimised under the constraints within a radius, and the rig that it finds is the next.
 
-Source: trust regions as in the textbook of Nocedal and Wright (2006), chapter 4; the model is a composite one, exact to
-first order, as in Gauss-Newton methods (chapter 10).
+The radius shrinks on a schedule, and a step is taken even where the objective rises, unless it rises by much. With
+images of some hundred pixels the objective is rough at the length of a step: a method that takes only what is better,
+as trust regions do, ends on the first bump, far above what can be had.
+
+Source: the model is a composite one, exact to first order, as in Gauss-Newton methods (Nocedal and Wright 2006, chapter
+10); `tests/benchmarks/test_polish.py` measures it against Adam and L-BFGS-B.
 """
 
 from __future__ import annotations
@@ -27,10 +30,11 @@ Detected = tuple[np.ndarray, np.ndarray]
 SUREST = 0.9999
 """Greatest probability that counts, as in the loss."""
 TRUST_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
-"""How far a number of a mount pose may move in a step at radius 1 [m, rad, 1]."""
-RADIUS_MAX = 2.0
-RADIUS_MIN = 0.004
-"""Below this radius (under a millimetre) the rendered objective is rougher than the steps are long."""
+"""How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
+RADII = (0.4, 0.03)
+"""Of the first and of the last step, in `TRUST_UNIT`: 8 cm and 6 mm."""
+RISE_MAX = 0.15
+"""How much higher than the best an objective may be, relatively, for the steps to go on from there."""
 _LOGIT_MAX = 12.0
 
 
@@ -43,7 +47,7 @@ class PolishStep:
         objective: Its expected miss rate.
         tried_objective: That of the rig that the step tried.
         promised: What the model expected of that rig.
-        radius: Of the trust region in which it was sought, in `TRUST_UNIT`.
+        radius: Within which it was sought, in `TRUST_UNIT`.
         camera_renders: Camera renders (one camera in one scene) so far.
     """
 
@@ -75,9 +79,10 @@ def polish(
     scene_count: int,
     weight: np.ndarray | None = None,
     camera_renders_max: int | None = None,
+    step_count: int = 20,
     tolerance: float = 1e-4,
 ) -> Iterator[PolishStep]:
-    """Steps until nothing improves, or until the next would cost more than may be spent.
+    """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 
     Args:
         mount_pose: Where to begin, float [camera, 7]; brought to the nearest rig that satisfies the constraints.
@@ -87,6 +92,8 @@ def polish(
         scene_count: Camera renders that a camera costs.
         weight: Of each object, at least 0; None: all alike.
         camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
+        step_count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over
+            as many as can.
         tolerance: Relative gain that the model must promise for another step.
 
     Yields:
@@ -103,30 +110,45 @@ def polish(
     shares = shares / shares.sum()
     objective = expected_miss_rate(probability, shares)
     renders = len(pose) * scene_count
-    radius = 1.0
-    yield PolishStep(pose, objective, objective, objective, radius, renders)
-    while radius >= RADIUS_MIN:
-        model = _Model(problem, pose, probability, jacobian, shares)
+    yield PolishStep(pose, objective, objective, objective, 0.0, renders)
+    moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
+    if camera_renders_max is not None and moving:
+        step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
+    best = here = _Here(pose, probability, jacobian, objective)
+    for radius in _radii(step_count):
+        model = _Model(problem, here.pose, here.probability, here.jacobian, shares)
         tried = problem.feasible(model.minimised(radius))
-        promised = model.value(problem.free_of(tried) - problem.free_of(pose))
-        if promised > objective * (1.0 - tolerance):
-            if radius <= 0.1:
-                return
-            radius *= 0.25
+        promised = model.value(problem.free_of(tried) - problem.free_of(here.pose))
+        if promised > here.objective * (1.0 - tolerance):
+            here = best
             continue
-        moved = np.flatnonzero((tried != pose).any(axis=1))
-        if camera_renders_max is not None and renders + len(moved) * scene_count > camera_renders_max:
-            return
-        new_probability, new_jacobian = probability.copy(), jacobian.copy()
-        new_probability[moved], new_jacobian[moved] = detect(tried[moved])
+        moved = np.flatnonzero((tried != here.pose).any(axis=1))
+        probability, jacobian = here.probability.copy(), here.jacobian.copy()
+        probability[moved], jacobian[moved] = detect(tried[moved])
         renders += len(moved) * scene_count
-        found = expected_miss_rate(new_probability, shares)
-        kept_share = (objective - found) / (objective - promised)
-        used = radius
-        radius = radius * 0.35 if kept_share < 0.25 else min(radius * 1.6, RADIUS_MAX) if kept_share > 0.75 else radius
-        if found < objective:
-            pose, probability, jacobian, objective = tried, new_probability, new_jacobian, found
-        yield PolishStep(pose, objective, found, promised, used, renders)
+        here = _Here(tried, probability, jacobian, expected_miss_rate(probability, shares))
+        tried_objective = here.objective
+        if here.objective < best.objective:
+            best = here
+        elif here.objective > best.objective * (1.0 + RISE_MAX):
+            here = best
+        yield PolishStep(best.pose, best.objective, tried_objective, promised, radius, renders)
+
+
+@dataclass(frozen=True, eq=False)
+class _Here:
+    """A rig that was rendered."""
+
+    pose: np.ndarray
+    probability: np.ndarray
+    jacobian: np.ndarray
+    objective: float
+
+
+def _radii(count: int) -> np.ndarray:
+    """A cosine from the first radius to the last."""
+    first, last = RADII
+    return last + (first - last) * 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:
@@ -213,7 +235,7 @@ class _Model:
         return float(self._weight @ product) + self._missed_anyway, gradient[self.problem.is_free]
 
     def minimised(self, radius: float) -> np.ndarray:
-        """The pose with the lowest modelled objective within the trust region and the constraints, [camera, 7]."""
+        """The pose with the lowest modelled objective within the radius and the constraints, [camera, 7]."""
         from scipy.optimize import minimize
 
         problem, here = self.problem, self.problem.free_of(self.pose)

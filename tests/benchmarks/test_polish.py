@@ -1,0 +1,122 @@
+"""The polish against Adam and L-BFGS-B: the same starting rigs, constraints, exact Jacobians and camera renders.
+
+Left out of the ordinary run; ``pytest tests/benchmarks/test_polish.py --benchmark-only -s`` runs it and prints the
+expected miss rate that each method ends with. The starting rigs are those that the selection chooses of pools of 64
+cameras in 20 town scenes; every method may render its cameras 30 times.
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from tests.benchmarks.test_pool import shipped_fit
+from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.mount import CameraMount, FreeRanges
+from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, trust_unit
+from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool_search import too_near
+from warpav.optimisation.selection.select import select
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.raster.camera import CameraModel
+from warpav.rig.mount_surface import mount_surface_from_mesh
+from warpav.scene.cache import town_scenes
+from warpav.scene.device_scene import DeviceScene
+
+RIG, RENDERS, SEEDS = 4, 30, (0, 1, 2, 3)
+FREE = {"x, y, yaw": None, "and pitch": FreeRanges(pitch_rad=(np.radians(-10.0), np.radians(30.0)))}
+
+
+class Work:
+    """Town scenes, and the rig that the selection chooses of a pool."""
+
+    def __init__(self, free, seed):
+        scenes = list(town_scenes(range(300 + 20 * seed, 320 + 20 * seed)))
+        surface = mount_surface_from_mesh(scenes[0].ego)
+        self.mount = CameraMount(surface, camera=CameraModel(256, 256), height_offset_m=0.25, device="cpu", free=free)
+        self.constraints = ZoneAndSpacing(surface, camera_count=RIG)
+        self.cameras = SingleCameras(self.mount, CameraProbability(shipped_fit()))
+        self.scenes = [DeviceScene.pack(scene, device="cpu") for scene in scenes]
+        pose = spread_mount_poses(self.mount, self.constraints, 64, seed=seed)
+        pool = CameraPool.draw(pose, scenes=self.scenes, cameras=self.cameras)
+        found = select(pool.detection_probability, RIG, conflict=too_near(pose, self.constraints), time_limit_s=10.0)
+        self.start, self.objective = pose[found.cameras], found.objective
+
+    def value_and_gradient(self, pose):
+        """The expected miss rate and its gradient by the mount poses, [camera, 7]."""
+        probability, jacobian = self.cameras.with_jacobian(pose, self.scenes)
+        missed = 1.0 - np.minimum(np.asarray(probability, np.float64), SUREST)
+        others = np.prod(missed, axis=0) / missed
+        return expected_miss_rate(probability), -np.einsum("co,cok->ck", others, jacobian) / missed.shape[1]
+
+
+def by_polish(work):
+    steps = polish(
+        work.start,
+        lambda pose: work.cameras.with_jacobian(pose, work.scenes),
+        mount=work.mount,
+        constraints=work.constraints,
+        scene_count=1,
+        camera_renders_max=RENDERS * RIG,
+    )
+    curve = [(step.camera_renders / RIG, step.objective) for step in steps]
+    return curve[-1]
+
+
+def by_adam(work):
+    """The issue's own recipe: 3 cm, 1.5 degrees, cosine; every step is brought to the nearest feasible rig."""
+    rate = trust_unit(work.mount) * np.array([0.15, 0.15, 0.13, 0.26, 0.3, 0.3, 0.3])
+    pose = nearest_rig(work.start, work.mount, work.constraints).astype(np.float64)
+    first, second, best = np.zeros_like(pose), np.zeros_like(pose), np.inf
+    for step in range(RENDERS):
+        value, gradient = work.value_and_gradient(pose.astype(np.float32))
+        best = min(best, value)
+        first, second = 0.9 * first + 0.1 * gradient, 0.99 * second + 0.01 * gradient**2
+        down = first / (1 - 0.9 ** (step + 1)) / (np.sqrt(second / (1 - 0.99 ** (step + 1))) + 1e-12)
+        share = 0.5 * (1.0 + np.cos(np.pi * step / RENDERS))
+        pose = nearest_rig((pose - share * rate * down).astype(np.float32), work.mount, work.constraints)
+        pose = pose.astype(np.float64)
+    return RENDERS, best
+
+
+def by_lbfgs(work):
+    """SciPy's L-BFGS-B; what it tries is brought to the nearest feasible rig before it is rendered."""
+    unit = np.tile(trust_unit(work.mount), (RIG, 1))
+    is_free, best, count = unit > 0.0, [np.inf], [0]
+    start = nearest_rig(work.start, work.mount, work.constraints).astype(np.float64)
+
+    class SpentError(Exception):
+        pass
+
+    def objective(scaled):
+        if count[0] == RENDERS:
+            raise SpentError
+        pose = start.copy()
+        pose[is_free] += scaled * unit[is_free]
+        value, gradient = work.value_and_gradient(nearest_rig(pose.astype(np.float32), work.mount, work.constraints))
+        count[0], best[0] = count[0] + 1, min(best[0], value)
+        return 100.0 * value, 100.0 * (gradient * unit)[is_free]
+
+    try:
+        minimize(objective, np.zeros(is_free.sum()), jac=True, method="L-BFGS-B", options={"maxiter": 200})
+    except SpentError:
+        pass
+    return count[0], best[0]
+
+
+@pytest.mark.parametrize("free", FREE)
+def test_polish_against_other_descents(benchmark, free):
+    rows = []
+
+    def run():
+        for seed in SEEDS:
+            work = Work(FREE[free], seed)
+            rows.append([(0, work.objective), by_polish(work), by_adam(work), by_lbfgs(work)])
+
+    benchmark.pedantic(run, rounds=1)
+    print(f"\n{free}: start, polish, Adam, L-BFGS-B (rig renders: expected miss rate)")
+    for row in rows:
+        print("  ".join(f"{count:.0f}: {value:.5f}" for count, value in row))
+    mean = np.mean([[value for _, value in row] for row in rows], axis=0)
+    print("mean:", "  ".join(f"{value:.5f}" for value in mean))
+    benchmark.extra_info["mean_expected_miss_rate"] = mean.tolist()
