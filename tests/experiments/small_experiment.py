@@ -19,12 +19,11 @@ OPTIONS = (
     "rig.cameras=2",
     "camera.width_px=64",
     "camera.height_px=64",
-    "baselines.random_scenes=1",
     "detector.confidence_min=0.1",
 )
 
 BOTH = loss_overrides("IFR+DOA")
-ARMS = (Arm("sgd_ifr_doa", "gradient", BOTH), Arm("random_ifr_doa", "random_batches", BOTH))
+ARMS = (Arm("sgd_ifr_doa", "optimiser", BOTH), Arm("random_ifr_doa", "random_batches", BOTH))
 SMALL = Experiment("small", "thesis", ARMS, runs=2)
 
 

@@ -2,20 +2,39 @@
 
 import importlib.util
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
+from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.rivals import gradient_renders
+from warpav.optimisation.rig_values import SingleCameraValues
+from warpav.optimisation.rivals import descent_camera_renders
+from warpav.optimisation.search import BudgetedValue
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.rig.rig import write_rig
+from warpav.runs.config import changed_config, load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
-BUDGET = 60
+BUDGET = 120
+MISSES = (
+    "method=default",
+    *(f"losses.{name}={float(name == 'expected_miss_rate')}" for name in LOSSES),
+    "losses.probability=visible_share",
+    "optimiser.selection_time_s=2",
+    "optimiser.pool_cameras=16",
+    "rig.start=highest",
+    "optimiser.keep=best",
+    "optimiser.check_every=1",
+)
+"""The expected miss rate alone, by a model that needs no fit."""
 
 
 @pytest.fixture(scope="module")
@@ -24,27 +43,37 @@ def problem(tmp_path_factory):
         return Placement.from_config(config(tmp_path_factory.mktemp("scenes") / "street")).prepare(display)
 
 
+@pytest.fixture(scope="module")
+def missing(tmp_path_factory):
+    """The same under the expected miss rate."""
+    with RunDisplay() as display:
+        folder = tmp_path_factory.mktemp("scenes") / "street"
+        return Placement.from_config(config(folder, *MISSES)).prepare(display)
+
+
 @pytest.fixture
 def rendered(monkeypatch):
-    """Scenes that were drawn so far."""
+    """The camera renders that were made so far, one entry each."""
     count = []
-    evaluate, observe_rig = RigObjective.evaluate, RigObjective.observe_rig
 
-    def count_evaluate(self, pose, scenes, **options):
-        count.extend(scenes)
-        return evaluate(self, pose, scenes, **options)
+    def counts(owner, name, renders_of):
+        real = getattr(owner, name)
 
-    def count_observe_rig(self, rig, scene):
-        count.append(scene)
-        return observe_rig(self, rig, scene)
+        def counting(self, *given, **options):
+            count.extend([name] * renders_of(self, *given))
+            return real(self, *given, **options)
 
-    monkeypatch.setattr(RigObjective, "evaluate", count_evaluate)
-    monkeypatch.setattr(RigObjective, "observe_rig", count_observe_rig)
+        monkeypatch.setattr(owner, name, counting)
+
+    counts(RigObjective, "evaluate", lambda self, pose, scenes: len(pose) * len(scenes))
+    counts(RigObjective, "observe_rig", lambda self, rig, scene: len(rig.cameras))
+    counts(SingleCameras, "detection_probability", lambda self, pose, scene: len(pose))
+    counts(SingleCameras, "with_jacobian", lambda self, pose, scenes: len(pose) * len(scenes))
     monkeypatch.setattr(module, "constraint_loss", lambda *_: 0.0)  # it is no part of the search
     return count
 
 
-SEARCHES = ["gradient", "random_batches", "random", "sobol", "differential_evolution", "greedy_cover"]
+SEARCHES = ["descent", "random_batches", "random", "sobol", "differential_evolution", "greedy_cover"]
 
 
 # without a budget there is as much as the gradient takes: too little here for a grid, or for two searches
@@ -54,28 +83,118 @@ WITH_BUDGET = [(name, BUDGET) for name in SEARCHES]
 WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma", "cma_then_gradient")]
 
 
+def found_by(name, placement, budget):
+    arm = find_arm(name, {})
+    return find_rig_of(arm, placement.with_config(arm.search_config(placement.config)), budget)
+
+
 @pytest.mark.parametrize(("name", "budget"), [*WITHOUT_BUDGET, *WITH_BUDGET])
 def test_budgets_are_kept_and_told(problem, rendered, name, budget):
-    equal = gradient_renders(problem.config.optimiser, len(problem.train), iterations=2, batch_size=2)
-    assert equal == 2 * 2 + 2 * 2  # two steps, and two looks at all scenes
-    found = find_rig_of(Arm(name, name), problem, budget)
-    assert found.renders == len(rendered)
-    assert found.renders <= (budget or equal)
-    if name != "greedy_cover":  # its grid has nearly square cells
-        assert found.renders > (budget or equal) - 6 or name == "random_batches"
-    assert problem.objective.constraints.violation_m(found.rig) == 0.0
-    best = [value for value in found.history["best_value"] if value is not None]
-    assert best == sorted(best, reverse=True) or name == "cma_then_gradient"  # whose two halves look at other scenes
-    assert found.history["renders"] == sorted(found.history["renders"])
-    assert len({len(column) for column in found.history.values()}) == 1
-    again = find_rig_of(Arm(name, name), problem, budget)
+    options = {"camera_count": 2, "iterations": 2, "batch_size": 2}
+    equal = descent_camera_renders(problem.config.optimiser, len(problem.train), **options)
+    assert equal == 2 * (2 * 2 + 2 * 2)  # two cameras; two steps, and two looks at all scenes
+    found = found_by(name, problem, budget)
+    check(found, problem, budget or equal, rendered)
+    if name != "greedy_cover":  # its grid has nearly square cells, asked rig by rig
+        assert found.camera_renders > (budget or equal) - 12 or name == "random_batches"
+    again = found_by(name, problem, budget)
     assert again.mount_pose.tobytes() == found.mount_pose.tobytes()
+
+
+def check(found, placement, budget, rendered):
+    """What every search promises."""
+    assert found.camera_renders == len(rendered) <= budget
+    assert placement.objective.constraints.violation_m(found.rig) == 0.0
+    best = [value for value in found.history["best_value"] if value is not None]
+    assert best == sorted(best, reverse=True)
+    assert found.history["camera_renders"] == sorted(found.history["camera_renders"])
+    assert found.history["camera_renders"][-1] <= found.camera_renders
+    assert len({len(column) for column in found.history.values()}) == 1
+
+
+RIVALS = [
+    *("default", "pool_only", "descent_only", "descent", "random", "random_selected", "sobol", "sobol_selected"),
+    *("differential_evolution", "greedy_cover", pytest.param("cma", marks=needs_cma)),
+]
+
+
+@pytest.mark.parametrize("name", RIVALS)
+@pytest.mark.parametrize("budget", [46, 121])
+def test_the_arms_of_the_rivals_keep_their_budget(missing, rendered, name, budget):
+    found = found_by(name, missing, budget)
+    check(found, missing, budget, rendered)
+    per_rig = 2 * 2
+    if name not in ("descent_only", "default", "greedy_cover"):  # the first two may settle before
+        assert found.camera_renders > budget - (16 if name == "descent" else per_rig)
+    # the best value that a search claims is its rig's, on all training scenes
+    value = missing.objective.evaluate(found.mount_pose, missing.train).objective
+    assert found.history["best_value"][-1] == pytest.approx(value, abs=1e-6)
+    if name in ("default", "pool_only", "random_selected", "sobol_selected"):
+        assert found.notes["gap"] == pytest.approx(value - found.notes["bound"], abs=1e-6)
+    if name == "pool_only":
+        assert found.history["stage"] == ["start", "selection", "settled"]
+        assert found.notes["pool_cameras"] == budget // 2
+    again = found_by(name, missing, budget)
+    assert again.mount_pose.tobytes() == found.mount_pose.tobytes()
+
+
+@pytest.mark.parametrize("name", ["random", "sobol"])
+def test_mixing_the_cameras_of_rigs_is_never_worse(missing, name):
+    mixed = found_by(f"{name}_selected", missing, 121)
+    # the same look at the rigs themselves, before any of them is mixed
+    *alone, last = mixed.history["best_value"]
+    assert mixed.history["camera_renders"][-2:] == [120, 120]
+    assert last <= min(alone)
+    assert last >= mixed.notes["bound"] - 1e-9
+
+
+def test_values_of_single_cameras_are_those_of_the_objective(missing, rng):
+    space = module._space(missing, free_yaw=True)
+    rigs = np.array([space.feasible(space.random(rng)) for _ in range(5)])
+    value = BudgetedValue.of(missing.objective, missing.train, space, camera_renders_max=20)
+    found = value.of_rigs(rigs)
+    expected = [missing.objective.evaluate(pose, missing.train).objective for pose in rigs]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
+    assert len(set(expected)) > 1
+    assert isinstance(module._single_values(missing), SingleCameraValues)
+    double = missing.with_config(changed_config(missing.config, ["losses.expected_miss_rate=2"]))
+    again = BudgetedValue.of(double.objective, double.train, space, camera_renders_max=20).of_rigs(rigs)
+    np.testing.assert_allclose(again, 2.0 * found, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["default", "pool_only", "descent_only", "random_selected", "sobol_selected", "sobol"])
+def test_frozen_cameras_stay(missing, tmp_path, name):
+    start = find_rig_of(Arm("random_rig", "random_rig"), missing, None).rig
+    write_rig(start, tmp_path / "mine.yaml")
+    held = [f"rig.start={tmp_path / 'mine.yaml'}", f"rig.freeze={start.cameras[1].name}"]
+    placement = missing.with_config(changed_config(missing.config, held))
+    placement = Placement.from_config(placement.config).prepare()
+    found = find_rig_of(Arm(name, name) if name != "default" else find_arm(name, {}), placement, 90)
+    frozen, free = found.rig.cameras[1], found.rig.cameras[0]
+    np.testing.assert_allclose(frozen.position_m, start.cameras[1].position_m, atol=1e-5)
+    assert frozen.yaw_rad == pytest.approx(start.cameras[1].yaw_rad, abs=1e-5)
+    if name != "descent_only":  # the start sees too little to follow a gradient
+        assert free.position_m != pytest.approx(start.cameras[0].position_m, abs=1e-3)
+    assert placement.objective.constraints.violation_m(found.rig) == 0.0
+    value = placement.objective.evaluate(found.mount_pose, placement.train).objective
+    assert found.history["best_value"][-1] == pytest.approx(value, abs=1e-6)
+
+
+def test_losses_that_single_cameras_do_not_know_are_refused(problem, missing):
+    for name in ("random_selected", "descent_only"):
+        with pytest.raises(InputError, match="losses: expected expected_miss_rate alone"):
+            find_rig_of(Arm(name, name), problem, None)
+    best = missing.with_config(changed_config(missing.config, ["losses.combine=best"]))
+    with pytest.raises(InputError, match=r"optimiser\.search: expected descent"):
+        find_rig_of(Arm("pool_only", "pool_only"), best, 60)
+    # but its values are there, one rig after the other
+    assert find_rig_of(Arm("random", "random"), best, 60).camera_renders == 60
 
 
 @pytest.mark.parametrize("name", ["highest", "start", "nuscenes", "edgar"])
 def test_rigs_that_need_no_search_cost_nothing(problem, rendered, name):
     found = find_rig_of(Arm(name, name), problem, None)
-    assert (found.renders, rendered) == (0, [])
+    assert (found.camera_renders, rendered) == (0, [])
     assert problem.objective.constraints.violation_m(found.rig) == 0.0
     assert Arm(name, name).is_seeded == (name == "start")
     if name == "nuscenes":
@@ -95,7 +214,7 @@ def test_a_search_that_ends_early_is_no_result(problem, monkeypatch):
 
 
 def test_unknown_arms_are_named_with_their_neighbour():
-    own = {"sgd_ifr": Arm("sgd_ifr", "gradient")}
+    own = {"sgd_ifr": Arm("sgd_ifr", "optimiser")}
     assert find_arm("sgd_ifr", own) is own["sgd_ifr"]
     assert find_arm("sobol", own).method == "sobol"
     with pytest.raises(
@@ -104,25 +223,27 @@ def test_unknown_arms_are_named_with_their_neighbour():
         find_arm("sgd_irf", own)
     with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
-    assert set(METHODS) < set(common_arms())
+    assert set(METHODS) - {"optimiser", "as_configured"} < set(common_arms())
 
 
 def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     settings = problem.config
     for name in common_arms():
-        if name not in ("cma", "cma_then_gradient"):
+        if name not in ("cma", "cma_then_gradient", "thesis_as_printed"):
             find_arm(name, {}).check(settings, None)
-    with pytest.raises(InputError, match="arm gradient: `budget`: expected at least 6 scene renders, got 5"):
-        Arm("gradient", "gradient").check(settings, 5)
-    with pytest.raises(InputError, match="arm random_batches: `budget`: expected at least 2 scene renders, got 1"):
-        Arm("random_batches", "random_batches").check(settings, 1)
-    with pytest.raises(InputError, match="arm greedy_cover: `budget`: expected at least 5 scene renders, got 4"):
-        Arm("greedy_cover", "greedy_cover").check(settings, 4)
-    assert find_rig_of(Arm("greedy_cover", "greedy_cover"), problem, 5).renders == 5  # two cameras, eight directions
-    Arm("sobol", "sobol").check(settings, 1)
+    with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
+        find_arm("thesis_as_printed", {}).check(settings, None)  # it prints batches of four
+    for arm, least in (("descent", 12), ("random_batches", 4), ("greedy_cover", 20), ("default", 8), ("random", 4)):
+        with pytest.raises(
+            InputError, match=f"arm {arm}: `budget`: expected at least {least} camera renders, got {least - 1}"
+        ):
+            find_arm(arm, {}).check(settings, least - 1)
+        find_arm(arm, {}).check(settings, least)
+    assert found_by("greedy_cover", problem, 20).camera_renders == 20  # two cameras, eight directions
+    Arm("sobol", "sobol").check(settings, 4)
     Arm("highest", "highest").check(settings, 1)
     with pytest.raises(InputError, match=r"losses\.detected_are"):
-        Arm("odd", "gradient", ("losses.detected_are=1",)).check(settings, None)
+        Arm("odd", "optimiser", ("losses.detected_are=1",)).check(settings, None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"arm cma: expected the package cma .* pip install 'warpav\[rivals\]'"):
         Arm("cma", "cma").check(settings, None)
@@ -135,3 +256,28 @@ def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run
+
+
+def test_the_thesis_as_printed_is_the_shipped_configuration_on_the_task_of_the_experiment():
+    arm, printed = common_arms()["thesis_as_printed"], option_values(load_config("thesis"))
+    changes = ["rig.cameras=6", "rig.free.pitch_deg=[-20, 20]", "camera.fov_deg=60", "mount.margin_m=0.1"]
+    task = load_config("default", [*changes, "detector.classes.vehicle=[car]", "scenes.validation_seeds=150..159"])
+    found, asked = option_values(arm.search_config(task)), option_values(task)
+    own = ("scenes", "camera", "capture", "reconstruction", "baselines", "device", "executor", "run.seed", "run.out")
+    own += ("rig.cameras", "rig.freeze", "detector.model", "detector.format", "detector.labels", "detector.classes")
+    own += ("detector.input_px", "detector.provider")
+    for name, value in found.items():
+        assert value == (asked if name.startswith(own) else printed)[name], name
+    assert (found["run.batch_size"], found["rig.start"], found["detector.confidence_min"]) == (4, "random", 0.1)
+    assert arm.evaluation_config(task) == task
+
+
+def test_the_thesis_as_printed_takes_its_own_steps(problem):
+    arm = common_arms()["thesis_as_printed"]
+    small = ("run.iterations=1", "run.batch_size=2")
+    one_step = replace(arm, search_overrides=(*arm.search_overrides, *small))
+    placement = problem.with_config(one_step.search_config(problem.config))
+    for budget in (None, 10_000):
+        found = find_rig_of(one_step, placement, budget)
+        # two cameras: one batch of two, first and last rig
+        assert found.camera_renders == 2 * (2 + 2 * len(placement.validation))

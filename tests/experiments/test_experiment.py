@@ -13,6 +13,7 @@ from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import arms_of, run_experiment
 from warpav.rig.rig import read_rig
+from warpav.runs.commit import running_commit
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
@@ -51,7 +52,8 @@ def test_every_task_leaves_its_result(finished, scenes):
         for result in finished.results[arm.name]:
             name = f"{arm.name}_{result['seed']}"
             assert result == json.loads((finished.folder / "results" / f"{name}.json").read_text())
-            assert (result["schema"], result["arm"]) == (1, arm.name)
+            assert (result["schema"], result["arm"]) == (2, arm.name)
+            assert result["commit"] == dataclasses.asdict(running_commit())
             rig = read_rig(finished.folder / "results" / f"{name}.yaml")
             assert [camera["position_m"] for camera in result["rig"]["cameras"]] == [
                 pytest.approx(camera.position_m, abs=1e-6) for camera in rig.cameras
@@ -60,7 +62,7 @@ def test_every_task_leaves_its_result(finished, scenes):
             assert result["metrics"]["objects"] == 10
             assert result["metrics"]["constraint_violation"] == 0.0
             assert result["constraint_loss"] == pytest.approx(0.0, abs=1e-6)
-            assert result["history"]["renders"][-1] <= result["renders"]
+            assert result["history"]["camera_renders"][-1] <= result["camera_renders"]
             assert set(result["seconds"]) == {"load", "search", "evaluate", "total"}
     one, other = finished.results["random_ifr_doa"]
     assert one["rig"] != other["rig"]
@@ -75,9 +77,9 @@ def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     losses = [descent.step().loss for _ in range(2)]
     found = descent.finish()
     result = finished.results["sgd_ifr_doa"][1]
-    assert result["history"]["loss"] == losses
+    assert result["history"]["loss"] == [*losses, None]
     assert result["training_objective"] == found.training_objective
-    assert result["renders"] == 2 * 2 + 2 * 2  # two batches of two, two looks at two scenes
+    assert result["camera_renders"] == 2 * (2 * 2 + 2 * 2)  # two cameras: two batches of two, two looks at two scenes
 
 
 def test_scenes_are_loaded_once(tmp_path, scenes, monkeypatch):
@@ -131,7 +133,7 @@ def test_more_runs_and_other_arms_join(copied, scenes):
     assert [len(runs) for runs in more.results.values()] == [3, 1]
 
 
-def fail(problem, render_budget):
+def fail(problem, camera_renders_max):
     raise ValueError("a search\n that fails")
 
 
@@ -147,7 +149,7 @@ def test_a_failing_arm_leaves_the_others_alone(tmp_path, scenes, monkeypatch, ca
     assert (mended.failed, mended.done) == ([], 1)
 
 
-def interrupt(problem, render_budget):
+def interrupt(problem, camera_renders_max):
     raise KeyboardInterrupt
 
 
@@ -180,9 +182,9 @@ def description(folder, **changes):
 
 def test_a_folder_of_something_else_is_refused(copied, scenes, tmp_path):
     description(copied, schema=7)
-    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 1, got 7.*choose another .* `out`"):
+    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 2, got 7.*choose another .* `out`"):
         run(copied, scenes)
-    description(copied, schema=1, experiment="table9")
+    description(copied, schema=2, experiment="table9")
     with pytest.raises(InputError, match="experiment: expected small, got 'table9'"):
         run(copied, scenes)
     (tmp_path / "diary").mkdir()
@@ -196,10 +198,10 @@ def test_a_folder_of_something_else_is_refused(copied, scenes, tmp_path):
 def test_results_of_another_configuration_are_refused(copied, scenes):
     with pytest.raises(InputError, match=r"run\.iterations is 2 there and 3 here; choose another folder"):
         run(copied, scenes, "run.iterations=3")
-    with pytest.raises(InputError, match="render_budget: expected 9, got None"):
-        run(copied, scenes, render_budget=9)
+    with pytest.raises(InputError, match="camera_renders_max: expected 16, got None"):
+        run(copied, scenes, camera_renders_max=16)
     changed = [dataclasses.replace(ARMS[0], method="start"), ARMS[1]]
-    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 1 made with this"):
+    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 2 made with this"):
         run(copied, scenes, arms=changed)
     (copied / "results" / "sgd_ifr_doa_0.json").write_text("{")
     with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a readable JSON file, got: .*; delete it"):

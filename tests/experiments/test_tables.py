@@ -57,6 +57,20 @@ def test_tables_have_the_rows_and_columns_of_the_thesis(number):
     assert lines[-1] == WARNING
 
 
+def test_rows_with_the_same_rigs_are_said_to_be_one_measurement():
+    rigs = [{"seed": seed, "rig": {"cameras": [{"position_m": [seed, 0.0, 1.0]}]}} for seed in range(3)]
+    results = {
+        "random_ifr_doa": [result(0.5, **rig) for rig in rigs[:2]],
+        "random_ifr_10doa": [result(0.5, **rig) for rig in rigs[:2]],
+        "sgd_ifr": [result(0.5, **rig) for rig in rigs[1:]],
+    }
+    table = result_table("II", results, thesis_experiments._labels("II"))
+    told = "Ours hold the same rigs, so they are one measurement: Random IFR+DOA and Random IFR+10*DOA."
+    assert table.notes[-1] == told
+    del results["random_ifr_10doa"]
+    assert told not in result_table("II", results, thesis_experiments._labels("II")).notes
+
+
 def test_constraints_are_those_of_the_last_iterate():
     results = {
         "sgd_ifr": [result(0.3, unprojected_constraint_loss=0.5), result(0.3, unprojected_constraint_loss=1.5)],
@@ -171,7 +185,7 @@ def test_table1_measures_and_writes(working_directory, scenes, capsys):
     assert [row["runs"] for row in written["rows"]] == [2] * 4
     assert written["rows"][0]["thesis"]["positional"] == {"mean": 0.977, "std": None}
     found = json.loads((folder / "results" / "gradients_1.json").read_text())
-    assert found["renders"] == 2  # two iterations of one scene
+    assert found["camera_renders"] == 4  # two iterations of one scene in two cameras
     assert (folder / "table1.md").read_text().startswith("**Table I.")
     page = working_directory / "results.md"
     assert main(["experiment", "results", str(folder), "--out", str(page)]) == 0
@@ -202,7 +216,7 @@ def test_table2_and_table3_share_their_runs(working_directory, scenes, capsys):
 
 
 def test_a_failed_arm_ends_the_command_with_1(working_directory, scenes, monkeypatch, capsys):
-    def fail(problem, render_budget):
+    def fail(problem, camera_renders_max):
         raise ValueError("no luck")
 
     monkeypatch.setitem(arms.METHODS, "fails", fail)
@@ -224,7 +238,7 @@ def test_bad_words_are_told_in_one_line(working_directory, scenes, capsys):
     assert line("table2", *given, "--budget", "0") == "command line (--budget): expected at least 1, got 0"
     assert line("table2", *given, "--runs", "0") == "command line (--runs): expected at least 1, got 0"
     assert line("table2", *given, "--budget", "5").startswith(
-        "arm sgd_ifr: --budget: expected at least 6 scene renders"
+        "arm sgd_ifr: --budget: expected at least 12 camera renders"
     )
     assert line("table1", *given[:3], "--arms", "cma").startswith(
         "command line (--arms): expected nothing, as table1 measures gradients"

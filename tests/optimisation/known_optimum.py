@@ -158,8 +158,13 @@ class World:
         return self.objective.evaluate(mount_pose, self.scenes).objective
 
     def budget(self, renders):
-        """The value at the price of a render."""
-        return BudgetedValue(self.value, self.space, renders_per_value=1, render_budget=renders)
+        """The value, for so many rigs."""
+        return BudgetedValue(
+            lambda rigs: map(self.value, rigs),
+            self.space,
+            scene_count=1,
+            camera_renders_max=renders * self.camera_count,
+        )
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ STEPS = OptimiserSettings(
 def regret(world, method, renders, seed=0):
     result = run_search(method, world.budget(renders), np.random.default_rng(seed))
     assert result.error is None
-    assert result.renders <= renders
+    assert result.camera_renders <= renders * world.camera_count
     assert world.space.violation_m(result.mount_pose) == 0.0
     return world.optimum.regret(result.value)
 

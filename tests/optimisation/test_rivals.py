@@ -62,26 +62,40 @@ def bowl(camera_count):
     return value
 
 
+def alone(value):
+    """Values of rigs by a function of one rig."""
+    return lambda rigs: map(value, rigs)
+
+
+def budget_of(value, space, *, scenes, rigs):
+    """A budget for so many rigs, whole or not, on so many scenes."""
+    renders = int(rigs * scenes * space.camera_count)
+    return BudgetedValue(alone(value), space, scene_count=scenes, camera_renders_max=renders)
+
+
 def search(method, camera_count=2, *, seed=0, renders=600, each=4, value=None, **options):
     budget = BudgetedValue(
-        value or bowl(camera_count), space_of(camera_count, **options), renders_per_value=each, render_budget=renders
+        alone(value or bowl(camera_count)),
+        space_of(camera_count, **options),
+        scene_count=each,
+        camera_renders_max=camera_count * renders,
     )
     return run_search(method, budget, np.random.default_rng(seed))
 
 
 def detected_near(place):
-    """Cameras see the objects towards which they look, from places close enough: objects stand at ``place``."""
+    """Cameras surely see the objects towards which they look: objects stand at ``place``."""
 
-    def detected_objects(pose):
+    def detections(pose):
         towards = place[None, :, :] - pose[:, None, [X_M, Y_M]]
         bearing = np.arctan2(towards[..., 1], towards[..., 0]) - pose[:, None, YAW_RAD]
         return np.abs(np.angle(np.exp(1j * bearing))) < math.pi / 4
 
-    return detected_objects
+    return detections
 
 
 RING = 8.0 * np.stack([np.cos(np.arange(12) * math.pi / 6), np.sin(np.arange(12) * math.pi / 6)], axis=1)
-GREEDY = functools.partial(greedy_cover, detected_objects=detected_near(RING))
+GREEDY = functools.partial(greedy_cover, detections=detected_near(RING))
 
 
 @pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])
@@ -96,23 +110,24 @@ def test_budget_is_kept_and_the_best_rig_is_feasible(method, renders):
 
     result = search(method, 3, renders=renders, each=4, value=value)
     assert result.error is None
-    assert result.renders <= renders
+    assert result.camera_renders <= 3 * renders
     if method in (highest, GREEDY):
         assert len(asked) == 1
     if method is GREEDY:
-        assert renders - result.renders < 0.3 * renders + 16  # the grid's cells are nearly square
+        assert 3 * renders - result.camera_renders < 0.9 * renders + 48  # the grid's cells are nearly square
     elif method is not highest:
-        assert renders - result.renders < 4  # too little for a look
+        assert 3 * renders - result.camera_renders < 12  # too little for a look
     if method is not GREEDY:
-        assert result.renders == 4 * len(asked)
+        assert result.camera_renders == 3 * 4 * len(asked)
     assert result.mount_pose.dtype == np.float32
     assert space_of(3).violation_m(result.mount_pose) == 0.0
     # what is claimed is the value of that very rig, and the least of all
     assert result.value == bowl(3)(result.mount_pose) == min(map(bowl(3), asked))
     best = [each.best_value for each in result.history]
     np.testing.assert_array_equal(best, np.minimum.accumulate(list(map(bowl(3), asked))))
-    assert [each.renders for each in result.history] == sorted({each.renders for each in result.history})
-    assert result.history[-1] == SearchRecord(result.renders, result.value, 0.0)
+    spent = [each.camera_renders for each in result.history]
+    assert spent == sorted(set(spent))
+    assert result.history[-1] == SearchRecord(result.camera_renders, result.value, 0.0)
 
 
 @pytest.mark.parametrize("method", [*SEARCHES, pytest.param(GREEDY, id="greedy")])
@@ -163,7 +178,7 @@ def test_cma_restarts_when_it_has_settled():
         return min(0.0, float(np.linalg.norm(pose[:, :2] - [1.9, 0.5])) - 0.3)
 
     result = search(cma_es, 1, renders=1500, each=1, value=value, seed=3)
-    assert result.renders == 1500
+    assert result.camera_renders == 1500
     assert result.value < -0.29
 
 
@@ -192,7 +207,7 @@ def test_a_search_that_fails_keeps_its_best(method, first_bad):
     result = search(method, value=value)
     assert result.error == "InputError: the detector is gone"
     assert result.value == min(calls[:first_bad])
-    assert result.renders == 4 * len(calls)
+    assert result.camera_renders == 2 * 4 * len(calls)
     assert space_of(2).violation_m(result.mount_pose) == 0.0
 
 
@@ -216,36 +231,36 @@ def test_values_that_are_not_finite_are_never_best(method):
     assert result.error is None
     assert math.isfinite(result.value)
     assert result.mount_pose[0, X_M] >= 1.0
-    assert result.renders == 600
+    assert result.camera_renders == 1200
 
 
 @pytest.mark.parametrize(("renders", "each"), [(0, 4), (3, 4), (4, 0), (-1, -1)])
 def test_a_budget_too_small_for_one_value_is_refused(renders, each):
-    with pytest.raises(ValueError, match=r"render_budget must be at least one value's \d+ renders"):
+    with pytest.raises(ValueError, match=r"camera_renders_max must be at least one rig's \d+ camera renders"):
         search(random_search, renders=renders, each=each)
 
 
 def test_within_ends_the_block_and_not_the_search():
-    budget = BudgetedValue(bowl(2), space_of(2), renders_per_value=2, render_budget=10)
+    budget = budget_of(bowl(2), space_of(2), scenes=2, rigs=5)
     rng = np.random.default_rng(0)
     reached = False
-    with budget.within(5):
+    with budget.within(10):
         while True:
             budget(budget.space.random(rng))
-    assert budget.renders == 4
+    assert budget.camera_renders == 8
     with budget.within(100):
         reached = True
     assert reached
-    assert budget.values_left == 3
-    budget.spend(6)
+    assert budget.rigs_left == 3
+    budget.spend(12)
     with pytest.raises(BudgetSpentError):
         budget(budget.space.random(rng))
-    assert budget.renders == 10
+    assert budget.camera_renders == 20
     assert len(budget.history) == 2
 
 
 def test_only_feasible_rigs_are_recorded():
-    budget = BudgetedValue(bowl(2), space_of(2), renders_per_value=2, render_budget=10)
+    budget = budget_of(bowl(2), space_of(2), scenes=2, rigs=5)
     with pytest.raises(ValueError, match="only rigs that satisfy the constraints"):
         budget.record(np.zeros((2, 7)), 0.0)
 
@@ -349,7 +364,7 @@ def test_greedy_covers_what_single_cameras_see():
         rigs.append(pose)
         return float(np.count_nonzero(~detected_near(objects)(pose).any(axis=0)))
 
-    method = functools.partial(greedy_cover, detected_objects=detected_near(objects))
+    method = functools.partial(greedy_cover, detections=detected_near(objects))
     result = search(method, 3, renders=60, each=1, value=value)
     assert result.value == 0.0
     assert len(rigs) == 1
@@ -361,14 +376,14 @@ def test_greedy_never_chooses_worse_than_the_bound():
         objects = np.random.default_rng(seed).normal(0.0, 8.0, (40, 2))
         sees = detected_near(objects)
         result = search(
-            functools.partial(greedy_cover, detected_objects=sees),
+            functools.partial(greedy_cover, detections=sees),
             2,
             seed=seed,
             renders=50,
             each=1,
             value=lambda pose, sees=sees: -float(sees(pose).any(axis=0).sum()),
         )
-        singles = _candidates(BudgetedValue(bowl(2), space_of(2), renders_per_value=1, render_budget=50), 12, 8)
+        singles = _candidates(budget_of(bowl(2), space_of(2), scenes=1, rigs=50), 12, 8)
         seen = np.concatenate([sees(singles[k : k + 2]) for k in range(0, len(singles), 2)])
         best = max((seen[i] | seen[j]).sum() for i in range(len(seen)) for j in range(i))
         assert -result.value >= (1.0 - 1.0 / math.e) * best - 1  # the projection may lose one
@@ -379,7 +394,7 @@ def test_candidates_fill_the_surface_evenly(place_count):
     for surface in (roof(), flat_surface([0.0, 0.0], [0.4, 4.0])):
         mount = CameraMount(surface, camera=MOUNT.camera, height_offset_m=0.25)
         space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
-        budget = BudgetedValue(bowl(2), space, renders_per_value=1, render_budget=100)
+        budget = budget_of(bowl(2), space, scenes=1, rigs=100)
         candidate = _candidates(budget, place_count, 8)
         places = np.unique(candidate[:, :2], axis=0)
         assert len(candidate) == 8 * len(places)
@@ -390,9 +405,9 @@ def test_candidates_fill_the_surface_evenly(place_count):
 
 
 def test_greedy_refuses_what_it_cannot_do():
-    with pytest.raises(ValueError, match="greedy_cover needs at least 5 values, got 4"):
+    with pytest.raises(ValueError, match="greedy_cover needs at least 10 camera renders, got 8"):
         search(GREEDY, 2, renders=4, each=1)
-    assert search(GREEDY, 2, renders=5, each=1).renders == 5
+    assert search(GREEDY, 2, renders=5, each=1).camera_renders == 10
     with pytest.raises(ValueError, match="yaws that are free"):
         search(GREEDY, 2, yaw_reach_rad=1.0)
 
@@ -401,12 +416,13 @@ def test_greedy_refuses_what_it_cannot_do():
 
 
 def street_budget(objective, scenes, renders):
+    """A budget for as many scenes in both cameras."""
     space = SearchSpace.over(objective.mount, 2, constraints=objective.constraints)
-    return BudgetedValue.of(objective, scenes, space, render_budget=renders)
+    return BudgetedValue.of(objective, scenes, space, camera_renders_max=2 * renders)
 
 
 class Counted:
-    """An objective that counts the scenes it renders."""
+    """An objective that counts the camera renders it makes, in two cameras each."""
 
     def __init__(self):
         self.objective, self.renders = street_objective(), 0
@@ -415,11 +431,11 @@ class Counted:
         return getattr(self.objective, name)
 
     def evaluate(self, mount_pose, scenes, **options):
-        self.renders += len(scenes)
+        self.renders += 2 * len(scenes)
         return self.objective.evaluate(mount_pose, scenes, **options)
 
     def observe_rig(self, rig, scene):
-        self.renders += 1
+        self.renders += 2
         return self.objective.observe_rig(rig, scene)
 
 
@@ -440,10 +456,10 @@ def test_renders_are_counted_as_they_are_made(method, renders):
     if method in (gradient_search, cma_then_gradient):
         options["stage"] = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     if method is greedy_cover:
-        options |= {"detected_objects": detections_of(objective, scenes), "yaw_count": 4}
+        options |= {"detections": detections_of(objective, scenes), "yaw_count": 4}
     result = run_search(functools.partial(method, **options), budget, np.random.default_rng(0))
     assert result.error is None
-    assert result.renders == objective.renders <= renders
+    assert result.camera_renders == objective.renders <= 2 * renders
     assert budget.space.violation_m(result.mount_pose) == 0.0
     again = objective.evaluate(result.mount_pose, scenes).objective
     assert again == pytest.approx(result.value, rel=1e-6)
@@ -453,7 +469,7 @@ def test_renders_are_counted_as_they_are_made(method, renders):
 @pytest.mark.parametrize("renders", [7, 8, 30, 31, 60])
 def test_gradient_stage_takes_all_the_steps_that_the_budget_pays_for(keep, renders):
     stage = GradientStage(None, street_scenes(), changed(keep=keep), batch_size=2)
-    count = stage.iterations(renders)
+    count = stage.iterations(3 * renders, camera_count=3)
     assert (count == 0) == (renders < 2 + 2 * 3)
     looks = 1 + (1 + (count - 1) // 5 if keep == "best" else 1)
     assert 2 * count + 3 * looks <= renders or count == 0
@@ -467,8 +483,8 @@ def test_the_gradient_goes_on_from_where_cma_stopped():
     stage = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     budget = street_budget(objective, scenes, 120)
     result = run_search(functools.partial(cma_then_gradient, stage=stage), budget, np.random.default_rng(0))
-    by_cma = [each for each in result.history if each.renders <= 60]
-    after = [each for each in result.history if each.renders > 60]
+    by_cma = [each for each in result.history if each.camera_renders <= 120]
+    after = [each for each in result.history if each.camera_renders > 120]
     assert len(by_cma) == 20
     # its first look is at the rig that CMA-ES found
     assert after[0].best_value == by_cma[-1].best_value
@@ -504,7 +520,7 @@ def test_searches_stay_in_a_zone_in_parts(name):
     constraints = ZoneAndSpacing(surface, camera_count=2, margin_m=0.05)
     asked, looked = [], []
 
-    def detected_objects(pose):
+    def detections(pose):
         asked.extend(pose)
         return np.abs(pose[:, [X_M]] - [0.4, 1.8]) < 0.1
 
@@ -513,12 +529,12 @@ def test_searches_stay_in_a_zone_in_parts(name):
         return float(np.abs(pose[:, X_M] - 1.1).sum())
 
     search = {
-        "greedy": functools.partial(greedy_cover, detected_objects=detected_objects, yaw_count=2),
+        "greedy": functools.partial(greedy_cover, detections=detections, yaw_count=2),
         "random": random_search,
         "sobol": sobol_search,
     }[name]
     space = SearchSpace.over(mount, 2, constraints=constraints)
-    budget = BudgetedValue(value, space, renders_per_value=1, render_budget=60)
+    budget = budget_of(value, space, scenes=1, rigs=60)
     found = run_search(search, budget, np.random.default_rng(0))
     assert len(looked) + len(asked) > 50
     assert all(constraints.contains(pose[[X_M, Y_M]]) for pose in asked)

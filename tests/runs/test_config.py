@@ -107,14 +107,14 @@ def test_what_cannot_be_extended_is_named(yaml_file, text, message):
 
 def test_a_mistake_in_a_file_below_is_placed_there(yaml_file, tmp_path):
     (tmp_path / "base.yaml").write_text("run: {seed: 1}\nrig:\n  cameras: 99\n")
-    with pytest.raises(InputError, match=r"base\.yaml:3: rig\.cameras: expected a whole number from 2 to 16, got 99"):
+    with pytest.raises(InputError, match=r"base\.yaml:3: rig\.cameras: expected a whole number from 1 to 16, got 99"):
         load_config(yaml_file("extends: base.yaml\n"))
 
 
 def test_quick_configuration_is_the_promised_job():
     config = load_config("quick")
     assert config.scenes.train_seeds == tuple(range(30))
-    assert config.scenes.test_seeds == tuple(range(1000, 1010))
+    assert config.scenes.test_seeds == tuple(range(5000, 5010))
     assert (config.rig.cameras, config.camera.fov_deg, config.camera.width_px, config.camera.height_px) == (
         4,
         90.0,
@@ -226,12 +226,12 @@ FILE_MISTAKES = [
     ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
     (
         "rig:\n  cameras: many\n",
-        "mine.yaml:2: rig.cameras: expected a whole number from 2 to 16, got 'many'; cameras on the vehicle",
+        "mine.yaml:2: rig.cameras: expected a whole number from 1 to 16, got 'many'; cameras on the vehicle",
     ),
-    ("rig: {cameras: 1}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got 1;"),
-    ("rig: {cameras: 4.5}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got 4.5;"),
-    ("rig: {cameras: true}\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got True;"),
-    ("rig: {cameras: }\n", "mine.yaml:1: rig.cameras: expected a whole number from 2 to 16, got nothing (null);"),
+    ("rig: {cameras: 0}\n", "mine.yaml:1: rig.cameras: expected a whole number from 1 to 16, got 0;"),
+    ("rig: {cameras: 4.5}\n", "mine.yaml:1: rig.cameras: expected a whole number from 1 to 16, got 4.5;"),
+    ("rig: {cameras: true}\n", "mine.yaml:1: rig.cameras: expected a whole number from 1 to 16, got True;"),
+    ("rig: {cameras: }\n", "mine.yaml:1: rig.cameras: expected a whole number from 1 to 16, got nothing (null);"),
     (
         "\n\nrig: {min_spacing_m: 5 parsec}\n",
         "mine.yaml:3: rig.min_spacing_m: expected a length in metres, such as 0.2 or \"20 cm\", got '5 parsec'; "
@@ -338,7 +338,7 @@ def test_a_mistake_in_a_file_is_named_with_its_line(yaml_file, text, message):
 OVERRIDE_MISTAKES = [
     (
         "rig.cameras=many",
-        "command line (rig.cameras=many): rig.cameras: expected a whole number from 2 to 16, got 'many'",
+        "command line (rig.cameras=many): rig.cameras: expected a whole number from 1 to 16, got 'many'",
     ),
     ("rgi.cameras=4", "command line (rgi.cameras=4): rgi: expected one of run,"),
     ("rig.camera=4", "command line (rig.camera=4): rig.camera: expected one of cameras,"),
@@ -352,8 +352,8 @@ OVERRIDE_MISTAKES = [
         "command line (scenes.train_seeds=[1, 2]): run.batch_size: expected at most the 2 training scene(s), got 4",
     ),
     (
-        "scenes.train_seeds=[1000, 1, 2, 3]",
-        "command line (scenes.train_seeds=[1000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
+        "scenes.train_seeds=[5000, 1, 2, 3]",
+        "command line (scenes.train_seeds=[5000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
     ),
 ]
 

@@ -170,7 +170,7 @@ def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"cameras": 1}, r"^rig.cameras: expected a whole number from 2 to 16, got 1"),
+        ({"cameras": 0}, r"^rig.cameras: expected a whole number from 1 to 16, got 0"),
         ({"fov_deg": 400}, r"^camera.fov_deg: expected an angle"),
         ({"device": "cuda"}, r"^device: expected cpu or a GPU such as cuda:0, got 'cuda'"),
         ({"detector": "none.onnx"}, r"^detector.model: expected builtin or the path of an ONNX file"),

@@ -20,10 +20,22 @@ experiment_app = App(name="experiment", help="Run experiments, rescore their rig
 @experiment_app.default
 def experiment(
     name: Annotated[
-        Literal["table1", "table2", "table3", "table4", "table5", "open", "ablations", "correlation", "scene_count"],
+        Literal[
+            "table1",
+            "table2",
+            "table3",
+            "table4",
+            "table5",
+            "open",
+            "rivals",
+            "ablations",
+            "correlation",
+            "scene_count",
+        ],
         Parameter(
-            help="A table of the thesis; open: all methods at equal budgets; ablations: the default method "
-            "with one thing changed at a time; correlation: whether its objective ranks rigs as the detector does; "
+            help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
+            "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "
+            "correlation: whether the objective ranks rigs as the detector does; "
             "scene_count: the search by a pool on 50 to 1500 training scenes, judged on others."
         ),
     ],
@@ -34,32 +46,48 @@ def experiment(
     *overrides: Overrides,
     runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the experiment's.")] = None,
     arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
-    budget: Annotated[
-        int | None,
-        Parameter(
-            help="Scene renders for every search, of scene_count camera renders; by default what the gradient method "
-            "takes."
-        ),
-    ] = None,
     scenes: Annotated[
         str | None, Parameter(help="Of scene_count: numbers of training scenes; by default 50,150,500,1500.")
     ] = None,
+    setting: Annotated[
+        str | None,
+        Parameter(help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus."),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        Parameter(help="Camera renders (one scene, one camera) for every search; by default the experiment's."),
+    ] = None,
+    detector: Annotated[
+        bool, Parameter(help="Of rivals: run the detector on the unseen scenes as well.", negative="")
+    ] = False,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
     out: Annotated[Path | None, Parameter(help="Folder; by default runs/NAME.")] = None,
     quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
+    sealed: Annotated[
+        str | None,
+        Parameter(help="Full hash of the commit that froze the method: test on the scenes that it seals (protocol)."),
+    ] = None,
 ) -> int:
     """Run an experiment and print its table; the same command again does what is missing."""
-    from warpav.experiments import open_experiments, thesis_experiments
+    from functools import partial
+
+    from warpav.core.errors import ArgumentError
+    from warpav.experiments import open_experiments, rival_settings, thesis_experiments
     from warpav.experiments.experiment import arms_of, overrides_of
+    from warpav.experiments.protocol import sealed_override
     from warpav.runs.config import placed_config
     from warpav.runs.progress import RunDisplay
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
     given = executor_overrides(executor, workers, address)
+    if name != "scene_count" and scenes is not None:
+        raise ArgumentError("scenes", f"expected nothing, as it is an option of scene_count, got it with {name}")
     if name == "scene_count":
+        if setting is not None or detector or sealed is not None:
+            raise ArgumentError("setting", "expected no setting, detector or seal with scene_count, got one")
         from warpav.experiments import scene_count
 
         whole = [*scene_count.OPTIONS, *(scene_count.QUICK if quick else ()), *overrides, *given]
@@ -75,18 +103,28 @@ def experiment(
                 progress=display,
             )
         return 1 if failed else 0
-    is_thesis = name in thesis_experiments.EXPERIMENTS
-    found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
-    run = thesis_experiments.run_table if is_thesis else open_experiments.run_open
+    if name == "rivals":
+        setting, found = rival_settings.find_setting(setting)
+        run = partial(rival_settings.run_rivals, setting, is_judged=detector)
+    elif setting is not None or detector:
+        option = "setting" if setting is not None else "detector"
+        raise ArgumentError(
+            option, f"expected nothing, as it is an option of the experiment rivals, got it with {name}"
+        )
+    else:
+        is_thesis = name in thesis_experiments.EXPERIMENTS
+        found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
+        run = partial(thesis_experiments.run_table if is_thesis else open_experiments.run_open, name)
+    if sealed is not None:
+        overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
     with placed_config(config or found.config, whole) as settings, RunDisplay() as display:
         done = run(
-            name,
             settings,
             arms=chosen,
             runs=runs,
-            render_budget=budget,
+            camera_renders_max=budget,
             out=out,
             quick=quick,
             progress=display,
@@ -121,12 +159,32 @@ def experiment_rescore(
     return 1 if done.failed else 0
 
 
+@experiment_app.command(name="judge")
+def experiment_judge(
+    *folders: Annotated[Path, Parameter(help="Folders of the experiments of the protocol's settings.")],
+    out: Annotated[Path | None, Parameter(help="Markdown file; by default the console alone.")] = None,
+) -> None:
+    """Decide the hypotheses of the protocol; failed ones are told like all others."""
+    from warpav.core.files import write_text
+    from warpav.experiments.judgement import judged_text
+
+    text = judged_text(folders)
+    say(text)
+    if out is not None:
+        write_text(out, text)
+        say(f"wrote {out}")
+
+
 @experiment_app.command(name="results")
 def experiment_results(
     *folders: Annotated[Path, Parameter(help="Folders of experiments, or of rescored ones.")],
     out: Annotated[Path, Parameter(help="Markdown file; the numbers of every run go into a folder beside it.")],
 ) -> None:
     """Write the results of experiments as a page: tables, goals, seeds, commands, versions, every run."""
-    from warpav.experiments.summary import write_results_page
+    from warpav.experiments.protocol import unknown_code
+    from warpav.experiments.summary import read_summary, with_history, write_results_page
 
     say(f"wrote {write_results_page(folders, out)}")
+    for folder in folders:
+        for doubt in unknown_code(with_history(read_summary(folder)).get("commits", [])):
+            say(f"{folder}: {doubt}; not to be published as results of the protocol")

@@ -1,8 +1,9 @@
-"""Arms of an experiment: named search methods, all on the same scenes and at the same budget of renders.
+"""Arms of an experiment: named search methods, all on the same scenes and at the same budget of camera renders.
 
-The budget counts scene renders: one scene drawn in all views of a rig. Unless it is given, it is what the gradient
-method of the arm's own configuration spends, including its evaluations of all validation scenes; the other searches get
-the same.
+A camera render is one scene drawn once by one camera, with or without a gradient: a rig of N cameras on S scenes costs
+N S of them. Every search compares rigs on all training scenes; a descent steps on batches of them, and compares rigs on
+the validation scenes, where the configuration has any of its own. Unless a budget is given, it is what the descent of
+the arm's own configuration spends.
 """
 
 from __future__ import annotations
@@ -24,23 +25,30 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
+from warpav.optimisation.polish import polish
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.optimisation.rivals import (
+    Draw,
     affordable_iterations,
     cma_es,
+    descent_camera_renders,
     detections_of,
     differential_evolution,
-    gradient_renders,
     greedy_cover,
+    random_rigs,
     random_search,
+    selected_search,
+    sobol_rigs,
     sobol_search,
 )
-from warpav.optimisation.search import BudgetedValue, Search, SearchRecord, SearchSpace, run_search
+from warpav.optimisation.search import BudgetedValue, Search, SearchRecord, SearchResult, SearchSpace, run_search
 from warpav.optimisation.segregation import BatchChooser
+from warpav.optimisation.selection.select import Selection
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.optimise import Optimisation
+from warpav.runs.optimise import Optimisation, pool_search_settings
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.rig_source import read_start
 
@@ -58,25 +66,26 @@ class FoundRig:
     Attributes:
         rig: The rig.
         began_as: The rig that it began as, see `Placement.assigned`; None when camera k took orientation k.
-        renders: Scene renders that finding it took.
-        history: Columns of numbers, one per step or evaluation: ``renders``, ``seconds`` and ``best_value`` so far, on
-            the scenes that the method compares rigs on, and with the gradient method ``loss``.
-        training_objective: Its objective on all validation scenes; None if not evaluated.
+        camera_renders: Camera renders that finding it took.
+        history: Columns, one entry per step or look: ``camera_renders``, ``seconds`` and ``best_value`` so far, on the
+            scenes that the method compares rigs on; of a descent ``loss``, of a search by a pool ``stage``, ``round``
+            and ``bound``, as in `Found`.
+        training_objective: Its objective on the scenes that the method compares rigs on; None if not evaluated.
         mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
         notes: What else is worth knowing, by name.
     """
 
     rig: Rig
     began_as: Rig | None
-    renders: int
-    history: dict[str, list[float | None]]
+    camera_renders: int
+    history: dict[str, list[Any]]
     training_objective: float | None = None
     mount_pose: np.ndarray | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
 
 Finder = Callable[[Placement, int | None], FoundRig]
-"""Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [scene renders] may be None."""
+"""Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,7 @@ class Arm:
     @property
     def own_overrides(self) -> tuple[str, ...]:
         """The options that set it apart from other arms; the thesis's whole method is not taken apart."""
-        return self.overrides if self.name in common_arms() else (*self.overrides, *self.search_overrides)
+        return self.overrides if self.name in _WHOLE else (*self.overrides, *self.search_overrides)
 
     def evaluation_config(self, config: Config) -> Config:
         """The configuration that its rigs are evaluated with.
@@ -122,7 +131,7 @@ class Arm:
         """
         return changed_config(config, (*self.overrides, *self.search_overrides))
 
-    def check(self, config: Config, render_budget: int | None) -> None:
+    def check(self, config: Config, camera_renders_max: int | None) -> None:
         """Reject early what would fail in every run.
 
         Raises:
@@ -140,45 +149,51 @@ class Arm:
                 f"arm {self.name}: rig.freeze: expected none, since it places all cameras, got "
                 f"{', '.join(config.rig.freeze)}; leave the arm or the option out"
             )
-        if self.method in _DESCENDING or config.rig.freeze:
+        if self.method in _STARTING or config.rig.freeze:
             read_start(config)
-        least = self._least_renders(config)
-        if render_budget is not None and render_budget < least:
+        least = self._least_camera_renders(config)
+        if camera_renders_max is not None and camera_renders_max < least:
             raise InputError(
-                f"arm {self.name}: `budget`: expected at least {least} scene renders, got {render_budget}; raise it, "
-                "or leave it out for as many as the gradient method spends"
+                f"arm {self.name}: `budget`: expected at least {least} camera renders, got {camera_renders_max}; raise "
+                "it, or leave it out for the experiment's own"
             )
 
-    def _least_renders(self, config: Config) -> int:
-        """Scene renders without which its search cannot even begin."""
+    def _least_camera_renders(self, config: Config) -> int:
+        """Camera renders without which its search cannot even begin."""
+        cameras = config.rig.cameras
         train_count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
-        ranked_count = min(config.baselines.random_scenes, train_count)
+        one_rig = cameras * train_count
         looked_at_count = len(config.scenes.validation_seeds or ()) or train_count
-        one_step = gradient_renders(config.optimiser, looked_at_count, iterations=1, batch_size=config.run.batch_size)
-        if self.method == "gradient":
-            return one_step
-        if self.method == "cma_then_gradient":
-            return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(ranked_count / CMA_SHARE))
-        if self.method == "random_batches":
-            return config.run.batch_size
-        if self.method == "greedy_cover":  # one position in all directions, and the evaluation of the rig
-            return ranked_count * (math.ceil(GREEDY_DIRECTIONS / config.rig.cameras) + 1)
-        return ranked_count if self.method in METHODS and self.is_seeded else 1
+        one_step = descent_camera_renders(
+            config.optimiser, looked_at_count, camera_count=cameras, iterations=1, batch_size=config.run.batch_size
+        )
+        match self.method:
+            case "optimiser" if config.optimiser.search == "descent":
+                return one_step
+            case "optimiser" | "pool_only":  # the start, and a pool of as many
+                return 2 * one_rig
+            case "cma_then_gradient":
+                return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(one_rig / CMA_SHARE))
+            case "random_batches":
+                return cameras * config.run.batch_size
+            case "greedy_cover":  # one position in all directions, and the evaluation of the rig
+                return one_rig + GREEDY_DIRECTIONS * train_count
+        return one_rig if self.method in METHODS and self.is_seeded else 1
 
 
-def find_rig_of(arm: Arm, placement: Placement, render_budget: int | None) -> FoundRig:
+def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that an arm finds.
 
     Args:
         arm: The arm.
         placement: What to search on, with the arm's search options.
-        render_budget: Scene renders that it may spend; None: as many as the gradient method of the configuration.
+        camera_renders_max: Camera renders that it may spend; None: as many as the descent of the configuration.
 
     Raises:
         InputError: The budget is too small, or something that the arm needs is missing.
     """
     finder = METHODS.get(arm.method) or partial(_preset, name=arm.method)
-    return finder(placement, render_budget)
+    return finder(placement, camera_renders_max)
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
@@ -199,11 +214,18 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
 def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
-    ``gradient`` is the gradient method of the configuration, ``thesis_gradient`` that of the shipped configuration
-    ``thesis``, evaluated like all others.
+    ``default`` is the search by a pool, ``descent`` the many starts and the descent from the best of them.
+    ``thesis_as_printed`` is the search of the shipped configuration ``thesis`` with its own number of steps,
+    ``thesis_gradient`` a hybrid of it and the descent (`thesis_method`); they are evaluated like all others.
     """
-    arms = [Arm(name, name) for name in (*METHODS, *preset_names())]
-    return {arm.name: arm for arm in (Arm("thesis_gradient", "gradient", search_overrides=thesis_method()), *arms)}
+    own = [
+        Arm("default", "optimiser", search_overrides=("optimiser.search=pool",)),
+        Arm("descent", "optimiser", search_overrides=("optimiser.search=descent",)),
+        Arm("thesis_gradient", "optimiser", search_overrides=thesis_method()),
+        Arm("thesis_as_printed", "as_configured", search_overrides=thesis_as_printed()),
+    ]
+    others = [Arm(name, name) for name in (*METHODS, *preset_names()) if name not in _NEEDS_OPTIONS]
+    return {arm.name: arm for arm in (*own, *others)}
 
 
 def common_fov_deg(preset: str) -> float:
@@ -212,30 +234,55 @@ def common_fov_deg(preset: str) -> float:
     return Counter(angles).most_common(1)[0][0]
 
 
-def gradient_like(preset: str) -> Arm:
-    """The gradient method with as many cameras as a preset and its most frequent field of view.
+def default_like(preset: str) -> Arm:
+    """The default method with as many cameras as a preset and its most frequent field of view.
 
     All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
     which.
     """
     overrides = (f"rig.cameras={len(preset_rig(preset).cameras)}", f"camera.fov_deg={common_fov_deg(preset)}")
-    return Arm(f"gradient_as_{preset}", "gradient", overrides)
+    return Arm(f"default_as_{preset}", "optimiser", overrides, common_arms()["default"].search_overrides)
 
 
 def odd_fields(preset: str) -> str:
-    """In words, how the fields of view of a preset differ from those of its counterpart, `gradient_like`."""
+    """In words, how the fields of view of a preset differ from those of its counterpart, `default_like`."""
     common = common_fov_deg(preset)
     angles = [math.degrees(camera.model.fov_rad) for camera in preset_rig(preset).cameras]
     odd = [f"{angle:.1f}" for angle in angles if abs(angle - common) > 1.0]
     differ = f", but {' and '.join(odd)} in the preset" if odd else ""
-    return f"gradient_as_{preset}: {len(angles)} cameras of {common:g} deg{differ}"
+    return f"default_as_{preset}: {len(angles)} cameras of {common:g} deg{differ}"
 
 
 def thesis_method() -> tuple[str, ...]:
-    """Overrides that make a configuration search as the thesis does."""
-    sections = ("method", "losses", "visibility", "optimiser")
+    """Overrides for a search with the thesis's losses, occlusion, optimiser and bounding rectangle.
+
+    A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
+    """
+    return _thesis_options("method", "losses", "visibility", "optimiser")
+
+
+def thesis_as_printed() -> tuple[str, ...]:
+    """Overrides for a search by the whole shipped configuration ``thesis``.
+
+    The task stays that of the configuration: scenes, number and model of the cameras, detection network.
+    """
+    whole = _thesis_options(
+        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "segregation", "losses"),
+        *("visibility", "optimiser"),
+    )
+    task = ("rig.cameras", "rig.freeze", "detector.")
+    thresholds = ("detector.confidence_min", "detector.iou_min", "detector.nms_iou_max")
+    return tuple(each for each in whole if not each.startswith(task) or each.startswith(thresholds))
+
+
+def _thesis_options(*parts: str) -> tuple[str, ...]:
+    """Overrides with the values of the shipped configuration ``thesis``, of whole sections or single options."""
     values = option_values(load_config("thesis"))
-    return tuple(f"{name}={json.dumps(value)}" for name, value in values.items() if name.partition(".")[0] in sections)
+    return tuple(
+        f"{name}={json.dumps(value)}"
+        for name, value in values.items()
+        if any(f"{name}.".startswith(f"{part}.") for part in parts)
+    )
 
 
 def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
@@ -246,52 +293,100 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     return objective.constraint_scale * broken
 
 
-def _gradient(placement: Placement, render_budget: int | None) -> FoundRig:
-    """The gradient method of the configuration, from the start of the configuration."""
-    placement = _within(placement, render_budget)
+def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """The configuration's own search, from its own start."""
+    if placement.config.optimiser.search == "pool":
+        return _pooled(placement, camera_renders_max)
+    placement = _within(placement, camera_renders_max)
     optimisation = Optimisation.begin(placement)
     starts = placement.config.optimiser.starts
+    assert isinstance(optimisation.descent, Descent)
     return _descended(placement, optimisation.descent, optimisation.began_as, start_count=starts if starts > 1 else 0)
 
 
-def _within(placement: Placement, render_budget: int | None) -> Placement:
+def _within(placement: Placement, camera_renders_max: int | None) -> Placement:
     """The same placement with as many iterations as a budget pays for, or as the configuration says."""
-    if render_budget is None:
+    if camera_renders_max is None:
         return placement
     config = placement.config
     iterations = affordable_iterations(
-        config.optimiser, len(placement.validation), render_budget, batch_size=config.run.batch_size
+        config.optimiser,
+        len(placement.validation),
+        camera_renders_max,
+        camera_count=config.rig.cameras,
+        batch_size=config.run.batch_size,
     )
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
 def _from_one_start(placement: Placement) -> Placement:
-    """The same placement, whose descent tries no other starts."""
-    return placement.with_config(changed_config(placement.config, ["optimiser.starts=1", "optimiser.descents=1"]))
+    """The same placement, whose search is a descent that tries no other starts."""
+    one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1"]
+    return placement.with_config(changed_config(placement.config, one))
 
 
-def _descended(
-    placement: Placement, descent: Descent | PoolDescent, began_as: Rig | None, *, start_count: int = 0
-) -> FoundRig:
+def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool = False) -> FoundRig:
+    """The search by a pool; ``only`` the pool and the best rig of it, with the whole budget in the pool.
+
+    What the cache holds is drawn again, so that the seconds count.
+    """
+    placement = placement.with_config(changed_config(placement.config, ["optimiser.search=pool"]))
+    settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
+    if only:
+        most = _budget(placement, camera_renders_max)
+        every = most // len(placement.train)
+        settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
+    begun = Optimisation.begin(placement, pool=settings, keeps_pool=False)
+    descent, began = begun.descent, time.perf_counter()
+    assert isinstance(descent, PoolDescent)
+    columns = ("camera_renders", "seconds", "best_value", "stage", "round", "bound")
+    history: dict[str, list[Any]] = {name: [] for name in columns}
+    while descent.verdict is None:
+        descent.step()
+        found = descent.found
+        assert found is not None
+        row = (found.camera_renders, time.perf_counter() - began, found.objective)
+        for column, entry in zip(history.values(), (*row, found.stage, found.round, found.bound or None), strict=True):
+            column.append(entry)
+    best = descent.found
+    assert best is not None
+    mount = placement.objective.mount
+    return FoundRig(
+        mount.rig(best.mount_pose),
+        begun.began_as,
+        best.camera_renders,
+        history,
+        training_objective=best.objective,
+        mount_pose=best.mount_pose,
+        notes={"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras},
+    )
+
+
+def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
-    batch_size = placement.config.run.batch_size
-    history: dict[str, list[float | None]] = {name: [] for name in ("renders", "seconds", "best_value", "loss")}
+    config = placement.config
+    history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value", "loss")}
     began = time.perf_counter()
 
-    def renders() -> int:
-        return descent.iteration * batch_size + (start_count + len(descent.candidates)) * len(placement.validation)
+    def camera_renders() -> int:
+        looks = start_count + len(descent.candidates)
+        return config.rig.cameras * (descent.iteration * config.run.batch_size + looks * len(placement.validation))
 
-    while descent.iteration < placement.config.run.iterations and descent.verdict is None:
-        record = descent.step()
-        row = (renders(), time.perf_counter() - began, record.best_training_objective, record.loss)
+    def add(best_value: float | None, loss: float | None) -> None:
+        row = (camera_renders(), time.perf_counter() - began, best_value, loss)
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
+
+    while descent.iteration < config.run.iterations and descent.verdict is None:
+        record = descent.step()
+        add(record.best_training_objective, record.loss)
     unprojected = descent.mount_pose
     result = descent.finish()
+    add(min(each.training_objective for each in descent.candidates), None)
     return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         began_as,
-        renders(),
+        camera_renders(),
         history,
         training_objective=result.training_objective,
         mount_pose=result.mount_pose,
@@ -299,16 +394,61 @@ def _descended(
     )
 
 
-def _start(placement: Placement, render_budget: int | None) -> FoundRig:
-    """The rig that the gradient method starts from."""
-    del render_budget
+def _descent_only(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """The polish alone, from the configuration's one start, until nothing improves or the budget is spent."""
+    begun = Optimisation.begin(_from_one_start(placement))
+    values, mount = _single_values(placement), placement.objective.mount
+    steps = polish(
+        begun.descent.start,
+        lambda moved: values.cameras.with_jacobian(moved, values.scenes),
+        mount=mount,
+        constraints=placement.objective.constraints,
+        scene_count=len(values.scenes),
+        camera_renders_max=_budget(placement, camera_renders_max),
+    )
+    began, step = time.perf_counter(), None
+    history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value")}
+    for step in steps:
+        row = (step.camera_renders, time.perf_counter() - began, values.weight * step.objective)
+        for column, number in zip(history.values(), row, strict=True):
+            column.append(number)
+    assert step is not None
+    return FoundRig(
+        mount.rig(step.mount_pose),
+        begun.began_as,
+        step.camera_renders,
+        history,
+        training_objective=values.weight * step.objective,
+        mount_pose=step.mount_pose,
+    )
+
+
+def _single_values(placement: Placement) -> SingleCameraValues:
+    """Values of rigs on all training scenes by single cameras.
+
+    Raises:
+        InputError: The objective is made of other losses.
+    """
+    values = rig_values_of(placement.objective, placement.train)
+    if not isinstance(values, SingleCameraValues):
+        names = ", ".join(loss.name for _, loss in placement.objective.losses)
+        raise InputError(
+            "losses: expected expected_miss_rate alone, with combine=any and detector_share=0, for an arm that knows "
+            f"what single cameras detect, got {names}; leave the arm out"
+        )
+    return values
+
+
+def _start(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """The rig that the configuration's search starts from, without trying others."""
+    del camera_renders_max
     begun = Optimisation.begin(_from_one_start(placement))
     return FoundRig(begun.start, begun.began_as, 0, {}, mount_pose=begun.descent.start)
 
 
-def _random_rig(placement: Placement, render_budget: int | None) -> FoundRig:
+def _random_rig(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """A random feasible rig with random directions, without evaluation."""
-    del render_budget
+    del camera_renders_max
     space = SearchSpace.over(
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
@@ -316,9 +456,9 @@ def _random_rig(placement: Placement, render_budget: int | None) -> FoundRig:
     return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
 
 
-def _highest(placement: Placement, render_budget: int | None) -> FoundRig:
+def _highest(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """Cameras around the highest point."""
-    del render_budget
+    del camera_renders_max
     mount = placement.objective.mount
     pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(pose)
@@ -326,9 +466,9 @@ def _highest(placement: Placement, render_budget: int | None) -> FoundRig:
     return FoundRig(found, found, 0, {}, mount_pose=pose)
 
 
-def _preset(placement: Placement, render_budget: int | None, *, name: str) -> FoundRig:
+def _preset(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
     """A known rig, moved to the vehicle."""
-    del render_budget
+    del camera_renders_max
     mount = placement.objective.mount
     moved = move_to_vehicle(
         preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
@@ -337,7 +477,7 @@ def _preset(placement: Placement, render_budget: int | None, *, name: str) -> Fo
     return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
 
 
-def _random_batches(placement: Placement, render_budget: int | None) -> FoundRig:
+def _random_batches(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The thesis's random arm: as many random rigs as a descent has iterations, each on a batch of its own.
 
     The lowest value wins, so the luck of the batch helps to choose; `random_search` on fixed scenes does not have that.
@@ -345,7 +485,8 @@ def _random_batches(placement: Placement, render_budget: int | None) -> FoundRig
     config, objective = placement.config, placement.objective
     rng = placement.random_numbers(Stream.SEARCH)
     batches = BatchChooser(placement.train, config.rig.cameras, placement.random_numbers(Stream.BATCHES))
-    count = config.run.iterations if render_budget is None else render_budget // config.run.batch_size
+    per_rig = config.rig.cameras * config.run.batch_size
+    count = config.run.iterations if camera_renders_max is None else camera_renders_max // per_rig
     best_value, best_pose = math.inf, None
     history: list[SearchRecord] = []
     began = time.perf_counter()
@@ -354,101 +495,143 @@ def _random_batches(placement: Placement, render_budget: int | None) -> FoundRig
         value = objective.evaluate(pose, [placement.train[k] for k in batches.choose(config.run.batch_size)]).objective
         if value < best_value:
             best_value, best_pose = value, pose
-        history.append(SearchRecord(number * config.run.batch_size, best_value, time.perf_counter() - began))
+        history.append(SearchRecord(number * per_rig, best_value, time.perf_counter() - began))
     if best_pose is None:
         raise ValueError(f"none of {count} random rigs had a finite value")
-    return FoundRig(
-        objective.mount.rig(best_pose), None, count * config.run.batch_size, _columns(history), mount_pose=best_pose
-    )
+    return FoundRig(objective.mount.rig(best_pose), None, count * per_rig, _columns(history), mount_pose=best_pose)
 
 
 def _searched(
     placement: Placement,
-    render_budget: int | None,
+    camera_renders_max: int | None,
     *,
-    search: Callable[[Placement, Sequence[Any]], Search],
+    search: Callable[[Placement], Search],
     free_yaw: bool,
 ) -> FoundRig:
-    """A baseline search on fixed training scenes."""
+    """A baseline search on all training scenes."""
     rng = placement.random_numbers(Stream.SEARCH)
-    value, scenes = _ranking(placement, rng, _budget(placement, render_budget), free_yaw=free_yaw)
-    result = run_search(search(placement, scenes), value, rng)
+    value = BudgetedValue.of(
+        placement.objective,
+        placement.train,
+        _space(placement, free_yaw=free_yaw),
+        camera_renders_max=_budget(placement, camera_renders_max),
+    )
+    return _found(placement, run_search(search(placement), value, rng))
+
+
+def _selected(placement: Placement, camera_renders_max: int | None, *, draw: Draw, free_yaw: bool) -> FoundRig:
+    """The best rig that can be made of the cameras of the rigs that a baseline draws."""
+    rng, values, config = placement.random_numbers(Stream.SEARCH), _single_values(placement), placement.config
+    value = BudgetedValue(
+        values,
+        _space(placement, free_yaw=free_yaw),
+        scene_count=len(values.scenes),
+        camera_renders_max=_budget(placement, camera_renders_max),
+    )
+    notes: dict[str, Any] = {}
+
+    def told(selection: Selection) -> None:
+        notes.update(bound=selection.bound, gap=selection.gap, pool_cameras=len(value.history) * config.rig.cameras)
+
+    search = partial(
+        selected_search,
+        draw=draw,
+        single=values,
+        gap=config.optimiser.pool_gap,
+        time_limit_s=config.optimiser.selection_time_s,
+        seed=config.run.seed,
+        on_selection=told,
+    )
+    return replace(_found(placement, run_search(search, value, rng)), notes=notes)
+
+
+def _cma_then_gradient(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """CMA-ES, then the descent from the best rig."""
+    rng = placement.random_numbers(Stream.SEARCH)
+    whole = _budget(placement, camera_renders_max)
+    value = BudgetedValue.of(
+        placement.objective,
+        placement.train,
+        _space(placement, free_yaw=True),
+        camera_renders_max=int(CMA_SHARE * whole),
+    )
+    first = _found(placement, run_search(cma_es, value, rng))
+    # its start is found already
+    rest = _within(_from_one_start(placement), whole - first.camera_renders)
+    begun = Optimisation.begin(rest, start=first.mount_pose, began_as=rest.frozen_rig)
+    assert isinstance(begun.descent, Descent)
+    second = _descended(rest, begun.descent, rest.frozen_rig)
+    both, seconds = first.history, first.history["seconds"][-1]
+    for name, shift in (("camera_renders", first.camera_renders), ("seconds", seconds), ("best_value", 0.0)):
+        both[name] += [None if number is None else number + shift for number in second.history[name]]
+    return replace(
+        second,
+        camera_renders=first.camera_renders + second.camera_renders,
+        history=both,
+        notes={**second.notes, "cma_camera_renders": first.camera_renders},
+    )
+
+
+def _budget(placement: Placement, camera_renders_max: int | None) -> int:
+    if camera_renders_max is not None:
+        return camera_renders_max
+    config = placement.config
+    return descent_camera_renders(
+        config.optimiser,
+        len(placement.validation),
+        camera_count=config.rig.cameras,
+        iterations=config.run.iterations,
+        batch_size=config.run.batch_size,
+    )
+
+
+def _space(placement: Placement, *, free_yaw: bool) -> SearchSpace:
+    """The rigs that a baseline may try."""
+    return SearchSpace.over(
+        placement.objective.mount,
+        placement.config.rig.cameras,
+        constraints=placement.objective.constraints,
+        yaw_rad=placement.yaw_rad,
+        yaw_reach_rad=math.pi if free_yaw else 0.0,
+    )
+
+
+def _found(placement: Placement, result: SearchResult) -> FoundRig:
+    """What a search found.
+
+    Raises:
+        RuntimeError: It ended early.
+    """
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         placement.frozen_rig,
-        result.renders,
+        result.camera_renders,
         _columns(result.history),
+        training_objective=result.value,
         mount_pose=result.mount_pose,
     )
 
 
-def _cma_then_gradient(placement: Placement, render_budget: int | None) -> FoundRig:
-    """CMA-ES on fixed training scenes, then the gradient method on all of them from the best rig."""
-    rng = placement.random_numbers(Stream.SEARCH)
-    whole = _budget(placement, render_budget)
-    value, _ = _ranking(placement, rng, int(CMA_SHARE * whole), free_yaw=True)
-    first = run_search(cma_es, value, rng)
-    if first.error is not None:
-        raise RuntimeError(f"the search ended early: {first.error}")
-    # its start is found already
-    rest = _within(_from_one_start(placement), whole - first.renders)
-    begun = Optimisation.begin(rest, start=first.mount_pose, began_as=rest.frozen_rig)
-    second = _descended(rest, begun.descent, rest.frozen_rig)
-    both = _columns(first.history)
-    for name, shift in (("renders", first.renders), ("seconds", first.history[-1].seconds), ("best_value", 0.0)):
-        both[name] += [None if number is None else number + shift for number in second.history[name]]
-    return replace(
-        second,
-        renders=first.renders + second.renders,
-        history=both,
-        notes={**second.notes, "cma_renders": first.renders},
-    )
-
-
-def _budget(placement: Placement, render_budget: int | None) -> int:
-    if render_budget is not None:
-        return render_budget
-    run = placement.config.run
-    return gradient_renders(
-        placement.config.optimiser, len(placement.validation), iterations=run.iterations, batch_size=run.batch_size
-    )
-
-
-def _ranking(
-    placement: Placement, rng: np.random.Generator, render_budget: int, *, free_yaw: bool
-) -> tuple[BudgetedValue, list[Any]]:
-    """The objective on ``baselines.random_scenes`` training scenes, at a price; and these scenes."""
-    config = placement.config
-    chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
-    scenes = [placement.train[k] for k in chosen]
-    space = SearchSpace.over(
-        placement.objective.mount,
-        config.rig.cameras,
-        constraints=placement.objective.constraints,
-        yaw_rad=placement.yaw_rad,
-        yaw_reach_rad=math.pi if free_yaw else 0.0,
-    )
-    return BudgetedValue.of(placement.objective, scenes, space, render_budget=render_budget), scenes
-
-
-def _columns(history: Sequence[SearchRecord]) -> dict[str, list[float | None]]:
+def _columns(history: Sequence[SearchRecord]) -> dict[str, list[Any]]:
     return {
-        "renders": [each.renders for each in history],
+        "camera_renders": [each.camera_renders for each in history],
         "seconds": [each.seconds for each in history],
         "best_value": [each.best_value if math.isfinite(each.best_value) else None for each in history],
     }
 
 
-def _greedy(placement: Placement, scenes: Sequence[Any]) -> Search:
-    return partial(
-        greedy_cover, detected_objects=detections_of(placement.objective, scenes), yaw_count=GREEDY_DIRECTIONS
-    )
+def _greedy(placement: Placement) -> Search:
+    detections = detections_of(placement.objective, placement.train)
+    return partial(greedy_cover, detections=detections, yaw_count=GREEDY_DIRECTIONS)
 
 
 METHODS: dict[str, Finder] = {
-    "gradient": _gradient,
+    "optimiser": _optimised,
+    "as_configured": lambda placement, _: _optimised(placement, None),  # with its own number of steps
+    "pool_only": partial(_pooled, only=True),
+    "descent_only": _descent_only,
     "start": _start,
     "random_rig": _random_rig,
     "highest": _highest,
@@ -456,6 +639,9 @@ METHODS: dict[str, Finder] = {
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
     "sobol": partial(_searched, search=lambda *_: sobol_search, free_yaw=False),
+    # a pool of few directions would be a weak one
+    "random_selected": partial(_selected, draw=random_rigs, free_yaw=True),
+    "sobol_selected": partial(_selected, draw=sobol_rigs, free_yaw=True),
     "cma": partial(_searched, search=lambda *_: cma_es, free_yaw=True),
     "differential_evolution": partial(_searched, search=lambda *_: differential_evolution, free_yaw=True),
     "greedy_cover": partial(_searched, search=_greedy, free_yaw=True),
@@ -464,9 +650,15 @@ METHODS: dict[str, Finder] = {
 """How a rig can be found, by name; the presets' names are methods as well."""
 
 _SEEDLESS = ("highest",)
-_DESCENDING = ("gradient", "start")
+_STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
+"""Ways that begin with the configuration's start."""
+
+_NEEDS_OPTIONS = ("optimiser", "as_configured")
+"""Ways that are no arm without options."""
+
+_WHOLE = ("thesis_gradient", "thesis_as_printed")
 _HOLDING = (
-    *("gradient", "start", "random_rig", "highest", "random", "sobol"),
+    *(*_STARTING, "random_rig", "highest", "random", "sobol", "random_selected", "sobol_selected"),
     *("cma", "differential_evolution", "cma_then_gradient"),
 )
 """Ways that keep the cameras of ``rig.freeze`` where they are."""

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import yaml
 
 from warpav.core.devices import device_name
@@ -25,10 +26,13 @@ from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
+from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.rig_values import rig_values_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
+from warpav.runs.commit import running_commit
 from warpav.runs.config import (
     Config,
     changed_config,
@@ -53,7 +57,7 @@ from warpav.runs.scene_set import (
 
 Task = TypeVar("Task")
 
-SCHEMA = 1
+SCHEMA = 2
 GRADIENTS = "gradients"
 """Method of an arm that finds no rig but measures gradients (tables I and V)."""
 
@@ -79,6 +83,10 @@ class Experiment:
         reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
         objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
             its arm is evaluated with.
+        camera_renders_max: Camera renders for every search where nothing else is asked for; None: as many as the
+            descent of the arm's configuration takes.
+        quick_camera_renders_max: The same of the small version.
+        is_judged: Whether the detector is run on the test scenes for every rig; else only the objective is measured.
     """
 
     name: str
@@ -93,12 +101,20 @@ class Experiment:
     quick_runs_of: Mapping[str, int] = field(default_factory=dict)
     reference: str | None = None
     objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    camera_renders_max: int | None = None
+    quick_camera_renders_max: int | None = None
+    is_judged: bool = True
 
     def made_quick(self) -> Experiment:
         """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
         arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
         return replace(
-            self, name=f"{self.name}_quick", arms=tuple(arms), runs=self.quick_runs, runs_of=self.quick_runs_of
+            self,
+            name=f"{self.name}_quick",
+            arms=tuple(arms),
+            runs=self.quick_runs,
+            runs_of=self.quick_runs_of,
+            camera_renders_max=self.quick_camera_renders_max,
         )
 
 
@@ -151,18 +167,20 @@ class ArmTask:
     Attributes:
         arm: The arm.
         config: The experiment's configuration, with the run's seed.
-        render_budget: Scene renders that it may spend; None: see `warpav.experiments.arms`.
+        camera_renders_max: Camera renders that it may spend; None: see `warpav.experiments.arms`.
         folder: Folder of the results, absolute.
         made_with: Hash of all that the result depends on but the seed.
         objectives: As of `Experiment`.
+        is_judged: Likewise.
     """
 
     arm: Arm
     config: Config
-    render_budget: int | None
+    camera_renders_max: int | None
     folder: Path
     made_with: str
     objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    is_judged: bool = True
 
     @property
     def name(self) -> str:
@@ -220,7 +238,7 @@ def run_experiment(
     *,
     arms: Sequence[Arm] | None = None,
     runs: int | None = None,
-    render_budget: int | None = None,
+    camera_renders_max: int | None = None,
     out: Path | None = None,
     progress: Progress,
 ) -> Finished:
@@ -231,7 +249,7 @@ def run_experiment(
         config: What all arms have in common; run seeds count up from ``run.seed``.
         arms: Only these; they need not be among the experiment's. None: all of the experiment's.
         runs: Run seeds, at least 1; None: the experiment's default.
-        render_budget: Scene renders for every search; None: as many as the gradient method spends.
+        camera_renders_max: Camera renders for every search; None: the experiment's.
         out: Folder; None: ``run.out``, or ``runs/<name>``.
         progress: Where to show it.
 
@@ -241,18 +259,19 @@ def run_experiment(
     """
     runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
-    for option, value in (("runs", runs), ("budget", render_budget)):
+    camera_renders_max = experiment.camera_renders_max if camera_renders_max is None else camera_renders_max
+    for option, value in (("runs", runs), ("budget", camera_renders_max)):
         if value is not None and value < 1:
             raise ArgumentError(option, f"expected at least 1, got {value}")
     arms = experiment.arms if arms is None else arms
     for arm in arms:
         if arm.method != GRADIENTS:
-            arm.check(config, render_budget)
+            arm.check(config, camera_renders_max)
     _try_networks(arms, config, progress)
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
     runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
-    tasks = _tasks(arms, config, runs_of, render_budget, folder / RESULTS, experiment.objectives)
-    _open_folder(folder, experiment, config, render_budget)
+    tasks = _tasks(experiment, arms, config, runs_of, camera_renders_max, folder / RESULTS)
+    _open_folder(folder, experiment, config, camera_renders_max)
     waiting = [task for task in tasks if not _is_there(task)]
     if len(waiting) < len(tasks):
         progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
@@ -296,6 +315,23 @@ def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[s
     return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
 
 
+def merged_results(done: Finished, experiment: Experiment) -> Finished:
+    """The same with what the folder holds of earlier commands, arms in order; those without a result have none.
+
+    Raises:
+        InputError: A file cannot be read, or is no result.
+    """
+    in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
+    there = {**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))}
+    return replace(done, results={arm: there[arm] for arm in in_order if arm in there})
+
+
+def say_failures(done: Finished, progress: Progress) -> None:
+    """Why tasks failed, a line each."""
+    for failure in done.failed:
+        progress.say(f"failed: {failure}")
+
+
 def _read_result(file: Path) -> dict[str, Any]:
     """A result.
 
@@ -322,6 +358,7 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
         "arm": task.arm.name,
         "seed": task.config.run.seed,
         "made_with": task.made_with,
+        "commit": asdict(running_commit()),
         **result,
     }
     write_json(task.file, result)
@@ -338,20 +375,27 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     evaluation = _placement(task.arm.evaluation_config(task.config))
     placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
     loaded = time.perf_counter()
-    found = find_rig_of(task.arm, placement, task.render_budget)
+    found = find_rig_of(task.arm, placement, task.camera_renders_max)
     searched = time.perf_counter()
-    metrics = evaluate_rig(found.rig, evaluation.assigned(evaluation.test, found.began_as), evaluation.objective)
+    scenes = evaluation.assigned(evaluation.test, found.began_as)
+    if task.is_judged:
+        tested: dict[str, Any] = {"metrics": asdict(evaluate_rig(found.rig, scenes, evaluation.objective))}
+    else:
+        tested = {
+            "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
+            "constraint_violation_m": evaluation.objective.constraints.violation_m(found.rig),
+        }
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
-        "metrics": asdict(metrics),
+        **tested,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "overrides": list(task.arm.overrides),
         "training_objective": found.training_objective,
         "validation_objectives": _validation_objectives(task, found),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
-        "renders": found.renders,
+        "camera_renders": found.camera_renders,
         "seconds": {
             "load": loaded - began,
             "search": searched - loaded,
@@ -362,6 +406,15 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     }
 
 
+def _objective_of_scene(evaluation: Placement, found: FoundRig, scenes: Sequence[AssignedScene]) -> list[float | None]:
+    """The objective of a rig in each test scene; None in those without objects, and for cameras of other lenses."""
+    if found.mount_pose is None:
+        return [None] * len(scenes)
+    rigs = np.asarray(found.mount_pose, np.float32)[None]
+    values = [next(iter(rig_values_of(evaluation.objective, [scene])(rigs))) for scene in scenes]
+    return [value if each.scene.vehicle_count else None for value, each in zip(values, scenes, strict=True)]
+
+
 def _validation_objectives(task: ArmTask, found: FoundRig) -> dict[str, float | None]:
     """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses."""
     values: dict[str, float | None] = {}
@@ -370,7 +423,8 @@ def _validation_objectives(task: ArmTask, found: FoundRig) -> dict[str, float | 
         if found.mount_pose is not None:
             evaluation = _placement(changed_config(task.arm.evaluation_config(task.config), overrides))
             scenes = evaluation.assigned(evaluation.validation, found.began_as)
-            values[name] = evaluation.objective.evaluate(found.mount_pose, scenes).objective
+            rigs = np.asarray(found.mount_pose, np.float32)[None]
+            values[name] = next(iter(rig_values_of(evaluation.objective, scenes)(rigs)))
     return values
 
 
@@ -391,33 +445,35 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
     )
     return {
         "gradients": {name: asdict(magnitude) for name, magnitude in magnitudes.items()},
-        "renders": config.run.iterations * config.run.batch_size,
+        "camera_renders": config.rig.cameras * config.run.iterations * config.run.batch_size,
         "seconds": {"load": loaded - began, "search": time.perf_counter() - loaded},
     }
 
 
 def _tasks(
+    experiment: Experiment,
     arms: Sequence[Arm],
     config: Config,
     runs_of: Mapping[str, int],
-    render_budget: int | None,
+    camera_renders_max: int | None,
     folder: Path,
-    objectives: Mapping[str, tuple[str, ...]],
 ) -> list[ArmTask]:
     config = with_absolute_paths(config)
+    objectives, is_judged = experiment.objectives, experiment.is_judged
     tasks = []
     for arm in arms:
         made_with = digest(
             SCHEMA,
             arm.method,
-            render_budget,
+            camera_renders_max,
             unseeded(arm.evaluation_config(config)),
             unseeded(arm.search_config(config)),
             sorted(objectives.items()),
+            is_judged,
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(ArmTask(arm, seeded, render_budget, folder, made_with, objectives))
+            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, objectives, is_judged))
     return tasks
 
 
@@ -438,7 +494,7 @@ def _options(config: Config) -> dict[str, Any]:
     return json.loads(json.dumps(values))
 
 
-def _open_folder(folder: Path, experiment: Experiment, config: Config, render_budget: int | None) -> None:
+def _open_folder(folder: Path, experiment: Experiment, config: Config, camera_renders_max: int | None) -> None:
     """Make the folder of the experiment, or see that the one that is there belongs to it.
 
     Raises:
@@ -448,7 +504,7 @@ def _open_folder(folder: Path, experiment: Experiment, config: Config, render_bu
     description = {
         "schema": SCHEMA,
         "experiment": experiment.name,
-        "render_budget": render_budget,
+        "camera_renders_max": camera_renders_max,
         "options": _options(config),
     }
     if file.is_file():
@@ -499,10 +555,10 @@ def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any])
     fix = "choose another folder with `out`"
     if there.get("experiment") != wanted["experiment"]:
         raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
-    if there.get("render_budget") != wanted["render_budget"]:
+    budget, wanted_budget = there.get("camera_renders_max"), wanted["camera_renders_max"]
+    if budget != wanted_budget:
         raise InputError(
-            f"{file}: render_budget: expected {wanted['render_budget']}, got {there.get('render_budget')!r}; {fix}, or "
-            "give the same `budget`"
+            f"{file}: camera_renders_max: expected {wanted_budget}, got {budget!r}; {fix}, or give the same `budget`"
         )
     options = there.get("options")
     options = options if isinstance(options, dict) else {}
@@ -615,15 +671,32 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
         return f"{name}: failed: {outcome.error}"
     result = outcome.result
     took = f"{result['seconds']['total']:.0f} s"
-    if "metrics" not in result:
+    if "objects_of_scene" not in result:
         return f"{name}: {took}"
+    metrics = result.get("metrics", {})
     numbers = (
-        ("recall", result["metrics"]["tp_detection_rate"]),
-        ("mAP50", result["metrics"]["map50_average"]),
-        ("objective", result["metrics"]["objective"]),
+        ("recall", metrics.get("tp_detection_rate")),
+        ("mAP50", metrics.get("map50_average")),
+        ("objective", objective_on_tests(result)),
     )
-    shown = "  ".join(f"{label} {'-' if value is None else f'{value:.4f}'}" for label, value in numbers)
-    return f"{name}: {shown}  {result['renders']} renders  {took}"
+    shown = "  ".join(f"{label} {value:.4f}" for label, value in numbers if value is not None)
+    return f"{name}: {shown}  {result['camera_renders']} camera renders  {took}"
+
+
+def objective_on_tests(result: Mapping[str, Any]) -> float | None:
+    """The objective of a result's rig on the test scenes, the mean over all their objects; None for other lenses."""
+    of_scene = objective_of_tests(result)
+    pairs = [(value, count) for value, count in zip(of_scene, result["objects_of_scene"], strict=True) if count]
+    if not pairs or any(value is None for value, _ in pairs):
+        return None
+    return sum(value * count for value, count in pairs) / sum(count for _, count in pairs)
+
+
+def objective_of_tests(result: Mapping[str, Any]) -> list[Any]:
+    """The objective of a result's rig in every test scene; None where it has none."""
+    if "metrics" in result:
+        return result["metrics"]["per_scene"]["objective"]
+    return result["test_objective_of_scene"]
 
 
 def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)

@@ -1,7 +1,7 @@
 """The experiments of our own.
 
-All methods at one budget of renders; the default method with one option changed at a time; whether its
-objective ranks rigs as the detector does.
+All methods at one budget of camera renders; the descent with one option changed at a time; whether the objective of
+the default method ranks rigs as the detector does.
 """
 
 from __future__ import annotations
@@ -14,18 +14,16 @@ from typing import Any
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import Progress
 from warpav.evaluation.statistics import RESAMPLES
-from warpav.experiments.arms import Arm, common_arms, gradient_like, odd_fields, thesis_method
+from warpav.experiments.arms import Arm, common_arms, default_like, odd_fields, thesis_method
 from warpav.experiments.correlation import RANDOM_GROUPS, correlate, correlation_goal
-from warpav.experiments.experiment import Experiment, Finished, results_in, run_experiment
+from warpav.experiments.experiment import Experiment, Finished, merged_results, run_experiment, say_failures
 from warpav.experiments.goals import Goal, goals_of, goals_text
+from warpav.experiments.rival_settings import RIVAL_ARMS, RUNS, SELECTION_SCENES
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import compare_results
 from warpav.runs.config import Config
 
-RUNS = 10
-"""Run seeds of an arm."""
-
-REFERENCE = "gradient"
+REFERENCE = "default"
 """The default method, with which all others are compared."""
 
 CONFIGURED = "configured"
@@ -41,16 +39,11 @@ _QUICK = (
     "run.iterations=30",
     "run.batch_size=8",
     "optimiser.starts=8",
-    "baselines.random_scenes=8",
 )
 _RIVALS = (
     "thesis_gradient",
-    "highest",
-    "random",
-    "sobol",
-    "cma",
-    "differential_evolution",
-    "greedy_cover",
+    "thesis_as_printed",
+    *(arm for arm in RIVAL_ARMS if arm != REFERENCE),
     "cma_then_gradient",
 )
 _CHANGES = {
@@ -74,10 +67,10 @@ _CHANGES = {
 def _experiments() -> dict[str, Experiment]:
     common = common_arms()
     reference = common[REFERENCE]
-    like = tuple(gradient_like(preset) for preset in PRESETS)
+    like = tuple(default_like(preset) for preset in PRESETS)
     rivals = tuple(common[name] for name in _RIVALS)
     presets = tuple(common[name] for name in PRESETS)
-    changed = tuple(Arm(name, REFERENCE, search_overrides=overrides) for name, overrides in _CHANGES.items())
+    changed = tuple(Arm(name, "optimiser", search_overrides=overrides) for name, overrides in _CHANGES.items())
     drawn = (
         Arm("random_rig", "random_rig"),
         Arm("random_place", "start", search_overrides=("rig.start=random",)),
@@ -89,13 +82,23 @@ def _experiments() -> dict[str, Experiment]:
             "default",
             (reference, *rivals, *like, *presets),
             RUNS,
+            options=SELECTION_SCENES,
             quick=_QUICK,
-            quick_arms=(REFERENCE, *_RIVALS, "gradient_as_nuscenes", "nuscenes"),
+            quick_arms=(REFERENCE, *_RIVALS, "default_as_nuscenes", "nuscenes"),
             reference=REFERENCE,
             objectives=own,
+            camera_renders_max=45_000,
+            quick_camera_renders_max=9_000,
         ),
         "ablations": Experiment(
-            "ablations", "default", (reference, *changed), RUNS, quick=_QUICK, reference=REFERENCE, objectives=own
+            "ablations",
+            "default",
+            (common["descent"], *changed),
+            RUNS,
+            options=("optimiser.search=descent",),
+            quick=_QUICK,
+            reference="descent",
+            objectives=own,
         ),
         "correlation": Experiment(
             "correlation",
@@ -121,7 +124,7 @@ def run_open(
     *,
     arms: Sequence[Arm] | None = None,
     runs: int | None = None,
-    render_budget: int | None = None,
+    camera_renders_max: int | None = None,
     out: Path | None = None,
     quick: bool = False,
     resamples: int = RESAMPLES,
@@ -134,7 +137,7 @@ def run_open(
         config: The configuration.
         arms: As of `run_experiment`.
         runs: As of `run_experiment`; of ``correlation``, rigs of either random kind.
-        render_budget: As of `run_experiment`.
+        camera_renders_max: As of `run_experiment`.
         out: As of `run_experiment`.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
         resamples: Of the bootstraps.
@@ -151,14 +154,11 @@ def run_open(
         config,
         arms=arms,
         runs=runs,
-        render_budget=render_budget,
+        camera_renders_max=camera_renders_max,
         out=out,
         progress=progress,
     )
-    in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
-    # earlier runs of the same configuration count as well; arms without a result are named
-    done = replace(done, results={**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))})
-    done = replace(done, results={arm: done.results[arm] for arm in in_order if arm in done.results})
+    done = merged_results(done, experiment)
     progress.stage("intervals")
     if name == "correlation":
         table: Any = correlate(done.results, done.folder / "correlation.png", resamples=resamples)
@@ -166,27 +166,22 @@ def run_open(
     else:
         there = [arm for arm, found in done.results.items() if found]
         if not there:
-            _say_failures(done, progress)
+            say_failures(done, progress)
             return done
         reference = experiment.reference if experiment.reference in there else there[0]
         table = compare_results(done.results, reference, resamples=resamples)
         # the goals apply to the default method only
         has_goals = name == "open" and reference == experiment.reference
         goals = goals_of(done.results, table, PRESETS, resamples=resamples) if has_goals else []
-        odd = [odd_fields(preset) for preset in PRESETS if gradient_like(preset).name in there]
+        odd = [odd_fields(preset) for preset in PRESETS if default_like(preset).name in there]
         table = replace(table, remarks=(*_remarks(name, config), *odd))
     _write(done, name, table, goals)
     progress.show(table.terminal())
     if goals:
         progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
-    _say_failures(done, progress)
+    say_failures(done, progress)
     progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done
-
-
-def _say_failures(done: Finished, progress: Progress) -> None:
-    for failure in done.failed:
-        progress.say(f"failed: {failure}")
 
 
 def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None:  # noqa: ANN401 (either table)
@@ -199,10 +194,11 @@ def _write(done: Finished, name: str, table: Any, goals: Sequence[Goal]) -> None
 def _remarks(name: str, config: Config) -> tuple[str, ...]:
     if name == "ablations":
         return ("All arms are evaluated with the unchanged configuration; each arm searches with one option changed.",)
-    ranked = min(config.baselines.random_scenes, len(config.scenes.train_seeds) * (1 + config.scenes.mirror))
+    count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
     return (
-        f"Searches compare rigs on {ranked} training scenes, drawn once per run. The gradient method optimises on all "
-        "training scenes and compares rigs on all validation scenes; the budget includes both.",
-        "thesis_gradient takes the same number of steps, but evaluates the validation scenes only twice.",
-        "Presets and gradient_as_ arms have their own number of cameras.",
+        f"All searches compare rigs on the same {count} training scenes, each camera render in the budget.",
+        "thesis_gradient: the thesis's losses, optimiser and bounding rectangle with this configuration's batch size, "
+        "start and detector thresholds. thesis_as_printed: the shipped configuration thesis in full, with its own "
+        "number of steps whatever the budget.",
+        "Presets and default_as_ arms have their own number of cameras.",
     )

@@ -41,19 +41,20 @@ from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import Rig, read_rig
+from warpav.runs.commit import running_commit
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
 
-SCHEMA = 1
+SCHEMA = 2
 RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
 RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
 
-_REFERENCE = "gradient"
+_REFERENCE = "default"
 _RECALL = "tp_detection_rate"
 
 
@@ -242,7 +243,8 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     result = {
         "schema": SCHEMA,
         "made_with": task.made_with,
-        **{name: old.get(name) for name in ("arm", "seed", "renders", "rig")},
+        "commit": asdict(running_commit()),
+        **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],

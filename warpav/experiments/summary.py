@@ -15,14 +15,17 @@ from typing import Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
-from warpav.experiments.experiment import DESCRIPTION, read_json
+from warpav.experiments.experiment import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.goals import Goal
+from warpav.experiments.protocol import code_since_seal, seal_of
 from warpav.experiments.tables import COMPARED, Results
+from warpav.runs.commit import commit_of_code, history
 from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"
-_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "constraint_violation", "objects")
+_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "confidence_at_equal_false_alarms")
+_METRICS = (*_METRICS, "constraint_violation", "objects")
 _VERSIONS = ("warpav", "git_commit", "python", "platform", "device", "packages")
 _DIGITS = 5
 
@@ -45,16 +48,42 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
             "command": shlex.join(map(_without_folders, shlex.split(command_line()))),
             "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "versions": {key: made[key] for key in _VERSIONS},
-            "render_budget": described.get("render_budget"),
+            "camera_renders_max": described.get("camera_renders_max"),
             "options": {
                 name: _without_folders(value) if isinstance(value, str) else value
                 for name, value in described["options"].items()
             },
+            "commits": _commits(results),
             "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
             "goals": [goal.data() for goal in goals],
-            "runs": [_run(run) if "metrics" in run else _gradients(run) for runs in results.values() for run in runs],
+            "runs": [_gradients(run) if "gradients" in run else _run(run) for runs in results.values() for run in runs],
         },
     )
+
+
+def _commits(results: Results) -> list[dict[str, Any]]:
+    """The commits that made the runs, every one once."""
+    made = [dict(run["commit"]) for runs in results.values() for run in runs if run.get("commit")]
+    return [commit for k, commit in enumerate(made) if commit not in made[:k]]
+
+
+def with_history(summary: dict[str, Any]) -> dict[str, Any]:
+    """A summary with what the history says of it: commits of copies without history, and the seal of its test scenes.
+
+    What it says already stays; without a history nothing changes.
+    """
+    if not history():
+        return summary
+    commits = [dict(commit) for commit in summary.get("commits", [])]
+    for commit in commits:
+        if commit["hash"] is None:
+            commit["hash"] = commit_of_code(commit["code"])
+            commit["is_clean"] = None if commit["hash"] is None else True
+    summary = {**summary, "commits": commits} if commits else summary
+    seeds = summary["options"].get("scenes.test_seeds")
+    if not summary.get("sealed_by") and isinstance(seeds, list) and (seal := seal_of(seeds)):
+        summary = {**summary, "sealed_by": seal, "changed_since_seal": code_since_seal(seal, commits)}
+    return summary
 
 
 def _without_folders(word: str) -> str:
@@ -64,18 +93,26 @@ def _without_folders(word: str) -> str:
 
 
 def _run(run: Mapping[str, Any]) -> dict[str, Any]:
-    metrics = run["metrics"]
+    if "metrics" in run:
+        metrics = run["metrics"]
+        tested: dict[str, Any] = {name: _rounded(metrics.get(name)) for name in _METRICS}
+        tested["recall_of_scene"] = [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]]
+    else:
+        tested = {
+            "objective": _rounded(objective_on_tests(run)),
+            "constraint_violation": _rounded(run["constraint_violation_m"]),
+            "objects": sum(run["objects_of_scene"]),
+        }
     return {
         "arm": run["arm"],
         "seed": run["seed"],
         "overrides": run.get("overrides", []),
-        **{name: _rounded(metrics.get(name)) for name in _METRICS},
+        **tested,
         "validation_objectives": {
             name: _rounded(value) for name, value in run.get("validation_objectives", {}).items()
         },
-        "renders": run.get("renders"),
+        "camera_renders": run.get("camera_renders"),
         "search_seconds": _rounded(run.get("seconds", {}).get("search")),
-        "recall_of_scene": [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]],
         "cameras": [
             {key: camera[key] for key in ("position_m", "yaw_deg", "pitch_deg", "fov_deg") if key in camera}
             for camera in run.get("rig", {}).get("cameras", [])
@@ -85,7 +122,7 @@ def _run(run: Mapping[str, Any]) -> dict[str, Any]:
 
 def _gradients(run: Mapping[str, Any]) -> dict[str, Any]:
     """A run that measured gradients and found no rig."""
-    return {name: run[name] for name in ("arm", "seed", "gradients", "renders")}
+    return {name: run[name] for name in ("arm", "seed", "gradients", "camera_renders")}
 
 
 def _rounded(value: float | None) -> float | None:
@@ -124,7 +161,7 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
     """
     if not folders:
         raise InputError("experiment results: expected folders of experiments such as runs/open, got none")
-    summaries = [read_summary(folder) for folder in folders]
+    summaries = [with_history(read_summary(folder)) for folder in folders]
     names = [summary["experiment"] for summary in summaries]
     for name in names:
         if names.count(name) > 1:
@@ -168,22 +205,46 @@ def _section(summary: Mapping[str, Any], file: Path) -> str:
     versions, options = summary["versions"], summary["options"]
     seeds = {name: _seeds_text(options.get(f"scenes.{name}_seeds")) for name in ("train", "validation", "test")}
     runs = sorted({run["seed"] for run in summary["runs"]})
-    commit = f", commit {versions['git_commit']}" if versions.get("git_commit") else ""
+    if summary.get("sealed_by"):
+        seeds["test"] = f"{len(options['scenes.test_seeds'])} sealed ones"
     return "\n".join(
         [
             f"## {summary['experiment']}",
             "",
             f"- Command: `{summary['command']}`",
-            f"- Date: {summary['date']}; warpav {versions['warpav']}{commit}, Python {versions['python']}, "
+            f"- Date: {summary['date']}; warpav {versions['warpav']}, Python {versions['python']}, "
             f"{versions['platform']}, {versions['device']}",
+            f"- Code: {_code_text(summary)}",
             f"- Scenes: {options.get('scenes.source')}; training seeds {seeds['train']}, validation "
             f"{seeds['validation']}, test {seeds['test']}; run seeds {_seeds_text(runs)}",
+            *_seal_lines(summary),
             f"- All runs with metrics, seeds, cameras and options: [{file.as_posix()}]({file.as_posix()})",
             "",
             summary["table"].strip(),
             "",
         ]
     )
+
+
+def _code_text(summary: Mapping[str, Any]) -> str:
+    """Which code made the results, as far as is known."""
+    commits, began_at = summary.get("commits", []), summary["versions"].get("git_commit")
+    if not commits:
+        return f"commit {began_at} at the beginning, not recorded run by run" if began_at else "commit not recorded"
+    return ", ".join(
+        "no commit: an installed package or a copy without history"
+        if each["hash"] is None
+        else f"commit {each['hash']}" + (" with changes" if each["is_clean"] is False else "")
+        for each in commits
+    )
+
+
+def _seal_lines(summary: Mapping[str, Any]) -> list[str]:
+    """By which commit the test scenes are sealed, and whether the code changed since; nothing where they are not."""
+    if not summary.get("sealed_by"):
+        return []
+    changed = ", ".join(summary["changed_since_seal"]) or "nothing"
+    return [f"- Test scenes sealed by commit {summary['sealed_by']}; code and configurations changed since: {changed}"]
 
 
 def _seeds_text(seeds: Any) -> str:  # noqa: ANN401 (as configurations hold them)

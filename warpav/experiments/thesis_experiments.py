@@ -23,7 +23,7 @@ RUNS = 5
 UNPRINTED = ("SGD", "IFR+DOA+SB+OV")
 """What the text above table IV announces and the table does not print."""
 
-_METHOD_OF = {"SGD": "gradient", "Random": "random_batches", "Highest": "highest"}
+_METHOD_OF = {"SGD": "optimiser", "Random": "random_batches", "Highest": "highest"}
 _QUICK = ("scenes.train_seeds=0..11", "scenes.test_seeds=1000..1007", "run.iterations=10")
 
 
@@ -105,7 +105,7 @@ def run_table(
     *,
     arms: Sequence[Arm] | None = None,
     runs: int | None = None,
-    render_budget: int | None = None,
+    camera_renders_max: int | None = None,
     out: Path | None = None,
     quick: bool = False,
     progress: Progress,
@@ -117,7 +117,7 @@ def run_table(
         config: The configuration.
         arms: As of `run_experiment`.
         runs: As of `run_experiment`.
-        render_budget: As of `run_experiment`.
+        camera_renders_max: As of `run_experiment`.
         out: As of `run_experiment`.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
         progress: Where to show it.
@@ -129,7 +129,7 @@ def run_table(
     if quick:
         experiment = experiment.made_quick()
     done = run_experiment(
-        experiment, config, arms=arms, runs=runs, render_budget=render_budget, out=out, progress=progress
+        experiment, config, arms=arms, runs=runs, camera_renders_max=camera_renders_max, out=out, progress=progress
     )
     texts = []
     for number in TABLES_OF[name]:

@@ -17,12 +17,11 @@ from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.rig_values import single_cameras_of
 
 
 class PoolDescent:
@@ -48,11 +47,11 @@ class PoolDescent:
         cache: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """A run on the training scenes.
+        """A run on some scenes.
 
         Args:
             objective: With the loss ``expected_miss_rate`` alone, without the detector's own word.
-            scenes: The training scenes.
+            scenes: The scenes of the search.
             start: Where the rig begins, float [camera, 7].
             settings: How much to look at.
             seed: Of the pool.
@@ -63,14 +62,13 @@ class PoolDescent:
         Raises:
             InputError: The objective is made of other losses.
         """
-        losses = [loss for _, loss in objective.losses]
-        loss = losses[0]
-        plain = isinstance(loss, ExpectedMissRate) and loss.combine == "any" and loss.detector_share == 0.0
-        if len(losses) > 1 or not plain or objective.camera_probability is None:
+        cameras = single_cameras_of(objective)
+        if cameras is None:
             raise OptionError(
                 "optimiser.search",
                 "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
-                f"detector_share=0, got {', '.join(each.name for each in losses)}; set optimiser.search=descent",
+                f"detector_share=0, got {', '.join(loss.name for _, loss in objective.losses)}; set "
+                "optimiser.search=descent",
             )
         self.objective = objective
         self.start = objective.mount.within(np.asarray(start, np.float32))
@@ -78,9 +76,6 @@ class PoolDescent:
         self.iteration = 0
         self.found: Found | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
-        cameras = SingleCameras(
-            objective.mount, objective.camera_probability, objective.occlusion, objective.supersampling
-        )
         self._states = pool_search(
             cameras,
             [each.scene for each in scenes],

@@ -1,7 +1,7 @@
-"""Rival searches: they need nothing of an objective but its value, and all get the same budget of renders.
+"""Rival searches: they need nothing of an objective but its value, and all get the same budget of camera renders.
 
-Each is a `Search`: it evaluates rigs through a `BudgetedValue` until the budget is spent. Those that take options are
-bound with `functools.partial`.
+Each is a `Search`: it evaluates rigs through a `BudgetedValue` until the budget is spent, those that do not depend on
+one another together. Those that take options are bound with `functools.partial`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,19 @@ from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.search import BudgetedValue, BudgetSpentError
+from warpav.optimisation.polish import SUREST
+from warpav.optimisation.pool_cache import rows_of
+from warpav.optimisation.pool_search import too_near
+from warpav.optimisation.rig_values import SingleCameraValues, single_cameras_of
+from warpav.optimisation.search import BudgetedValue, BudgetSpentError, SearchSpace
+from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.settings import OptimiserSettings
 
 FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
 SEEN_SHARE = 0.9
-"""Assumed probability that a camera of a greedy rig sees again what it once saw; the rest rewards a second camera."""
+"""Assumed probability that a camera detects an object that the detector once found in its image."""
 
 
 def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
@@ -38,28 +43,94 @@ def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
     value(space.in_order(pose))
 
 
+Draw = Callable[[SearchSpace, int, np.random.Generator], np.ndarray]
+"""So many feasible rigs of a space that know nothing of each other's values, float [rig, camera, 7]."""
+
+
+def random_rigs(space: SearchSpace, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Random rigs, see `Draw`."""
+    return np.array([space.random(rng) for _ in range(count)]).reshape(count, space.camera_count, -1)
+
+
+def sobol_rigs(space: SearchSpace, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rigs of a scrambled Sobol sequence, each moved to the nearest feasible one, see `Draw`."""
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(space.size, scramble=True, rng=rng) if space.size and count else None
+    points = sequence.random_base2(math.ceil(math.log2(count))) if sequence else np.zeros((count, 0))
+    return np.array([space.pose_of(unit) for unit in points[:count]]).reshape(count, space.camera_count, -1)
+
+
 def random_search(value: BudgetedValue, rng: np.random.Generator) -> None:
     """The best of as many random rigs as the budget allows."""
-    while value.values_left:
-        value(value.space.random(rng))
+    value.of_rigs(random_rigs(value.space, value.rigs_left, rng))
 
 
 def sobol_search(value: BudgetedValue, rng: np.random.Generator) -> None:
     """The best of as many rigs of a scrambled Sobol sequence, each moved to the nearest feasible one."""
-    from scipy.stats import qmc
+    value.of_rigs(sobol_rigs(value.space, value.rigs_left, rng))
 
-    count, size = value.values_left, value.space.size
-    if count == 0:
-        return
-    sequence = qmc.Sobol(size, scramble=True, rng=rng) if size else None
-    points = sequence.random_base2(math.ceil(math.log2(count))) if sequence else np.zeros((count, 0))
-    for unit in points[:count]:
-        value(value.space.pose_of(unit))
+
+def selected_search(
+    value: BudgetedValue,
+    rng: np.random.Generator,
+    *,
+    draw: Draw,
+    single: SingleCameraValues,
+    gap: float,
+    time_limit_s: float,
+    seed: int = 0,
+    on_selection: Callable[[Selection], None] | None = None,
+) -> None:
+    """The best rig that can be made of the cameras of as many drawn rigs as the budget allows.
+
+    Their cameras are the pool of `select`, as in the search by a pool; what it selects costs no render.
+
+    Args:
+        value: Evaluates rigs by ``single``.
+        rng: Random numbers.
+        draw: Draws the rigs.
+        single: Knows what each camera detects.
+        gap: Objective less bound at which the selection ends, an expected miss rate.
+        time_limit_s: When it ends at the latest [s].
+        seed: Of the selection.
+        on_selection: Told what came of it.
+
+    Raises:
+        InputError: None of the cameras sees anything.
+    """
+    space = value.space
+    value.of_rigs(draw(space, value.rigs_left, rng))
+    pose, found = single.looked_at
+    held = int(space.is_frozen.sum())
+    # the frozen cameras first, once; every rig has them
+    is_further = np.tile(~space.is_frozen, len(pose) // space.camera_count)
+    row = np.concatenate([np.flatnonzero(space.is_frozen), np.flatnonzero(is_further)])
+    best = value.best_mount_pose
+    start = None
+    if best is not None:
+        start = np.concatenate([np.arange(held), held + rows_of(best[~space.is_frozen], pose[row[held:]])])
+    selection = select(
+        np.minimum(found[row], SUREST),
+        space.camera_count,
+        conflict=too_near(pose[row], space.constraints),
+        required=np.arange(held),
+        start=start,
+        gap=gap,
+        time_limit_s=time_limit_s,
+        seed=seed,
+    )
+    rig = pose[: space.camera_count].copy()
+    rig[~space.is_frozen] = pose[row][np.setdiff1d(selection.cameras, np.arange(held))]
+    value.record(rig, single.weight * selection.objective)
+    if on_selection is not None:
+        on_selection(selection)
 
 
 def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> None:
-    """SciPy's differential evolution, every trial moved to the nearest feasible rig, without a final polish.
+    """SciPy's differential evolution by whole generations, every trial moved to the nearest feasible rig.
 
+    There is no final polish.
     The population is an eighth of the rigs that the budget allows, from 5 to 15 for each free number, so that even a
     small budget lets it evolve.
     """
@@ -69,19 +140,19 @@ def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> No
     space = value.space
     failure: list[Exception] = []
 
-    def value_of(unit: np.ndarray) -> float:
+    def values_of(units: np.ndarray) -> np.ndarray:
         try:
-            return value(space.pose_of(unit))
+            return value.of_rigs([space.pose_of(unit) for unit in units.T])
         except Exception as error:  # SciPy would dress up some of them as errors of its own
             failure.append(error)
             raise _Stopped from None
 
-    population = max(5, min(15 * space.size, value.values_left // 8))
+    population = max(5, min(15 * space.size, value.rigs_left // 8))
     first = qmc.Sobol(space.size, scramble=True, rng=rng).random_base2(math.ceil(math.log2(population)))[:population]
     bounds = [(0.0, 1.0)] * space.size
     try:  # it never converges: the end of the budget ends it
         evolve(
-            value_of,
+            values_of,
             bounds,
             init=first,  # pyright: ignore[reportArgumentType]  (an array is as good as a name)
             maxiter=10**9,
@@ -89,6 +160,8 @@ def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> No
             atol=-1,
             polish=False,
             rng=rng,
+            vectorized=True,
+            updating="deferred",
         )
     except _Stopped:
         raise failure[0] from None
@@ -123,7 +196,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
     if space.size < 2:
         raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
     population = 4 + int(3.0 * math.log(space.size))
-    while value.values_left:
+    while value.rigs_left:
         if start is None:
             start = _best_of(population, value, rng)
         first, start = space.unit_of(start), None
@@ -138,20 +211,20 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
         while not evolution.stop():
             samples = evolution.ask()
             deviation = np.asarray(evolution.stds)
-            found, moved = [], []
-            for unit in samples:
-                pose = space.pose_of(unit)
-                found.append(value(pose))
+            poses = [space.pose_of(unit) for unit in samples]
+            found = value.of_rigs(poses)
+            moved = []
+            for unit, pose in zip(samples, poses, strict=True):
                 step = np.where(space.goes_round, 0.0, space.unit_of(pose) - unit) / deviation
                 moved.append(float(np.mean(step**2)))
-            evolution.tell(samples, _with_penalty(np.array(found), np.array(moved)).tolist())
+            evolution.tell(samples, _with_penalty(found, np.array(moved)).tolist())
         population *= 2
 
 
 def _best_of(count: int, value: BudgetedValue, rng: np.random.Generator) -> np.ndarray:
     """The best of some random rigs, float64 [camera, 7]."""
-    poses = [value.space.random(rng) for _ in range(count)]
-    return poses[int(np.argmin([value(pose) for pose in poses]))]
+    poses = random_rigs(value.space, count, rng)
+    return poses[int(np.argmin(value.of_rigs(poses)))]
 
 
 def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray:
@@ -164,35 +237,44 @@ def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray
     return np.where(is_finite, value, worst + (high - low)) + (high - low) * squared_distance
 
 
-DetectedObjects = Callable[[np.ndarray], np.ndarray]
-"""What cameras see: mount poses [camera, 7], as many as a rig has, to bool [camera, object of all scenes]."""
+Detections = Callable[[np.ndarray], np.ndarray]
+"""The probability that each camera detects each object of all scenes: mount poses [camera, 7] to [camera, object]."""
 
 
-def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> DetectedObjects:
-    """Which objects the detector finds in the images of which camera; costs as many renders as there are scenes."""
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Detections:
+    """What single cameras detect: by the model of an objective that is made of it, else by the detector itself.
 
-    def detected_objects(mount_pose: np.ndarray) -> np.ndarray:
-        rig = objective.mount.rig(mount_pose)
-        return np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
+    A camera in whose image the detector finds an object is taken to detect it with a probability of `SEEN_SHARE`.
+    """
+    cameras = single_cameras_of(objective)
+    if cameras is not None:
+        return SingleCameraValues(cameras, [each.scene for each in scenes]).detection_probability
 
-    return detected_objects
+    def detections(mount_pose: np.ndarray) -> np.ndarray:
+        found = []
+        for first in range(0, len(mount_pose), objective.camera_count):
+            asked = mount_pose[first : first + objective.camera_count]
+            filled = np.concatenate([asked, np.repeat(asked[-1:], objective.camera_count - len(asked), axis=0)])
+            rig = objective.mount.rig(filled)
+            seen = np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
+            found.append(SEEN_SHARE * seen[: len(asked)])
+        return np.concatenate(found)
+
+    return detections
 
 
-def greedy_cover(
-    value: BudgetedValue, rng: np.random.Generator, *, detected_objects: DetectedObjects, yaw_count: int = 8
-) -> None:
+def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, detections: Detections, yaw_count: int = 8) -> None:
     """Greedy set cover on a discretised mount surface.
 
-    Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they see; a render of a rig
-    asks for as many of them as it has cameras. Then one camera after the other is chosen, the one that adds most
-    objects; one that was seen before adds a little, which breaks ties. A place may be chosen several times: in the end
-    the rig is moved to the nearest feasible one and evaluated. The grid is as fine as the budget allows; the last
-    evaluation is paid from it as well.
+    Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they detect. Then one camera
+    after the other is chosen, the one that lowers the expected number of missed objects most. A place may be chosen
+    several times: in the end the rig is moved to the nearest feasible one and evaluated. The grid is as fine as the
+    budget allows; the last evaluation is paid from it as well.
 
     Args:
         value: Evaluates rigs.
-        rng: Breaks the last ties.
-        detected_objects: See `detections_of`; a call costs what a value costs.
+        rng: Breaks ties.
+        detections: See `detections_of`; a camera costs as many renders as there are scenes.
         yaw_count: Directions at each place, at least 1, the first at yaw 0.
 
     Raises:
@@ -202,28 +284,21 @@ def greedy_cover(
     round_the_circle = space.high[:, YAW_RAD] - space.low[:, YAW_RAD]
     if not (round_the_circle >= 2.0 * math.pi - 1e-9).all():
         raise ValueError("greedy_cover needs yaws that are free over the whole circle")
-    questions = value.values_left - 1
-    place_count = questions * space.camera_count // yaw_count
-    if place_count < 1:
-        raise ValueError(
-            f"greedy_cover needs at least {-(-yaw_count // space.camera_count) + 1} values, got {value.values_left}"
-        )
-    candidate = _candidates(value, place_count, yaw_count)
-    rows = []
-    for first in range(0, len(candidate), space.camera_count):
-        asked = candidate[first : first + space.camera_count]
-        filled = np.concatenate([asked, np.repeat(asked[-1:], space.camera_count - len(asked), axis=0)])
-        value.spend(value.renders_per_value)
-        rows.append(detected_objects(filled)[: len(asked)])
-    seen = np.concatenate(rows)
-    miss_probability = np.ones(seen.shape[1])
+    candidate_count = (value.camera_renders_left - value.camera_renders_per_rig) // value.scene_count
+    if candidate_count < yaw_count:
+        least = (yaw_count + space.camera_count) * value.scene_count
+        raise ValueError(f"greedy_cover needs at least {least} camera renders, got {value.camera_renders_left}")
+    candidate = _candidates(value, candidate_count // yaw_count, yaw_count)
+    value.spend(len(candidate) * value.scene_count)
+    detected = np.asarray(detections(candidate), np.float64)
+    missed = np.ones(detected.shape[1])
     chosen = []
-    order = rng.permutation(len(seen))
+    order = rng.permutation(len(detected))
     for _ in range(space.camera_count):
-        gain = seen @ (SEEN_SHARE * miss_probability)
+        gain = detected @ missed
         best = order[np.argmax(np.round(gain[order], 9))]
         chosen.append(best)
-        miss_probability[seen[best]] *= 1.0 - SEEN_SHARE
+        missed *= 1.0 - detected[best]
     value(space.in_order(candidate[chosen]))
 
 
@@ -262,21 +337,25 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
     return finest
 
 
-def gradient_renders(settings: OptimiserSettings, scene_count: int, *, iterations: int, batch_size: int) -> int:
-    """Scene renders of a whole run at most, with all evaluations on the scenes on which its rigs are compared."""
+def descent_camera_renders(
+    settings: OptimiserSettings, scene_count: int, *, camera_count: int, iterations: int, batch_size: int
+) -> int:
+    """Camera renders of a whole descent at most, with all evaluations on the scenes on which its rigs are compared."""
     evaluations = settings.starts if settings.starts > 1 else 0
     evaluations += 2 * settings.descents  # before the first step and after the last
     evaluations += settings.descents > 1  # at the mixture of what the descents found
     if settings.keep == "best":
         # as many as there can be: patience may end a descent early and leave its steps to the next
         evaluations += max(iterations - settings.descents, 0) // settings.check_every
-    return iterations * batch_size + evaluations * scene_count
+    return camera_count * (iterations * batch_size + evaluations * scene_count)
 
 
-def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders: int, *, batch_size: int) -> int:
-    """Iterations of a descent that so many renders pay for, see `gradient_renders`; maybe none."""
-    count = 0
-    while gradient_renders(settings, scene_count, iterations=count + 1, batch_size=batch_size) <= renders:
+def affordable_iterations(
+    settings: OptimiserSettings, scene_count: int, camera_renders: int, *, camera_count: int, batch_size: int
+) -> int:
+    """Iterations of a descent that so many camera renders pay for, see `descent_camera_renders`; maybe none."""
+    count, options = 0, {"camera_count": camera_count, "batch_size": batch_size}
+    while descent_camera_renders(settings, scene_count, iterations=count + 1, **options) <= camera_renders:
         count += 1
     return count
 
@@ -285,8 +364,8 @@ def affordable_iterations(settings: OptimiserSettings, scene_count: int, renders
 class GradientStage:
     """The gradient method as a search: as many iterations as the budget pays for.
 
-    An iteration costs a render for each scene of its batch, an evaluation on all scenes as much as a value. Going back
-    through a render is no render.
+    An iteration costs a render of each camera in each scene of its batch, an evaluation on all scenes as much as a
+    value. A camera render with a gradient counts as one without.
 
     Attributes:
         objective: What is lowered; on ``scenes`` it is the value of the search.
@@ -300,9 +379,11 @@ class GradientStage:
     settings: OptimiserSettings
     batch_size: int = 4
 
-    def iterations(self, renders: int) -> int:
-        """Number of iterations that so many renders pay for, with all evaluations."""
-        return affordable_iterations(self.settings, len(self.scenes), renders, batch_size=self.batch_size)
+    def iterations(self, camera_renders: int, *, camera_count: int) -> int:
+        """Number of iterations that so many camera renders pay for, with all evaluations."""
+        return affordable_iterations(
+            self.settings, len(self.scenes), camera_renders, camera_count=camera_count, batch_size=self.batch_size
+        )
 
     def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
         """Descend from a rig, float [camera, 7], with what is left of the budget.
@@ -311,7 +392,7 @@ class GradientStage:
             BudgetSpentError: It does not pay for one iteration.
             InputError: The loss is no longer finite.
         """
-        iterations = self.iterations(value.render_budget - value.renders)
+        iterations = self.iterations(value.camera_renders_left, camera_count=len(start))
         if iterations == 0:
             raise BudgetSpentError
         descent = Descent(
@@ -328,14 +409,14 @@ class GradientStage:
             for _ in range(iterations):
                 descent.step()
                 recorded = self._record(descent, value, recorded)
-                value.spend(self.batch_size)
+                value.spend(self.batch_size * len(start))
             descent.finish()
         finally:
             self._record(descent, value, recorded)
 
     def _record(self, descent: Descent, value: BudgetedValue, recorded: int) -> int:
         for candidate in descent.candidates[recorded:]:
-            value.spend(len(self.scenes))
+            value.spend(value.camera_renders_per_rig)
             value.record(candidate.mount_pose, candidate.training_objective)
         return len(descent.candidates)
 
@@ -364,8 +445,7 @@ def cma_then_gradient(
         start: See `cma_es`.
         cma_share: Share of the budget that CMA-ES may spend, in (0, 1); it evaluates one rig at least.
     """
-    renders = int(cma_share * (value.render_budget - value.renders))
-    with value.within(max(renders, value.renders_per_value)):
+    with value.within(max(int(cma_share * value.camera_renders_left), value.camera_renders_per_rig)):
         cma_es(value, rng, start=start)
     best = value.best_mount_pose
     if best is not None:

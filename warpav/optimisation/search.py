@@ -16,6 +16,7 @@ from warpav.optimisation.baselines import random_mount_pose
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.rig_values import RigValues, rig_values_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,12 +181,12 @@ class SearchRecord:
     """The state of a search after a look at a rig.
 
     Attributes:
-        renders: Scene renders so far.
+        camera_renders: Camera renders so far.
         best_value: Lowest value so far; inf before the first finite one.
         seconds: Wall time so far [s].
     """
 
-    renders: int
+    camera_renders: int
     best_value: float
     seconds: float = field(compare=False)
 
@@ -197,80 +198,82 @@ class SearchResult:
     Attributes:
         mount_pose: The best rig, which satisfies all constraints, float32 [camera, 7].
         value: Its value.
-        renders: Scene renders that were spent, never more than the budget.
+        camera_renders: Camera renders that were spent, never more than the budget.
         history: One entry for each rig that was looked at.
         error: What ended the search early; None if nothing did.
     """
 
     mount_pose: np.ndarray
     value: float
-    renders: int
+    camera_renders: int
     history: tuple[SearchRecord, ...]
     error: str | None = None
 
 
 class BudgetedValue:
-    """The value of a rig, lower is better, at a price: it counts scene renders and remembers the best rig.
+    """The value of a rig, lower is better, at a price: it counts camera renders and remembers the best rig.
 
-    A scene render is one scene drawn once in all views of a rig. Rigs are made feasible before they are looked at.
+    A camera render is one scene drawn once by one camera, with or without a gradient; a rig of N cameras on S scenes
+    costs N S of them. Rigs are made feasible before they are looked at.
 
     Attributes:
         space: The rigs that may be tried.
-        renders_per_value: Scene renders that a look costs.
-        render_budget: Scene renders that all evaluations together may cost.
-        renders: Scene renders so far.
+        scene_count: Camera renders that a look at one camera costs.
+        camera_renders_max: Camera renders that all looks together may cost.
+        camera_renders: Camera renders so far.
         history: One entry for each rig that was looked at.
     """
 
-    def __init__(
-        self,
-        value: Callable[[np.ndarray], float],
-        space: SearchSpace,
-        *,
-        renders_per_value: int,
-        render_budget: int,
-    ) -> None:
+    def __init__(self, rig_values: RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int) -> None:
         """A fresh budget.
 
         Args:
-            value: Of a mount pose, float32 [camera, 7], always on the same scenes. What is not finite is never best.
+            rig_values: Values of rigs, always on the same scenes. What is not finite is never best.
             space: The rigs that may be tried.
-            renders_per_value: Scene renders that a value costs, at least 1: the number of scenes.
-            render_budget: Scene renders that may be spent, enough for at least one value.
+            scene_count: Number of scenes, at least 1.
+            camera_renders_max: Camera renders that may be spent, enough for at least one rig.
 
         Raises:
-            ValueError: The budget is too small for one value.
+            ValueError: The budget is too small for one rig.
         """
-        if not 1 <= renders_per_value <= render_budget:
-            raise ValueError(
-                f"render_budget must be at least one value's {max(renders_per_value, 1)} renders, got {render_budget}"
-            )
         self.space = space
-        self.renders_per_value = renders_per_value
-        self.render_budget = render_budget
-        self.renders = 0
+        self.scene_count = scene_count
+        self.camera_renders_max = camera_renders_max
+        self.camera_renders = 0
         self.history: list[SearchRecord] = []
-        self._value = value
+        self._rig_values = rig_values
         self._best_pose: np.ndarray | None = None
         self._best_value = math.inf
         self._began = time.perf_counter()
+        if scene_count < 1 or self.camera_renders_per_rig > camera_renders_max:
+            raise ValueError(
+                f"camera_renders_max must be at least one rig's {max(self.camera_renders_per_rig, 1)} camera renders, "
+                f"got {camera_renders_max}"
+            )
 
     @classmethod
     def of(
-        cls, objective: RigObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, render_budget: int
+        cls, objective: RigObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, camera_renders_max: int
     ) -> BudgetedValue:
-        """The objective on fixed scenes; a value costs as many renders as there are scenes."""
+        """The objective on fixed scenes, computed the fastest way there is (`rig_values_of`)."""
         return cls(
-            lambda pose: objective.evaluate(pose, scenes).objective,
-            space,
-            renders_per_value=len(scenes),
-            render_budget=render_budget,
+            rig_values_of(objective, scenes), space, scene_count=len(scenes), camera_renders_max=camera_renders_max
         )
 
     @property
-    def values_left(self) -> int:
+    def camera_renders_per_rig(self) -> int:
+        """Camera renders that a look at a rig costs."""
+        return self.scene_count * self.space.camera_count
+
+    @property
+    def camera_renders_left(self) -> int:
+        """Camera renders that may still be spent."""
+        return self.camera_renders_max - self.camera_renders
+
+    @property
+    def rigs_left(self) -> int:
         """How many rigs can still be looked at."""
-        return (self.render_budget - self.renders) // self.renders_per_value
+        return self.camera_renders_left // self.camera_renders_per_rig
 
     @property
     def best_mount_pose(self) -> np.ndarray | None:
@@ -283,24 +286,43 @@ class BudgetedValue:
         Raises:
             BudgetSpentError: There is not enough left for it.
         """
-        pose = self.space.feasible(mount_pose)
-        self.spend(self.renders_per_value)
-        found = float(self._value(pose.copy()))
-        self.record(pose, found)
-        return found if math.isfinite(found) else math.inf
+        return float(self.of_rigs([mount_pose])[0])
 
-    def spend(self, renders: int) -> None:
-        """Count renders that gave no value, before they are made.
+    def of_rigs(self, mount_poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+        """Values of rigs that do not depend on one another, as by one call after another, but rendered together.
+
+        Args:
+            mount_poses: Of every rig, float [rig, camera, 7].
+
+        Returns:
+            Their values, inf where they are not finite, float64 [rig].
+
+        Raises:
+            BudgetSpentError: There is not enough left for all; those that could be paid have been looked at.
+        """
+        affordable = min(len(mount_poses), self.rigs_left)
+        rigs = np.array([self.space.feasible(pose) for pose in mount_poses[:affordable]], np.float32)
+        values, found = iter(self._rig_values(rigs.copy())), []
+        for pose in rigs:
+            self.spend(self.camera_renders_per_rig)
+            found.append(float(next(values)))
+            self.record(pose, found[-1])
+        if affordable < len(mount_poses):
+            raise BudgetSpentError
+        return np.where(np.isfinite(found), found, math.inf)
+
+    def spend(self, camera_renders: int) -> None:
+        """Count camera renders that gave no value, before they are made.
 
         Raises:
             BudgetSpentError: There are fewer left; none is counted.
         """
-        if self.renders + renders > self.render_budget:
+        if camera_renders > self.camera_renders_left:
             raise BudgetSpentError
-        self.renders += renders
+        self.camera_renders += camera_renders
 
     def record(self, mount_pose: np.ndarray, value: float) -> None:
-        """Remember a rig whose renders have been counted.
+        """Remember a rig whose camera renders have been counted.
 
         Args:
             mount_pose: It must satisfy the constraints.
@@ -313,19 +335,19 @@ class BudgetedValue:
             if self.space.violation_m(mount_pose) > 0.0:
                 raise ValueError("only rigs that satisfy the constraints can be the best")
             self._best_pose, self._best_value = np.array(mount_pose, np.float32), value
-        self.history.append(SearchRecord(self.renders, self._best_value, time.perf_counter() - self._began))
+        self.history.append(SearchRecord(self.camera_renders, self._best_value, time.perf_counter() - self._began))
 
     @contextmanager
-    def within(self, renders: int) -> Iterator[None]:
-        """At most so many more renders inside the block; running out of them ends the block, not the search."""
-        whole = self.render_budget
-        self.render_budget = min(whole, self.renders + renders)
+    def within(self, camera_renders: int) -> Iterator[None]:
+        """At most so many more camera renders inside the block; running out of them ends the block, not the search."""
+        whole = self.camera_renders_max
+        self.camera_renders_max = min(whole, self.camera_renders + camera_renders)
         try:
             yield
         except BudgetSpentError:
             pass
         finally:
-            self.render_budget = whole
+            self.camera_renders_max = whole
 
     def result(self, error: str | None = None) -> SearchResult:
         """What was found so far.
@@ -335,7 +357,7 @@ class BudgetedValue:
         """
         if self._best_pose is None:
             raise ValueError(f"none of {len(self.history)} rigs had a finite value" + (f"; {error}" if error else ""))
-        return SearchResult(self._best_pose, self._best_value, self.renders, tuple(self.history), error)
+        return SearchResult(self._best_pose, self._best_value, self.camera_renders, tuple(self.history), error)
 
 
 Search = Callable[[BudgetedValue, np.random.Generator], None]

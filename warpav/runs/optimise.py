@@ -15,10 +15,11 @@ from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
+from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
-from warpav.runs.config import changed_config
+from warpav.runs.config import Config, changed_config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
@@ -64,6 +65,17 @@ def optimise(
         return optimisation.result()
 
 
+def pool_search_settings(config: Config) -> PoolSearchSettings:
+    """How much a search by a pool looks at, as configured."""
+    optimiser = config.optimiser
+    return PoolSearchSettings(
+        optimiser.pool_cameras,
+        optimiser.pool_rounds,
+        gap=optimiser.pool_gap,
+        selection_time_s=optimiser.selection_time_s,
+    )
+
+
 class Optimisation:
     """One run of the optimiser, step by step.
 
@@ -90,6 +102,8 @@ class Optimisation:
         start: np.ndarray | None = None,
         began_as: Rig | None = None,
         executor: Executor | None = None,
+        pool: PoolSearchSettings | None = None,
+        keeps_pool: bool = True,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -102,13 +116,16 @@ class Optimisation:
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
             executor: Where the search by a pool draws its cameras; None: here.
+            pool: How much a search by a pool looks at; None: as configured.
+            keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
             progress: Shows that several starts are tried.
 
         Raises:
             InputError: The cameras do not fit on the mount surface.
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
-        by_pool = config.optimiser.search == "pool"
+        search = config.optimiser.search
+        by_pool = search == "pool" or (search == "auto" and single_cameras_of(objective) is not None)
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
@@ -133,16 +150,11 @@ class Optimisation:
                 # those without a finite value are no starts; then some are taken twice
                 start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
         if by_pool:
-            settings = PoolSearchSettings(
-                config.optimiser.pool_cameras,
-                config.optimiser.pool_rounds,
-                gap=config.optimiser.pool_gap,
-                selection_time_s=config.optimiser.selection_time_s,
-            )
-            seed, cache = config.run.seed, pool_cache_folder()
+            settings = pool_search_settings(config) if pool is None else pool
+            seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
             searched = PoolDescent(
                 objective,
-                placement.train,
+                placement.search_scenes,
                 start,
                 settings,
                 seed=seed,

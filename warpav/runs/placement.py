@@ -152,7 +152,7 @@ class Placement:
         Args:
             train: Scenes that the optimiser sees, at least one, all around the same ego vehicle.
             validation: Scenes on which rigs are compared; none: the training scenes.
-            cameras: Number of cameras, 2 to 16; None: those of ``start``, else ``config.rig.cameras``.
+            cameras: Number of cameras, 1 to 16; None: those of ``start``, else ``config.rig.cameras``.
             fov_deg: Horizontal field of view of every camera [deg].
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
             ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, `Mesh`, trimesh, or
@@ -344,6 +344,13 @@ class Placement:
     def validation(self) -> list[AssignedScene]:
         """Scenes on which rigs are compared, likewise; the training scenes if there are none."""
         return self._ready.validation
+
+    @property
+    def search_scenes(self) -> list[AssignedScene]:
+        """Scenes of a search by a pool: those of training and of validation, each once."""
+        train = self.train
+        known = {id(each.scene) for each in train}
+        return [*train, *(each for each in self.validation if id(each.scene) not in known)]
 
     @property
     def test(self) -> list[AssignedScene]:

@@ -371,7 +371,8 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
         yaw_reach_rad=0.0,
     )
     scenes = [placement.train[k] for k in chosen]
-    value = BudgetedValue.of(placement.objective, scenes, space, render_budget=samples * len(scenes))
+    camera_renders = samples * len(scenes) * space.camera_count
+    value = BudgetedValue.of(placement.objective, scenes, space, camera_renders_max=camera_renders)
     random = mount.rig(run_search(random_search, value, rng).mount_pose)
     began_as = result.began_as
     return (

@@ -237,3 +237,66 @@ def _smallest_distance_m(position_m: object) -> float:
     if len(first) == 0:
         return math.nan
     return float(np.linalg.norm(position[first] - position[second], axis=1).min())
+
+
+def objective_over_renders(
+    curves: Mapping[str, Sequence[tuple[Sequence[int], Sequence[float | None]]]],
+    path: Path | str,
+    *,
+    level: Mapping[str, float],
+    title: str,
+) -> Path:
+    """Draw the best objective so far over camera renders: median and range over the runs of every search.
+
+    Args:
+        curves: By search and run: camera renders, ascending, and the best objective so far, None before the first.
+        path: PNG file to write.
+        level: Objectives of rigs that took no search, by name.
+        title: A short line above.
+    """
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.2)
+        axis = figure.subplots()
+        ends_at = list(level.values())
+        for index, (name, runs) in enumerate(curves.items()):
+            known = [
+                [(at, value) for at, value in zip(renders, values, strict=True) if value is not None and at > 0]
+                for renders, values in runs
+            ]
+            known = [pairs for pairs in known if pairs]
+            if not known:
+                continue
+            # where every run has a rig, up to where all of them have ended
+            first = max(pairs[0][0] for pairs in known)
+            grid = np.unique([max(at, first) for pairs in known for at, _ in pairs])
+            table = np.array([_last_at(grid, pairs) for pairs in known])
+            median, colour = np.median(table, axis=0), hex_colour(camera_rgb(index))
+            # the colours come round again
+            style = "--" if camera_rgb(index) in map(camera_rgb, range(index)) else "-"
+            axis.plot(grid, median, drawstyle="steps-post", color=colour, linestyle=style, label=name)
+            axis.plot(grid[-1:], median[-1:], "o", markersize=3.5, color=colour)
+            ends_at.append(float(median[-1]))
+            if len(known) > 1:
+                ends = table.min(axis=0), table.max(axis=0)
+                axis.fill_between(grid, *ends, step="post", color=colour, alpha=0.15, linewidth=0.0)
+        for name, value in level.items():
+            axis.axhline(value, color=hex_colour(INK_RGB), linestyle=":", linewidth=0.8, label=name)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        # where searches end, and not where the worst begin
+        axis.set_ylim(top=1.6 * max(ends_at))
+        axis.xaxis.set_major_formatter("{x:,.0f}")
+        axis.yaxis.set_major_formatter("{x:.2g}")
+        axis.yaxis.set_minor_formatter("{x:.2g}")
+        axis.xaxis.set_minor_formatter("")
+        axis.set_xlabel("camera renders")
+        axis.set_ylabel("objective on the scenes of the search")
+        axis.set_title(title)
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=5)
+        return save_figure(figure, path)
+
+
+def _last_at(grid: np.ndarray, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
+    """The last value at or before every place of a grid, none of which lies before the first, [place]."""
+    at, value = (np.array(each) for each in zip(*pairs, strict=True))
+    return value[np.searchsorted(at, grid, side="right") - 1]
