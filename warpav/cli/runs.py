@@ -42,7 +42,7 @@ def optimise(
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     given = executor_overrides(executor, workers, address)
     with placed_config(config, [*overrides, *given]) as settings, RunDisplay() as display:
-        if given and settings.optimiser.search != "pool":
+        if given and settings.optimiser.search == "descent":
             raise OptionError(
                 "executor.name",
                 f"expected none with optimiser.search={settings.optimiser.search}, whose steps follow one another, got "
