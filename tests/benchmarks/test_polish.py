@@ -15,7 +15,7 @@ from tests.benchmarks.test_pool import shipped_fit
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import CameraMount, FreeRanges
-from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, trust_unit
+from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_search import too_near
 from warpav.optimisation.selection.select import select
@@ -67,7 +67,7 @@ def by_polish(work):
 
 def by_adam(work):
     """The issue's own recipe: 3 cm, 1.5 degrees, cosine; every step is brought to the nearest feasible rig."""
-    rate = trust_unit(work.mount) * np.array([0.15, 0.15, 0.13, 0.26, 0.3, 0.3, 0.3])
+    rate = step_unit(work.mount) * np.array([0.15, 0.15, 0.13, 0.26, 0.3, 0.3, 0.3])
     pose = nearest_rig(work.start, work.mount, work.constraints).astype(np.float64)
     first, second, best = np.zeros_like(pose), np.zeros_like(pose), np.inf
     for step in range(RENDERS):
@@ -83,7 +83,7 @@ def by_adam(work):
 
 def by_lbfgs(work):
     """SciPy's L-BFGS-B; what it tries is brought to the nearest feasible rig before it is rendered."""
-    unit = np.tile(trust_unit(work.mount), (RIG, 1))
+    unit = np.tile(step_unit(work.mount), (RIG, 1))
     is_free, best, count = unit > 0.0, [np.inf], [0]
     start = nearest_rig(work.start, work.mount, work.constraints).astype(np.float64)
 

@@ -29,10 +29,10 @@ Detected = tuple[np.ndarray, np.ndarray]
 
 SUREST = 0.9999
 """Greatest probability that counts, as in the loss."""
-TRUST_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
+STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
 RADIUS_FIRST, RADIUS_LAST = 0.4, 0.03
-"""Of the first and of the last step, in `TRUST_UNIT`: 8 cm and 6 mm."""
+"""Of the first and of the last step, in `STEP_UNIT`: 8 cm and 6 mm."""
 RISE_MAX = 0.15
 """How much higher than the best an objective may be, relatively, for the steps to go on from there."""
 _LOGIT_MAX = 12.0
@@ -47,7 +47,7 @@ class PolishStep:
         objective: Its expected miss rate.
         tried_objective: That of the rig that the step tried.
         promised: What the model expected of that rig.
-        radius: Within which it was sought, in `TRUST_UNIT`.
+        radius: Within which it was sought, in `STEP_UNIT`.
         camera_renders: Camera renders (one camera in one scene) so far.
     """
 
@@ -95,7 +95,7 @@ def polish(
         camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
         step_count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over
             as many as can.
-        radius: Of the first step, in `TRUST_UNIT`; smaller where the rig is nearly polished.
+        radius: Of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished.
         tolerance: Relative gain that the model must promise for another step.
 
     Yields:
@@ -164,12 +164,12 @@ def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constra
     return mount.within(near.astype(np.float32))
 
 
-def trust_unit(mount: CameraMount) -> np.ndarray:
+def step_unit(mount: CameraMount) -> np.ndarray:
     """How far each number of a mount pose may move at radius 1, 0 where it is not free, float64 [7]."""
     is_free = mount.is_free.copy()
     is_free[[X_M, Y_M, YAW_RAD]] = True
     unit = np.zeros(len(is_free))
-    unit[list(TRUST_UNIT)] = list(TRUST_UNIT.values())
+    unit[list(STEP_UNIT)] = list(STEP_UNIT.values())
     return np.where(is_free, unit, 0.0)
 
 
@@ -178,7 +178,7 @@ class _Problem:
 
     def __init__(self, mount: CameraMount, constraints: Constraints, camera_count: int) -> None:
         self.mount, self.constraints = mount, constraints
-        unit = np.tile(trust_unit(mount), (camera_count, 1))
+        unit = np.tile(step_unit(mount), (camera_count, 1))
         self.is_free = unit > 0.0
         if mount.frozen is not None:
             self.is_free[mount.frozen.is_frozen] = False

@@ -23,7 +23,7 @@ from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, trust_unit
+from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.selection.price import Price
@@ -295,7 +295,7 @@ class _Search:
         if price is None or count < 1:
             return
         cost = price.reduced_cost(np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST))
-        mount, unit = self.cameras.mount, trust_unit(self.cameras.mount)
+        mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
         pose = _apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
         length = np.full(len(pose), 0.5)
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
