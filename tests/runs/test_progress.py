@@ -69,6 +69,36 @@ def test_a_terminal_shows_the_table_while_it_runs():
         assert word in text
 
 
+def _states():
+    stages = ["start", "selection", "polish", "polish", "pricing", "selection", "settled"]
+    for k, stage in enumerate(stages):
+        record = Record(0.2 - 0.01 * k, {}, {}, {}, best_training_objective=0.2 - 0.01 * k)
+        record.stage, record.camera_renders = stage, 100 * k
+        record.bound, record.pool_cameras = (0.15, 40) if k else (None, None)
+        yield record
+
+
+def test_piped_output_of_a_search_by_a_pool_is_a_line_for_every_stage():
+    text = _shown(False, lambda display: list(display.iterations(_states(), count=100, min_spacing_m=0.2)))
+    lines = text.splitlines()[1:]
+    assert [line.split()[1] for line in lines] == ["start", "selection", "polish", "pricing", "selection", "settled"]
+    assert "bound -" in lines[0]
+    assert "objective 0.16  bound 0.15 (of any rig of 40 cameras)  camera renders 400" in lines[3]
+    assert "/100" not in text  # nobody knows how many states there will be
+
+
+def test_a_terminal_shows_objective_bound_and_what_was_spent():
+    def watch(display):
+        for record in display.iterations(_states(), count=100, min_spacing_m=0.2):
+            list(display.steps("pool of cameras", "ab", count=2) if record.stage == "start" else ())
+            time.sleep(1.5 / REFRESH_PER_SECOND)
+
+    text = _shown(True, watch)
+    for word in ("searching", "done", "polish", "bound", "0.15 (of any rig of 40 cameras)", "camera renders", "600"):
+        assert word in text
+    assert "optimising" not in text.rpartition("settled")[2]
+
+
 def test_inequalities_with_room_to_spare_are_left_out():
     record = Record(1.0, {"detected_area": 0.5, "zone_0": -0.3, "zone_1": -0.1, "spacing_0_1": 0.02}, {}, {})
     record.multipliers = {"zone_0": 0.0, "zone_1": 0.7, "spacing_0_1": 0.0}

@@ -8,12 +8,20 @@ from PIL import Image
 
 from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
+from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
-from warpav.view.figures.convergence import loss_curves, running_mean
+from warpav.view.figures.convergence import loss_curves, running_mean, search_curve, search_panel
 from warpav.view.figures.detections import DetectionPanel, detections_sheet
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH
-from warpav.view.figures.top_view import rig_top_view
-from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure
+from warpav.view.figures.top_view import further_cameras_map, rig_top_view
+from warpav.view.palette import (
+    FALSE_POSITIVE_RGB,
+    FURTHER_RGB,
+    MISS_RGB,
+    TRUE_POSITIVE_RGB,
+    camera_rgb,
+    further_map,
+)
 
 
 def surface():
@@ -81,6 +89,89 @@ def test_loss_curves_need_records(tmp_path):
 def test_one_camera_and_one_iteration_make_a_figure(tmp_path):
     record = {"iteration": 0, "loss": 1.0, "terms": {}, "multipliers": {}, "positions_m": [[0.0, 0.0, 1.5]]}
     assert loss_curves([record], tmp_path / "loss.png").is_file()
+
+
+def search_records():
+    """A start far above, a selection, two steps below its bound, pricing, a selection that ends."""
+    rows = [
+        ("start", 0.30, None, 400),
+        ("selection", 0.10, 0.098, 400),
+        ("polish", 0.09, 0.098, 600),
+        ("polish", 0.08, 0.098, 700),
+        ("pricing", 0.08, 0.098, 1000),
+        ("selection", 0.08, 0.079, 1000),
+        ("settled", 0.08, 0.079, 1000),
+    ]
+    names = ("stage", "training_objective", "bound", "camera_renders")
+    return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def drawn_search(records):
+    """Axis with what `search_panel` draws."""
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 4.0)
+        axis = figure.subplots()
+        search_panel(records)(axis)
+    return axis
+
+
+def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
+    axis = drawn_search(search_records())
+    lines = {line.get_label(): line.get_xydata() for line in axis.get_lines()}
+    np.testing.assert_allclose(lines["best rig so far"][:4], [[400, 0.30], [400, 0.10], [600, 0.09], [700, 0.08]])
+    np.testing.assert_allclose(lines["bound of the pool"][:2], [[400, 0.098], [1000, 0.079]])
+    np.testing.assert_allclose(lines["selected"], [[400, 0.10], [1000, 0.08]])
+    np.testing.assert_allclose(lines["polished"], [[600, 0.09], [700, 0.08]])
+    # the bands: what was spent on the pool, the polish and the pricing
+    bands = sorted(
+        {(*patch.get_extents().transformed(axis.transData.inverted()).intervalx.round(3),) for patch in axis.patches}
+    )
+    assert bands == [(0.0, 400.0), (400.0, 600.0), (600.0, 700.0), (700.0, 1000.0)]
+    low, high = axis.get_ylim()
+    assert low < 0.079
+    assert 0.10 < high < 0.15
+    assert [text.get_text() for text in axis.texts] == ["start 0.3000 \N{UPWARDS ARROW}"]
+    image = pixels(search_curve(search_records(), tmp_path / "search.png"))
+    assert len(where(image, camera_rgb(0))[0]) > 500
+    assert len(where(image, FALSE_POSITIVE_RGB)[0]) > 200
+
+
+def test_a_start_that_is_near_is_a_mark():
+    records = search_records()
+    records[0]["training_objective"] = 0.101
+    axis = drawn_search(records)
+    assert "start" in {line.get_label() for line in axis.get_lines()}
+    assert not axis.texts
+
+
+def test_a_descent_has_no_curve_of_a_search(tmp_path):
+    assert search_curve(records(), tmp_path / "search.png") is None
+    assert search_panel([]) is None
+    assert search_panel(search_records()[:1]) is None  # stopped before the first selection
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_more_camera_is_drawn_at_its_place_in_the_colour_of_its_gain(tmp_path):
+    further = FurtherCameras(
+        np.array([[0.0, 0.5, 1.5], [3.2, -0.5, 1.4], [0.0, 0.4, 1.5]]),
+        np.array([np.pi / 2, 0.0, 0.0]),
+        np.zeros(3),
+        np.full(3, 1.5),
+        np.array([0.02, 0.01, 0.0]),
+    )
+    arguments = {"rig": rig(), "ego": ego(), "mount_surface": surface()}
+    image = pixels(further_cameras_map(tmp_path / "map.png", further=further, **arguments))
+    body = image[:, : int(0.85 * image.shape[1])]  # without the bar of colours
+    best, second = where(body, FURTHER_RGB[-1]), where(body, [round(255 * each) for each in further_map()(0.5)[:3]])
+    assert len(best[0]) > 100
+    assert len(second[0]) > 100
+    assert best[1].mean() < second[1].mean()  # x points right
+    assert best[0].mean() < second[0].mean()  # y points up
+    assert np.ptp(best[0]) > np.ptp(best[1])  # its arrow points to the left of the vehicle
+    assert np.ptp(second[1]) > np.ptp(second[0])
+    none = FurtherCameras(np.zeros((0, 3)), *np.zeros((4, 0)))
+    assert further_cameras_map(tmp_path / "none.png", further=none, **arguments) is None
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_top_view_shows_cameras_on_their_side(tmp_path):

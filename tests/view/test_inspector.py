@@ -11,9 +11,11 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.evaluation.coverage import Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
+from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Steepest
+from warpav.view.further_view import ARROW_M, TITLE
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
@@ -24,6 +26,13 @@ CAR = vehicle(1, 9.0, 0.5)
 SCENES = [scene(CAR), scene(vehicle(1, -8.0, -2.0), vehicle(2, 12.0, 3.0))]
 SURFACE = flat_surface([0.0, -0.6], [2.6, 0.6], height_m=1.5)
 HEIGHT_M = 0.08
+FURTHER = FurtherCameras(
+    np.array([[1.0, 0.1, 1.6], [1.0, 0.2, 1.6], [2.0, -0.3, 1.6]]),
+    np.full(3, np.pi / 2),
+    np.zeros(3),
+    np.full(3, 1.5),
+    np.array([0.02, 0.01, 0.005]),
+)
 FOUND_PX = [[100.0, 110.0, 150.0, 150.0]]
 
 
@@ -311,6 +320,47 @@ def test_arrows_of_the_descent_come_and_go(inspector):
     assert not arrows()  # the gradient was that of the rig before
     with pytest.raises(ValueError, match="a descent for each of 3 rigs, got 1"):
         InspectedRig(frames(), None, 1, constraints=None, height_offset_m=0.0, observer_of=None, descents=[None])
+
+
+def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector):
+    """Without what a search by a pool has found, the key does nothing and the help is silent of it."""
+    press(inspector, "m")
+    assert "further_cameras" not in inspector.plotter.actors
+    assert "one more camera" not in help_of(inspector)
+    state._further, state.has_further_cameras = FURTHER, True
+    opened = Inspector(state, save_to=inspector.save_to, off_screen=True, window_size=(640, 400))
+    try:
+        opened.plotter.show(auto_close=False, interactive=False)
+        assert "m: one more camera" in help_of(opened)
+        before = picture(opened)
+        assert "further_cameras" not in opened.plotter.actors
+        press(opened, "m")
+        mesh = opened.plotter.actors["further_cameras"].mapper.dataset
+        assert set(np.unique(mesh.point_data["gain_of_100"]).round(6)) == {0.5, 1.0, 2.0}
+        # the best of a place is an arrow that begins at its camera and points where that looks, the others are dots
+        best = mesh.points[mesh.point_data["gain_of_100"] > 1.5]
+        np.testing.assert_allclose([best[:, 1].min(), best[:, 1].max()], [0.1, 0.1 + ARROW_M], atol=1e-6)
+        dot = mesh.points[np.isclose(mesh.point_data["gain_of_100"], 1.0)]
+        np.testing.assert_allclose(dot.mean(axis=0), FURTHER.position_m[1], atol=1e-3)
+        assert np.abs(picture(opened) - before).max() > 50
+        scale = list(opened.plotter.scalar_bars.keys())
+        assert scale == [TITLE]
+        opened.go_to(0)  # another rig
+        assert "further_cameras" not in opened.plotter.actors
+        assert not list(opened.plotter.scalar_bars.keys())
+        opened.go_to(2)
+        assert "further_cameras" in opened.plotter.actors
+        opened.drag(1, np.array([1.0, 0.0]))
+        assert "further_cameras" not in opened.plotter.actors
+        opened.go_to(2)
+        press(opened, "m")
+        assert "further_cameras" not in opened.plotter.actors
+    finally:
+        opened.plotter.close()
+
+
+def help_of(inspector):
+    return " ".join(inspector.plotter.actors["help"].input.split())
 
 
 def test_names_follow_the_cameras(inspector):

@@ -80,10 +80,11 @@ def inspect(
         ),
     ] = None,
     show: Annotated[
-        Literal["rig", "coverage", "outcomes", "visibility", "sight"],
+        Literal["rig", "coverage", "outcomes", "visibility", "further", "sight"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
-            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name)."
+            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name); "
+            "further, of a run with optimiser.search=pool, where one more camera would help most."
         ),
     ] = "rig",
 ) -> None:

@@ -30,7 +30,8 @@ class IterationRecord:
         free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
         descent: From 0, of those that the run has one after the other.
         stage: Of the search by a pool, see `Found`; None: a step of a descent.
-        bound: No rig of the pool is below it; None before the first selection, and in a descent.
+        bound: No rig of `pool_cameras` is below it; None before the first selection, and in a descent.
+        pool_cameras: Cameras of the pool of the last selection, which the bound is over; likewise None.
         camera_renders: One camera in one scene each, so far; None in a descent.
     """
 
@@ -51,6 +52,7 @@ class IterationRecord:
     stage: str | None = None
     bound: float | None = None
     camera_renders: int | None = None
+    pool_cameras: int | None = None
 
 
 @dataclass(eq=False)

@@ -290,22 +290,26 @@ class CameraMount:
         )
         return window_rad
 
+    def position_m(self, mount_pose: np.ndarray) -> np.ndarray:
+        """Centres of cameras at ``mount_pose`` [camera, 7] in the ego frame [m], float64 [camera, 3]."""
+        place = mount_pose[:, [X_M, Y_M]]
+        height_m = self.surface.height_at_m(place) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
+        return np.column_stack([place, height_m]).astype(np.float64)
+
     def rig(self, mount_pose: np.ndarray) -> Rig:
         """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
 
         Where some are frozen, all have the names of the rig that these are of, and these are the same to the last bit.
         """
         frozen = self.frozen
-        height_m = (
-            self.surface.height_at_m(mount_pose[:, [X_M, Y_M]]) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
-        )
+        position_m = self.position_m(mount_pose)
         return Rig(
             [
                 frozen.camera[i]
                 if frozen is not None and frozen.is_frozen[i]
                 else RigCamera(
                     name=f"camera_{i}" if frozen is None else frozen.camera[i].name,
-                    position_m=np.array([pose[X_M], pose[Y_M], height_m[i]], np.float64),
+                    position_m=position_m[i],
                     yaw_rad=float(pose[YAW_RAD]),
                     pitch_rad=float(pose[PITCH_RAD]),
                     roll_rad=float(pose[ROLL_RAD]),

@@ -14,9 +14,11 @@ from warpav.core.errors import OptionError
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.rig_values import single_cameras_of
 
@@ -70,6 +72,7 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
+        self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
             [each.scene for each in scenes],
@@ -124,6 +127,21 @@ class PoolDescent:
             self.step()
         return self.best
 
+    def further_cameras(self) -> FurtherCameras | None:
+        """What each camera of the pool would add to the best rig, which is in the pool; None before a step."""
+        if self.found is None:
+            return None
+        pool, objective = self.found.pool, self.objective
+        rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)
+        assert (rig >= 0).all(), "whatever was rendered is in the pool"
+        return further_cameras(
+            pool.mount_pose,
+            pool.detection_probability,
+            rig,
+            mount=objective.mount,
+            constraints=objective.constraints,
+        )
+
     def state(self) -> dict[str, np.ndarray]:
         """What was found so far; the pool itself is in the cache."""
         return {
@@ -134,6 +152,9 @@ class PoolDescent:
         }
 
     def _record(self, found: Found, seconds: float) -> IterationRecord:
+        if found.stage == "selection":
+            self._proven = found.bound, found.pool_cameras
+        bound, pool_cameras = self._proven or (None, None)
         mount, pose = self.objective.mount, found.mount_pose
         rig = mount.rig(pose)
         position_m = np.array([camera.position_m for camera in rig.cameras])
@@ -159,6 +180,7 @@ class PoolDescent:
             best_training_objective=self.best.training_objective,
             free=free,
             stage=found.stage,
-            bound=found.bound or None,
+            bound=bound,
+            pool_cameras=pool_cameras,
             camera_renders=found.camera_renders,
         )

@@ -74,6 +74,7 @@ class Found:
         camera_renders: Camera renders so far, those that the cache has spared among them.
         pool_cameras: Cameras of the pool.
         seconds: Wall time so far [s].
+        pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
         price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
     """
@@ -85,6 +86,7 @@ class Found:
     camera_renders: int
     pool_cameras: int
     seconds: float
+    pool: CameraPool = field(repr=False)
     price: Price | None = field(repr=False, default=None)
     round: int = 0
 
@@ -174,6 +176,7 @@ class _Search:
             self.camera_renders,
             len(self.pool.mount_pose),
             time.perf_counter() - self.began,
+            self.pool,
             selection.price if selection else None,
             self.round,
         )
@@ -270,11 +273,15 @@ class _Search:
             scene_count=len(self.scenes),
             camera_renders_max=self._left,
         )
+        is_better = True
         for step in steps:
             while drawn:
                 self.pool = self.pool.joined(*drawn.pop())
-            if self._is_better(step.mount_pose, step.objective):
+            is_better = self._is_better(step.mount_pose, step.objective)
+            if is_better:
                 yield self.found("polish")
+        if not is_better:  # what the last steps have cost is the polish's too
+            yield self.found("polish")
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""

@@ -83,7 +83,7 @@ def _event_mistake(event: object, *, camera_count: int | None) -> str | None:
         return f"positions_m: expected {camera_count} cameras as in the lines before, got {len(places)}"
     if not _are_finite(yaws, len(places)):
         return f"yaw_deg: expected a number for each of {len(places)} cameras, got {str(yaws)[:40]}"
-    for name in ("loss", "training_objective"):
+    for name in ("loss", "training_objective", "bound", "pool_cameras", "camera_renders"):
         if not _is_number_or_none(event.get(name)):
             return f"{name}: expected a number or null, got {str(event[name])[:40]!r}"
     return _part_mistake(event, len(places))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from warpav.core.devices import checked_device
+from warpav.core.errors import ArgumentError
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import nearest_iteration, rigs_of_events
@@ -21,12 +22,13 @@ if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.scene.scene import Scene
     from warpav.view.inspector import Inspector
 
-Shown = Literal["rig", "coverage", "outcomes", "visibility"]
+Shown = Literal["rig", "coverage", "outcomes", "visibility", "further"]
 """What an image of a rig shows besides: the ground by how many cameras see somebody there, traffic by what becomes of
-it, or what every camera sees."""
+it, what every camera sees, or what one more camera would bring."""
 
 
 def inspect_rig(
@@ -55,6 +57,7 @@ def inspect_rig(
         inspector(source, config, begin_with="coverage" if shown == "rig" else shown).plotter.show()
         return None
     is_run = is_run_folder(source)
+    further = _further(source) if shown == "further" else None
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
     if is_run and shown == "rig":
         return plot(RunFolder.open(source).drawn(config), out=out, progress=progress)
@@ -65,10 +68,11 @@ def inspect_rig(
         out=out,
         progress=progress,
         scene=scene,
-        trajectory_m=trajectory(RunFolder.open(source).events()) if is_run else None,
+        trajectory_m=trajectory(RunFolder.open(source).events()) if is_run and further is None else None,
         outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
         coverage=_coverage(rig, scene, config) if shown == "coverage" else None,
         visibility=shown == "visibility",
+        further=further,
     )
 
 
@@ -76,7 +80,7 @@ def inspector(
     source: str,
     config: Config,
     *,
-    begin_with: Literal["coverage", "outcomes", "visibility"] = "coverage",
+    begin_with: Literal["coverage", "outcomes", "visibility", "further"] = "coverage",
     off_screen: bool | None = None,
 ) -> Inspector:
     """The interactive view of a rig on the test scenes, with the iterations of a run; not yet shown.
@@ -88,12 +92,14 @@ def inspector(
         off_screen: Draw without a window; by default when there is no display.
 
     Raises:
-        InputError: The rig or a scene cannot be used, or this machine cannot draw.
+        InputError: The rig or a scene cannot be used, or this machine cannot draw; to begin with what one more camera
+            would bring, the source is no run of a search by a pool.
     """
     from warpav.view.descent_view import Steepest
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
 
+    further = _further(source) if begin_with == "further" else None
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
     first = next(load_scenes(config, seeds[:1]))
     rig = find_rig(source, config, first.ego)
@@ -106,6 +112,7 @@ def inspector(
         descents = [*map(Steepest.of_event, events), None]
         if events:  # as in images, the result has the arrows of the iteration nearest to it
             descents[-1] = descents[nearest_iteration(events, rig)]
+        further = folder.further_cameras()
         save_to = folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)
     detector = load_detector(config)
@@ -117,9 +124,21 @@ def inspector(
         height_offset_m=mount.height_offset_m,
         observer_of=lambda rig: _observer(rig, detector, config, device),
         descents=descents,
+        further=further,
         device=device,
     )
     return Inspector(state, save_to=save_to, trajectory_m=trajectory_m, begin_with=begin_with, off_screen=off_screen)
+
+
+def _further(source: str) -> FurtherCameras:
+    """What further cameras would add to the rig of a run."""
+    found = RunFolder.open(source).further_cameras() if is_run_folder(source) else None
+    if found is None:
+        raise ArgumentError(
+            "show",
+            f"expected the folder of a finished run with optimiser.search=pool for 'further', got {source!r}",
+        )
+    return found
 
 
 def _coverage(rig: Rig, scene: Scene, config: Config) -> Coverage:

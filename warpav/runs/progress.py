@@ -107,24 +107,34 @@ class RunDisplay:
         """
         self._start("optimising", count)
         every = max(1, count // PLAIN_LINES_PER_STAGE)
-        began = time.perf_counter()
+        began, last_stage = time.perf_counter(), None
         for number, record in enumerate(records, start=1):
             speed = (time.perf_counter() - began) / number
             rows = iteration_rows(record, min_spacing_m=min_spacing_m)
+            stage = getattr(record, "stage", None)
+            if stage is not None:  # how many more there will be is not known
+                self._replace_task("searching", None, completed=number)
+                if not self.console.is_terminal and stage != last_stage:
+                    self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
+                last_stage = stage
+            else:
+                self._advance(number, began)
+                if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
+                    left_s = speed * (count - number)
+                    text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
+                    self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
             self._numbers = _grid(rows)
-            self._advance(number, began)
-            if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
-                left_s = speed * (count - number)
-                text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
-                self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
             yield record
         self._numbers = None
 
-    def _start(self, description: str, count: int | None) -> None:
+    def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
         if self._task is not None:
             self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(description, total=count, completed=completed, speed="")
+
+    def _start(self, description: str, count: int | None) -> None:
         self._numbers = None
-        self._task = self._bar.add_task(description, total=count, speed="")
+        self._replace_task(description, count)
         if not self.console.is_terminal:
             self.say(description if count is None else f"{description}: {count}")
 
@@ -156,8 +166,21 @@ def shown_progress(progress: bool | Progress | None) -> Iterator[Progress]:
 
 
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
-    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
+    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing.
+
+    Of a search by a pool what has just been done, the objective of the best rig so far, bound and camera renders.
+    """
     spacing_m = getattr(record, "min_camera_distance_m", None)
+    closest = {"closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)"}
+    if getattr(record, "stage", None) is not None:
+        bound, pool_cameras = getattr(record, "bound", None), getattr(record, "pool_cameras", None)
+        return {
+            "done": str(getattr(record, "stage", None)),
+            "objective": _number(getattr(record, "best_training_objective", None)),
+            "bound": "-" if bound is None else f"{_number(bound)} (of any rig of {pool_cameras} cameras)",
+            "camera renders": str(getattr(record, "camera_renders", None)),
+            **closest,
+        }
     terms, multipliers = getattr(record, "terms", {}), getattr(record, "multipliers", {})
     # inequalities with room to spare and nothing to push are many, and say nothing
     idle = {name for name, value in multipliers.items() if not value and terms.get(name, 0.0) < 0.0}
@@ -166,7 +189,7 @@ def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
         **{name: _number(value) for name, value in terms.items() if name not in idle},
         **{f"multiplier {name}": _number(value) for name, value in multipliers.items() if name not in idle},
         **{f"gradient {name}": _number(value) for name, value in getattr(record, "gradient_norm", {}).items()},
-        "closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)",
+        **closest,
         "best on all scenes": _number(getattr(record, "best_training_objective", None)),
     }
 

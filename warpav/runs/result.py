@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,14 @@ from warpav.core.executor import in_background
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.descent import Descent
+from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
+from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.placement import Placement, Stream
@@ -53,7 +56,8 @@ class Result:
         found_objective: Of `found`, likewise.
         history: Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration; and
             ``objective`` on all validation scenes whenever it was measured, the last one of `found` with
-            ``optimiser.keep`` last, with ``objective_iteration``, the iterations before which that was.
+            ``optimiser.keep`` last, with ``objective_iteration``, the iterations before which that was. Of a search by
+            a pool ``bound``, ``pool_cameras`` and ``camera_renders`` as well, NaN before the first selection.
         ended: Why it ended early; None where it took all iterations.
         placement: What it ran on.
         records: What every iteration did.
@@ -103,6 +107,40 @@ class Result:
             _descent=descent,
             _kept=kept,
         )
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """What a search by a pool has proven; None for a descent, and before the first selection."""
+        return Certificate.of([asdict(record) for record in self.records], scenes=len(self.placement.train))
+
+    @property
+    def bound(self) -> float | None:
+        """No rig of cameras of the pool has a lower expected miss rate on the scenes of the search; None for a descent.
+
+        Of other scenes, and of cameras that the pool does not hold, it says nothing: see `certificate`.
+        """
+        return None if self.certificate is None else self.certificate.bound
+
+    @property
+    def gap(self) -> float | None:
+        """Objective less bound; negative where the polish went below what the pool's cameras can reach; None as above.
+
+        The objective is that of `found` on the scenes of the search.
+        """
+        return None if self.certificate is None else self.certificate.gap
+
+    @property
+    def pool_cameras(self) -> int | None:
+        """Cameras of the pool that the bound is over; None for a descent."""
+        return None if self.certificate is None else self.certificate.pool_cameras
+
+    @cached_property
+    def further_cameras(self) -> FurtherCameras | None:
+        """What each camera of the pool would add to `found`, the one that helps most first; None for a descent.
+
+        See `warpav.optimisation.further_camera`.
+        """
+        return self._descent.further_cameras() if isinstance(self._descent, PoolDescent) else None
 
     @property
     def is_better_than_start(self) -> bool:
@@ -258,6 +296,8 @@ def write_verdict(
     folder.write_checkpoint(descent.state())
     write_rig(result.rig, folder.rig_path("best"))
     write_rig(mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
+    if result.further_cameras is not None:
+        folder.write_further_cameras(result.further_cameras)
 
     constraints = placement.objective.constraints
     drawing = RigDrawing(
@@ -268,6 +308,8 @@ def write_verdict(
         mount.surface,
         constraints.min_spacing_m,
         shows_zone=constraints.are_inequalities,
+        further=result.further_cameras,
+        objects="vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users",
     )
     with in_background(draw_rigs, drawing) as drawn:
         rigs, began_as = _compared(result, progress)
@@ -286,6 +328,7 @@ def write_verdict(
                 "ended": result.ended,
                 "kept": result._kept.iteration,
             },
+            "certificate": None if result.certificate is None else result.certificate.to_json(),
             "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
             "outcomes": compared.outcomes(),
             "ground": ground.table(),
@@ -376,6 +419,11 @@ def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]
         "loss": [record.loss for record in records],
         **{name: [record.terms.get(name, math.nan) for record in records] for name in names},
         "seconds": [record.seconds["total"] for record in records],
+        **{
+            name: [math.nan if (value := getattr(record, name)) is None else value for record in records]
+            for name in ("bound", "pool_cameras", "camera_renders")
+            if any(record.stage is not None for record in records)
+        },
         "objective": [candidate.training_objective for candidate in candidates],
         "objective_iteration": [candidate.iteration for candidate in candidates],
     }

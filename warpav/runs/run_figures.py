@@ -28,6 +28,7 @@ from warpav.runs.scene_set import load_scene
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
     from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.optimisation.objective import RigObjective
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
@@ -90,6 +91,8 @@ class RigDrawing:
         surface: Where cameras may stand.
         min_spacing_m: Least distance of two cameras [m].
         shows_zone: Whether the zone for cameras is drawn.
+        further: What further cameras would add to the result; None after a descent.
+        objects: What is counted.
     """
 
     folder: Path
@@ -99,6 +102,8 @@ class RigDrawing:
     surface: MountSurface
     min_spacing_m: float
     shows_zone: bool
+    further: FurtherCameras | None = None
+    objects: str = "vehicles"
 
 
 def draw_rigs(drawing: RigDrawing) -> str | None:
@@ -108,13 +113,24 @@ def draw_rigs(drawing: RigDrawing) -> str | None:
         Why this machine cannot draw the rig in three dimensions; None where it can.
     """
     from warpav.view import plot
-    from warpav.view.figures.convergence import loss_curves
-    from warpav.view.figures.top_view import rig_top_view
+    from warpav.view.figures.convergence import loss_curves, search_curve
+    from warpav.view.figures.top_view import further_cameras_map, rig_top_view
     from warpav.view.opengl import opengl_problem
 
     folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
-    path_m = trajectory(folder.events())
-    loss_curves(folder.events(), folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
+    events = folder.events()
+    path_m = trajectory(events)
+    if search_curve(events, folder.figure_path("search")) is None:
+        loss_curves(events, folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
+    if drawing.further is not None:
+        further_cameras_map(
+            folder.figure_path("further_cameras"),
+            further=drawing.further,
+            rig=result,
+            ego=scene.ego,
+            mount_surface=drawing.surface,
+            objects=drawing.objects,
+        )
     rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,

@@ -5,6 +5,7 @@
     runs/<name>/  config.yaml  env.json  events.jsonl  metrics.csv  rig_initial.yaml  rig_best.yaml  rig_final.yaml
                   rig_start.yaml (where rig.start names a rig)
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
+                  further_cameras.csv (where optimiser.search is pool)
                   figures/ground.npz  figures/views.json  figures/views/*.webp
 
 A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
@@ -27,6 +28,7 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
+from warpav.runs.certificate import Certificate
 from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.events import flat_numbers, read_events
@@ -35,6 +37,7 @@ from warpav.view import Canvas, drawing_of, plot
 if TYPE_CHECKING:
     import numpy as np
 
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.runs.drawn_run import DrawnRun
     from warpav.scene.scene import Scene
 
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 RigRole = Literal["start", "initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
+_FURTHER_COLUMNS = ("gain", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "fov_deg")
 
 
 # what NumPy, the archive and its compression raise; RuntimeError also where a member is encrypted or packed otherwise
@@ -202,6 +206,57 @@ class RunFolder:
     def view_path(self, name: str) -> Path:
         """Where the image of this name in ``figures/views.json`` is."""
         return self.path / "figures" / "views" / name
+
+    def write_further_cameras(self, further: FurtherCameras) -> None:
+        """Write ``further_cameras.csv``: what each camera of the pool would add to the rig that was found."""
+        import numpy as np
+
+        angles_deg = np.degrees(np.stack([further.yaw_rad, further.pitch_rad, further.fov_rad], axis=1))
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_FURTHER_COLUMNS)
+        for gain, place, angles in zip(further.gain, further.position_m, angles_deg, strict=True):
+            writer.writerow([f"{gain:.8f}", *(f"{value:.6f}" for value in (*place, *angles))])
+        write_text(self.path / "further_cameras.csv", text.getvalue())
+
+    def further_cameras(self) -> FurtherCameras | None:
+        """The content of ``further_cameras.csv``, or None: a descent writes none.
+
+        Raises:
+            InputError: It cannot be read.
+        """
+        import numpy as np
+
+        from warpav.optimisation.further_camera import FurtherCameras
+
+        file = self.path / "further_cameras.csv"
+        if not file.exists():
+            return None
+        try:
+            heading, *rows = csv.reader(file.read_text(encoding="utf-8").splitlines())
+            if tuple(heading) != _FURTHER_COLUMNS:
+                raise ValueError(f"columns {', '.join(heading)}")
+            table = np.array(rows, np.float64).reshape(len(rows), len(_FURTHER_COLUMNS))
+            if not np.isfinite(table).all():
+                raise ValueError("a number that is not finite")
+        except (OSError, ValueError, csv.Error) as error:
+            raise InputError(
+                f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {_one_line(error)}; "
+                "was the file changed?"
+            ) from None
+        yaw_rad, pitch_rad, fov_rad = np.radians(table[:, 4:]).T
+        return FurtherCameras(table[:, 1:4], yaw_rad, pitch_rad, fov_rad, table[:, 0])
+
+    def certificate(self) -> Certificate | None:
+        """What a search by a pool has proven so far; None for a descent, and where the run is older than that.
+
+        Raises:
+            InputError: As `events` and `config`.
+        """
+        events = self.events()
+        if Certificate.of(events) is None:
+            return None
+        return Certificate.of(events, scenes=len(self.config().scenes.train_seeds))
 
     def write_report(self, html: str) -> Path:
         """Write ``report.html`` and return its path."""

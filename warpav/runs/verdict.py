@@ -137,6 +137,13 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
         start, end = training["start"], training["optimised"]
         change = f" ({(end - start) / start:+.1%})" if start else ""
         console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
+    certificate = evaluation.get("certificate")
+    if certificate:
+        scenes, count = certificate["scenes"], certificate["pool_cameras"]
+        console.print(
+            f"objective {certificate['objective']:.4f} on the {scenes} scenes of the search; there no rig of the "
+            f"pool's {count} cameras is below {certificate['bound']:.4f} (bound)"
+        )
     for other, differences in evaluation.get("paired", {}).items():
         found = differences["tp_detection_rate"]
         if found["low"] is not None:

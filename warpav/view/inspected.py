@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.descent_view import Steepest
@@ -40,6 +41,7 @@ class InspectedRig:
         rig: The rig as it is now; another one than that of the frame once a camera was moved.
         scene_index: Which scene is shown.
         scene_count: Number of scenes.
+        has_further_cameras: Whether it is known what further cameras would add to the rig of the last frame.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class InspectedRig:
         height_offset_m: float,
         observer_of: Callable[[Rig], RigObserver],
         descents: Sequence[Steepest | None] = (),
+        further: FurtherCameras | None = None,
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene.
@@ -64,6 +67,7 @@ class InspectedRig:
             height_offset_m: How far above the surface cameras stand that have been moved there [m].
             observer_of: Observes scenes through a rig.
             descents: Direction of steepest descent at every frame, None where it is unknown; or none at all.
+            further: What further cameras would add to the rig of the last frame, if that is known.
             device: Warp device.
 
         Raises:
@@ -75,6 +79,8 @@ class InspectedRig:
             raise ValueError(f"expected a descent for each of {len(frames)} rigs, got {len(descents)}")
         self.frames = list(frames)
         self._descents = list(descents) or [None] * len(frames)
+        self.has_further_cameras = further is not None
+        self._further = further
         self.frame = len(self.frames) - 1
         self.rig = self.frames[-1]
         self.scene_index, self.scene_count = 0, scene_count
@@ -139,6 +145,11 @@ class InspectedRig:
     def descent(self) -> Steepest | None:
         """Direction of steepest descent at the frame; None if it is unknown, or once a camera was moved or turned."""
         return self._descents[self.frame] if self.rig is self.frames[self.frame] else None
+
+    @property
+    def further(self) -> FurtherCameras | None:
+        """What further cameras would add; None at other frames than the last, or once a camera was moved or turned."""
+        return self._further if self.rig is self.frames[-1] else None
 
     @property
     def surface(self) -> MountSurface:

@@ -16,6 +16,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
+from warpav.view.further_view import add_further_cameras
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
@@ -37,12 +38,16 @@ KEYS = {
     "d": "detections",
     "v": "views",
     "g": "descent arrows",
+    "m": "one more camera",
     "Left": "turn left",
     "Right": "turn right",
     "Return": "write the rig",
     "q": "quit",
 }
-"""What keys do, as the line of help in the window says. VTK has uses of its own for w, s, r, f, p, u, e, a and 3."""
+"""What keys do, as the line of help in the window says; m only after a search by a pool.
+
+VTK has uses of its own for w, s, r, f, p, u, e, a and 3.
+"""
 
 VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
@@ -69,6 +74,7 @@ class Inspector:
         shows_visibility: Whether the views of the cameras are painted, up to what hides the rest; the ground carries
             either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
+        shows_further: Whether arrows show what one more camera would bring, where that is known.
 
     What moves is changed, not drawn again: while a camera is dragged no actor is made, and one image is drawn.
     """
@@ -79,7 +85,7 @@ class Inspector:
         *,
         save_to: Path,
         trajectory_m: np.ndarray | None = None,
-        begin_with: Literal["coverage", "outcomes", "visibility"] = "coverage",
+        begin_with: Literal["coverage", "outcomes", "visibility", "further"] = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -90,7 +96,7 @@ class Inspector:
             save_to: File that the rig is written to; files that are there stay.
             trajectory_m: Trajectories of the cameras over a run [m], [iteration, camera, 3].
             begin_with: What is shown at first: how many cameras see the ground, traffic in the colours of what
-                becomes of it, or the views of the cameras.
+                becomes of it, the views of the cameras, or what one more camera would bring.
             off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
 
@@ -103,6 +109,7 @@ class Inspector:
         self.shows_outcomes = begin_with == "outcomes"
         self.shows_visibility = begin_with == "visibility"
         self.shows_descent = True
+        self.shows_further = begin_with == "further"
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
             # neither holds up the other: the one is Warp's, the other VTK's
@@ -129,6 +136,7 @@ class Inspector:
         self._numbers: Any = None
         self._add_controls()
         self._draw_descent()
+        self._draw_further()
         if self.shows_outcomes:
             self._draw_scene()
         self._draw_visibility()
@@ -146,6 +154,7 @@ class Inspector:
                 self._draw_camera(index)
                 self._put_ball(index)
             self._draw_descent()
+            self._draw_further()
             self._draw_visibility()
             self._redraw()
 
@@ -189,6 +198,12 @@ class Inspector:
         with self._one_render():
             self._draw_descent()
 
+    def toggle_further(self) -> None:
+        """Show what one more camera would bring, or no longer; nothing happens where that is not known."""
+        self.shows_further = not self.shows_further
+        with self._one_render():
+            self._draw_further()
+
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
         self.chosen = camera
@@ -231,11 +246,13 @@ class Inspector:
 
     def _follow(self, camera: int, position_m: np.ndarray) -> None:
         """What a drag changes, not yet drawn."""
-        was_descent = self.state.descent is not None
+        was_descent, was_further = self.state.descent is not None, self.state.further is not None
         self.state.move(camera, position_m)
         self._draw_camera(camera)
         if was_descent:
             self._draw_descent()
+        if was_further:
+            self._draw_further()
         if self.shows_visibility:
             self._draw_visibility_of(camera, rays=DRAGGED_RAYS_PX)
         self._redraw(detector=False)
@@ -250,6 +267,7 @@ class Inspector:
             self._draw_camera(camera)
             self._put_ball(camera)
             self._draw_descent()
+            self._draw_further()
             if self.shows_visibility:
                 self._draw_visibility_of(camera)
             if self.shows_outcomes:
@@ -273,9 +291,13 @@ class Inspector:
 
     def _add_controls(self) -> None:
         plotter, count = self.plotter, len(self.state.frames)
+        controls = {"click a ball": "look through the camera", "drag it": "move the camera", **KEYS}
+        if not self.state.has_further_cameras:
+            del controls["m"]
+        help_texts = [f"{key}: {word}" for key, word in controls.items()]
+        half = len(help_texts) // 2
         plotter.add_text(
-            "click a ball: look through the camera   drag it: move the camera\n"
-            + "   ".join(f"{key}: {word}" for key, word in KEYS.items()),
+            "   ".join(help_texts[:half]) + "\n" + "   ".join(help_texts[half:]),
             position=(0.02, 0.012),
             viewport=True,
             font_size=8,
@@ -302,6 +324,7 @@ class Inspector:
             "d": self.toggle_outcomes,
             "v": self.toggle_visibility,
             "g": self.toggle_descent,
+            "m": self.toggle_further,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
             "Return": self.save,
@@ -355,6 +378,10 @@ class Inspector:
     def _draw_descent(self) -> None:
         descent = self.state.descent if self.shows_descent else None
         add_descent(self.plotter, self.state.rig, descent, self.state.surface)
+
+    def _draw_further(self) -> None:
+        if self.state.has_further_cameras:
+            add_further_cameras(self.plotter, self.state.further if self.shows_further else None)
 
     def _draw_visibility(self) -> None:
         for index, camera in enumerate(self.state.rig.cameras):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 Rgb = tuple[int, int, int]
 """An sRGB colour, 0..255."""
 
@@ -40,6 +42,17 @@ OUTCOME_RGB: dict[str, Rgb] = {
 
 COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222), (38, 102, 180))
 """Of ground that no, one, two, or more cameras see."""
+
+
+FURTHER_RGB: tuple[Rgb, ...] = ((247, 243, 220), (246, 198, 91), (226, 98, 44), (138, 16, 34))
+"""Of what one more camera would bring, from nothing to most."""
+
+
+def further_map() -> Any:  # noqa: ANN401 (matplotlib)
+    """`FURTHER_RGB` as a map of colours."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("further", [hex_colour(rgb) for rgb in FURTHER_RGB])
 
 
 def camera_rgb(index: int) -> Rgb:

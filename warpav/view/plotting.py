@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from warpav.core.progress import Progress
     from warpav.evaluation.coverage import Coverage
+    from warpav.optimisation.further_camera import FurtherCameras
 
     Drawing = Any
     Plotter = Any
@@ -108,6 +109,7 @@ def plot(
     - ``outcomes``: for every vehicle of the scene an `ObjectOutcome`, which gives its colour.
     - ``coverage``: a `Coverage`, which paints the ground by how many cameras see somebody there.
     - ``visibility``: True paints what every camera sees of the scene, and the sides of its view.
+    - ``further``: `FurtherCameras`, such as ``result.further_cameras``: arrows where one more camera would help.
 
     Of a scene: ``rig``, ``outcomes``, ``coverage``, ``visibility``. Of a mesh, which is a vehicle in the ego frame:
     ``mount_surface`` (where it can carry cameras), ``axle_m`` (x of its axles [m]). Of a mount surface: ``vehicle``
@@ -127,7 +129,7 @@ def plot(
         title: A line in the upper left corner.
         window_size: Width and height [px]; by default 1280 x 800, of a vehicle 1280 x 720, of an animation 800 x 500.
         zoom: 1 fills the image with the vehicle, less shows more around it; by default 1, and 0.62 where outcomes,
-            coverage or visibility are painted.
+            coverage or visibility are painted, 1.9 where further cameras are shown.
         off_screen: Whether to draw without a window; by default if there is no display.
         progress: Shows how many images of an animation are done.
         **options: Those of the object's class, and those of ``pyvista.Plotter.show``, such as ``jupyter_backend``; with
@@ -238,6 +240,7 @@ def _draw_rig(
     outcomes: Sequence[str] | None = None,
     coverage: Coverage | None = None,
     visibility: bool = False,
+    further: FurtherCameras | None = None,
 ) -> Plotter:
     return rig_plotter(
         rig,
@@ -248,6 +251,7 @@ def _draw_rig(
         outcomes=outcomes,
         coverage=coverage,
         visibility=visibility,
+        further=further,
         title=canvas.title,
         window_size=canvas.size_px(WINDOW_PX),
         zoom=canvas.zoom,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from warpav.evaluation.coverage import Coverage
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
@@ -39,6 +40,10 @@ SECTOR_RADIUS_M = 9.0
 HAZE_START_M = 9.0
 HAZE_END_M = 22.0
 VIEW_AZIMUTH_RAD = math.radians(38.0)
+VIEW_ELEVATION_RAD = math.radians(33.0)
+BODY_ZOOM, BODY_ELEVATION_RAD, BODY_FRUSTUM_DEPTH_M = 1.9, math.radians(52.0), 0.4
+"""Of images that show what stands on the vehicle."""
+
 GROUND_CUT_M = 0.6
 """What of the environment lies lower is ground; what rises above it counts as building."""
 
@@ -59,11 +64,12 @@ def rig_plotter(
     visibility: bool = False,
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
+    further: FurtherCameras | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_PX,
     title: str | None = None,
     zoom: float | None = None,
-    frustum_depth_m: float = FRUSTUM_DEPTH_M,
+    frustum_depth_m: float | None = None,
     sectors: bool | None = None,
     labels: bool = True,
 ) -> Plotter:
@@ -80,8 +86,11 @@ def rig_plotter(
     is_painted = visibility or coverage is not None or outcomes is not None
     if scene is None and is_painted:
         raise ValueError("visibility, coverage, outcomes: expected a scene with what is seen, got none")
-    zoom = (WIDE_ZOOM if is_painted else 1.0) if zoom is None else zoom
-    sectors = not is_painted if sectors is None else sectors and not visibility
+    shows_body = further is not None and not is_painted
+    zoom = (WIDE_ZOOM if is_painted else BODY_ZOOM if shows_body else 1.0) if zoom is None else zoom
+    sectors = not is_painted and not shows_body if sectors is None else sectors and not visibility
+    if frustum_depth_m is None:
+        frustum_depth_m = BODY_FRUSTUM_DEPTH_M if shows_body else FRUSTUM_DEPTH_M
     pyvista = load_pyvista()
     off_screen = not has_display() if off_screen is None else off_screen
     plotter = pyvista.Plotter(
@@ -92,7 +101,13 @@ def rig_plotter(
     if ego is None and scene is not None:
         ego = scene.ego
     bounds_m = _bounds_without_ego_m(rig.cameras if rig else ()) if ego is None else ego.bounds_m()
-    look_at_ego(plotter, bounds_m, azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD, zoom=zoom)
+    look_at_ego(
+        plotter,
+        bounds_m,
+        azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD,
+        elevation_rad=BODY_ELEVATION_RAD if shows_body else VIEW_ELEVATION_RAD,
+        zoom=zoom,
+    )
     if ego is None:
         add_axes(plotter, length_m=(1.5, 1.5, 1.0))
     else:
@@ -124,6 +139,10 @@ def rig_plotter(
         from warpav.view.visibility_view import add_coverage
 
         add_coverage(plotter, coverage)
+    if further is not None:
+        from warpav.view.further_view import add_further_cameras
+
+        add_further_cameras(plotter, further)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
@@ -146,7 +165,7 @@ def look_at_ego(
     bounds_m: np.ndarray,
     *,
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
-    elevation_rad: float = math.radians(33.0),
+    elevation_rad: float = VIEW_ELEVATION_RAD,
     zoom: float = 1.0,
 ) -> None:
     """Point the plotter's camera at the ego vehicle, by default from the front left.

@@ -12,6 +12,7 @@ import pytest
 from tests.runs.report.run_parts import ARMS, arm, difference, evaluation, event, fill, folder_at, picture, seen, views
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.optimisation.further_camera import FurtherCameras
 from warpav.runs.config import changed_config, load_config, overrides_from
 from warpav.runs.report.reading import read_run
 from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
@@ -321,6 +322,67 @@ def test_very_many_lost_vehicles_are_counted(folder):
 # ------------------------------------------------------------------------------------------------ stopped, old, hostile
 
 
+def by_pool(folder):
+    """The events of a search by a pool in place of those of a descent."""
+    states = [("start", 0.3, None, None), ("selection", 0.1, 0.09, 40), ("polish", 0.08, 0.09, 40)]
+    states += [("pricing", 0.08, 0.09, 40), ("selection", 0.08, 0.0775, 60), ("settled", 0.08, 0.0775, 60)]
+    for name in ("events.jsonl", "metrics.csv"):
+        (folder.path / name).unlink()
+    for k, (stage, objective, bound, pool_cameras) in enumerate(states):
+        search = {"stage": stage, "bound": bound, "pool_cameras": pool_cameras, "camera_renders": 100 * (k + 1)}
+        folder.append_event({**event(k), "loss": objective, "training_objective": objective, **search})
+    return folder
+
+
+def test_the_bound_is_told_with_what_it_is_over(folder):
+    text = write_report(by_pool(folder)).read_text(encoding="utf-8")
+    page = Page(text)
+    assert "Best rig and bound over the camera renders" in text
+    assert "loss over the iterations" not in text
+    assert "on the 30 scenes of the search no rig of the pool's 60 cameras is expected to miss less than 7.75" in (
+        page.words.replace("On the", "on the")
+    )
+    assert "misses 8.00\N{NO-BREAK SPACE}%, 0.25 points more." in text
+    assert "as this grew from 40 to 60, it moved from 9.00\N{NO-BREAK SPACE}% to 7.75\N{NO-BREAK SPACE}%" in text
+    unseen = evaluation()["arms"]["optimised"]["objective"]
+    assert f"on the test scenes the rig is expected to miss {100 * unseen:.2f}\N{NO-BREAK SPACE}%" in text
+    assert "What the search lowers" in text
+
+
+def test_one_more_camera_is_told_where_a_search_has_looked_for_it(folder):
+    further = FurtherCameras(
+        np.array([[1.0, 0.25, 1.5], [1.0, 0.3, 1.5], [2.0, -0.5, 1.4]]),
+        np.radians([90.0, 0.0, -45.0]),
+        np.zeros(3),
+        np.radians([80.0] * 3),
+        np.array([0.0125, 0.011, 0.004]),
+    )
+    by_pool(folder).write_further_cameras(further)
+    picture(folder.figure_path("further_cameras"))
+    page = page_of(folder)
+    rows = page.table("place", "further vehicles of 100")
+    assert [[float(cell.replace("\N{MINUS SIGN}", "-")) for cell in row] for row in rows] == [
+        [1, 1.25, 1.0, 0.25, 1.5, 90.0, 0.0, 80.0],  # the one beside it is worse, and at the same place
+        [2, 0.40, 2.0, -0.5, 1.4, -45.0, 0.0, 80.0],
+    ]
+
+
+def test_a_descent_has_neither_bound_nor_map(finished, page):
+    assert "One more camera" not in page.words
+    assert "bound" not in page.words
+    assert "Best rig" not in finished[1]
+    assert "loss over the iterations" in finished[1]
+    assert finished[0].certificate() is finished[0].further_cameras() is None
+
+
+def test_a_pool_of_an_older_version_is_reported_without_a_bound(folder):
+    """Its events do not say what the bound is over."""
+    lines = (by_pool(folder).path / "events.jsonl").read_text().splitlines()
+    old = [{key: value for key, value in json.loads(line).items() if key != "pool_cameras"} for line in lines]
+    (folder.path / "events.jsonl").write_text("".join(json.dumps(each) + "\n" for each in old))
+    assert "no rig of the pool" not in page_of(folder).words
+
+
 def test_a_stopped_run_is_told_as_far_as_it_came(tmp_path):
     page = page_of(folder_at(tmp_path / "run"))
     assert "(stopped before the evaluation)" in page.words
@@ -526,6 +588,11 @@ BROKEN = {
     "grouping of one arm only": (_recall_by(lambda table: table.pop("sector")), "must have the same groups"),
     "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected values by name, got 5"),
     "loss is a text": (_event(loss="a"), "events.jsonl:1: loss: expected a number or null, got 'a'"),
+    "bound is a text": (_event(bound="a"), "events.jsonl:1: bound: expected a number or null, got 'a'"),
+    "further cameras are none": (
+        _replace("further_cameras.csv", "x\n1\n"),
+        "further_cameras.csv: expected rows of gain",
+    ),
     "ground is garbled": (_garbled_ground, "ground.npz: expected arrays"),
     "ground is one array": (
         lambda folder: np.save((folder.path / "figures/ground.npz").open("wb"), np.zeros(3)),

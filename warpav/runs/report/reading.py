@@ -12,7 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
 from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
+from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
@@ -199,6 +201,10 @@ class Event(_Part):
     positions_m: list[list[float]] | None = None
     training_objective: float | None = None
     seconds: dict[str, float] = {}
+    stage: str | None = None
+    bound: float | None = None
+    camera_renders: int | None = None
+    pool_cameras: int | None = None
 
 
 class View(_Part):
@@ -260,6 +266,8 @@ class RunContent:
         result: The rig that the run hands over, or what it had when it was stopped.
         views: What cameras see; empty where that was not kept.
         ground: The cells of the ground, likewise None.
+        certificate: What a search by a pool has proven; None for a descent.
+        further: What further cameras would add to the rig, likewise.
     """
 
     name: str
@@ -273,6 +281,8 @@ class RunContent:
     result: Rig | None
     views: list[View]
     ground: GroundMap | None
+    certificate: Certificate | None = None
+    further: FurtherCameras | None = None
 
 
 def read_run(folder: RunFolder) -> RunContent:
@@ -305,6 +315,11 @@ def read_run(folder: RunFolder) -> RunContent:
         result=_result(folder, config),
         views=_checked(list[View], folder.views() or [], folder, "figures/views.json"),
         ground=_ground(folder, evaluation),
+        certificate=Certificate.of(
+            [event.model_dump() for event in events],
+            scenes=None if config is None else len(config.scenes.train_seeds),
+        ),
+        further=folder.further_cameras(),
     )
 
 

@@ -21,7 +21,7 @@ from warpav.runs.report import words
 from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS, RECALL_GROUPS, recall_rows
-from warpav.view.figures.convergence import convergence_panels
+from warpav.view.figures.convergence import convergence_panels, search_panel
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
 from warpav.view.figures.style import svg_text
 from warpav.view.figures.top_view import blind_ground
@@ -45,11 +45,16 @@ ROWS_SHOWN = 30
 MOST_ROWS = 1000
 """Vehicles that are listed at all."""
 
+FURTHER_SHOWN = 5
+"""Places of a further camera that are listed, as many as carry ranks in the figure."""
+
 FIGURES = {
     "rig": "The rig at the end in a test scene, with the trajectories of its cameras",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
+    "search": "Best rig and bound over the camera renders",
+    "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
 }
 """Figures of a run in the order of the report; others follow by name."""
 
@@ -128,7 +133,11 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
     images = {file.stem: (file, FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
     has_convergence = run.events and run.events[0].terms is not None
-    for name, is_told in (("detections", run.views), ("loss_curves", has_convergence)):
+    for name, is_told in (
+        ("detections", run.views),
+        ("loss_curves", has_convergence),
+        ("search", run.certificate is not None),
+    ):
         if is_told:
             images.pop(name, None)
     order = list(FIGURES)
@@ -147,8 +156,10 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run),
-        "images": [image for image in shown if image.name != "loss_curves"],
+        "images": [image for image in shown if image.name not in ("loss_curves", "further_cameras")],
         "old_curves": [image for image in shown if image.name == "loss_curves"],
+        "further": _further(run),
+        "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
         "free": _free(run),
         "views": _views(run.views, [next(encoded) for _ in run.views]),
@@ -251,8 +262,12 @@ def _plots(run: RunContent) -> dict[str, list[PageImage]]:
     """The plots of every section."""
     evaluation = run.evaluation
     min_distance_m = None if run.config is None else run.config.rig.min_spacing_m
+    search = search_panel([event.model_dump() for event in run.events])
     found: dict[str, list[PageImage]] = {
-        "convergence": [
+        "search": [] if search is None else [_plot("search", FIGURES["search"], svg_text(search, 3.4))],
+        "convergence": []
+        if search is not None
+        else [
             _plot(name, f"{name} over the iterations", svg)
             for name, svg in _convergence(run.events, min_distance_m).items()
         ],
@@ -348,6 +363,17 @@ def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
         if sum(len(encoded) for encoded, _ in found) <= IMAGE_BYTES:
             break
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
+
+
+def _further(run: RunContent) -> list[list[str]]:
+    """Rows of the best places of a further camera: rank, gain, place and direction."""
+    if run.further is None:
+        return []
+    best = run.further[run.further.best_places()[:FURTHER_SHOWN]]
+    return [
+        [str(rank), *(words.number(value, 1 if "[deg]" in name else 2) for name, value in row.items())]
+        for rank, row in enumerate(best.rows(), 1)
+    ]
 
 
 def _cameras(run: RunContent) -> list[dict[str, Any]]:

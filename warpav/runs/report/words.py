@@ -124,7 +124,7 @@ def summary(run: RunContent) -> list[Statement]:
     found: list[Statement | None] = []
     if run.evaluation is not None:
         found += [_traffic(run, run.evaluation), _proof(run.evaluation), _objective(run, run.evaluation)]
-    found.append(_moves(run))
+    found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _ground(run.evaluation), _constraints(run.evaluation)]
     found.append(_end(run))
@@ -215,6 +215,8 @@ def _proof(evaluation: EvaluationRecord) -> Statement | None:
 
 def search_scenes(run: RunContent) -> str:
     """The scenes on which a run compares its rigs before it ends."""
+    if run.certificate is not None:
+        return "training"
     return "validation" if run.config is not None and run.config.scenes.validation_seeds else "training"
 
 
@@ -222,7 +224,8 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
     training = evaluation.training_objective
     if training is None or training.start is None or training.optimised is None:
         return None
-    text = f"What the descent lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
+    search = "descent" if run.certificate is None else "search"
+    text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
     arms = evaluation.arms
     before = arms["start"].numbers["objective"] if "start" in arms else None
     after = arms[evaluation.first].numbers["objective"]
@@ -244,6 +247,35 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
     else:
         text += ": there was no gain."
     return Statement("Objective", text, tone)
+
+
+def _bound(run: RunContent) -> Statement | None:
+    found = run.certificate
+    if found is None:
+        return None
+    scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
+    beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
+    text = (
+        f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras is expected to miss less than "
+        f"{percent(found.bound, 2)} of the {objects_name(run)}, which is proven; the rig that was found misses "
+        f"{percent(found.objective, 2)}, {number(100.0 * abs(found.gap), 2)} points {beyond}."
+    )
+    before = found.bounds[:-1]
+    if before:
+        text += (
+            f" The bound is over the cameras of the pool: as this grew from {before[0].pool_cameras} to "
+            f"{found.pool_cameras}, it moved from {percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the "
+            f"last round by {number(100.0 * abs(found.bound - before[-1].bound), 2)} points. What cameras that the "
+            "pool does not hold would bring is not proven."
+        )
+    else:
+        text += " Of cameras that the pool does not hold nothing is proven."
+    unseen = None if run.evaluation is None else run.evaluation.arms[run.evaluation.first].numbers["objective"]
+    if unseen is not None:
+        text += (
+            f" Nor is anything of other scenes: on the test scenes the rig is expected to miss {percent(unseen, 2)}."
+        )
+    return Statement("Bound", text)
 
 
 def _moves(run: RunContent) -> Statement | None:

@@ -1,4 +1,4 @@
-"""Loss, loss terms, multipliers and camera distances over the iterations of a run."""
+"""Loss, loss terms, multipliers and camera distances of a run over its iterations; objective and bound of a search."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
 
 
@@ -42,6 +42,91 @@ def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_d
         for axis in axes[0]:
             axis.set_xlabel("")
         return save_figure(figure, path)
+
+
+def search_curve(records: Sequence[Mapping[str, Any]], path: Path | str) -> Path | None:
+    """Draw what `search_panel` draws into a PNG file; None where there is nothing to draw."""
+    draw = search_panel(records)
+    if draw is None:
+        return None
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 4.2)
+        draw(figure.subplots())
+        return save_figure(figure, path)
+
+
+_SPENT_ON = {"start": ("pool", "#e4e8ee"), "polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
+"""What camera renders before a state were spent on, by its stage, and the colour of the band; selections need none."""
+
+
+def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] | None:
+    """What draws the best rig and the bound of a search by a pool over its camera renders.
+
+    Bands say what the renders were spent on. A start that is far above all that follows is written at the upper edge.
+
+    Args:
+        records: The lines of ``events.jsonl``, in order: ``stage``, ``training_objective``, ``bound``,
+            ``camera_renders``.
+
+    Returns:
+        What draws into an axis; None for a descent, and where no rig was selected.
+    """
+    keys = ("stage", "training_objective", "camera_renders")
+    shown = [record for record in records if all(record.get(key) is not None for key in keys)]
+    proven = [record for record in shown if record["stage"] == "selection" and record.get("bound") is not None]
+    if not proven:
+        return None
+    stage = [record["stage"] for record in shown]
+    spent = np.array([record["camera_renders"] for record in shown])
+    objective = np.array([record["training_objective"] for record in shown])
+    end = max(1.03 * float(spent[-1]), 1.0)  # so that what came last is seen
+    bound_spent = [*(record["camera_renders"] for record in proven), end]
+    bound = [*(record["bound"] for record in proven), proven[-1]["bound"]]
+    later = [*objective[stage.index("selection") :], *bound]
+    room = max(max(later) - min(later), 0.02 * max(later))
+
+    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+        axis.set_title("Best rig and bound")
+        axis.set_xlabel("camera renders (one camera in one scene)")
+        axis.set_ylabel("expected miss rate")
+        named: set[str] = set()
+        for k, until in enumerate(spent):
+            begin = spent[k - 1] if k else 0
+            name, colour = _SPENT_ON.get(stage[k] if k else "start", ("", ""))
+            if name and until > begin:
+                axis.axvspan(begin, until, color=colour, linewidth=0, label=None if name in named else name, zorder=0.5)
+                named.add(name)
+        colour = hex_colour(camera_rgb(0))
+        axis.step(
+            [*spent, end], [*objective, objective[-1]], where="post", color=colour, label="best rig so far", zorder=3
+        )
+        is_selection = np.array([each == "selection" for each in stage])
+        marks = {"linestyle": "", "color": colour, "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 0.7}
+        axis.plot(
+            spent[is_selection], objective[is_selection], "s", label="selected", markersize=6.5, zorder=4, **marks
+        )
+        is_step = np.array([each == "polish" for each in stage])
+        axis.plot(spent[is_step], objective[is_step], "o", label="polished", markersize=4.0, zorder=4, **marks)
+        dashed = {"color": hex_colour(FALSE_POSITIVE_RGB), "linestyle": (0, (4, 3)), "linewidth": 1.5}
+        axis.step(bound_spent, bound, where="post", label="bound of the pool", zorder=3, **dashed)
+        top = max(later) + 0.15 * room
+        if stage[0] == "start" and objective[0] > top:
+            axis.annotate(
+                f"start {objective[0]:.4f} \N{UPWARDS ARROW}",
+                (spent[0], 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, -3),
+                textcoords="offset points",
+                va="top",
+                fontsize=9,
+            )
+        elif stage[0] == "start":
+            axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
+        axis.set_ylim(min(later) - 0.1 * room, top)
+        axis.set_xlim(0, end)
+        axis.figure.legend(loc="outside lower center", ncols=7 if axis.figure.get_figwidth() > SVG_WIDTH_INCH else 3)
+
+    return draw
 
 
 def convergence_panels(

@@ -10,12 +10,16 @@ import numpy as np
 
 from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
 from warpav.view.frustum import sector_polygon_m
-from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, further_map, hex_colour
 
 if TYPE_CHECKING:
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
+
+
+_RIG_MARK: Any = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
 
 
 def rig_top_view(
@@ -66,6 +70,95 @@ def rig_top_view(
         axis.set_ylabel("y, left [m]")
         bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
         bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        return save_figure(figure, path)
+
+
+def further_cameras_map(
+    path: Path | str,
+    *,
+    further: FurtherCameras,
+    rig: Rig,
+    ego: Mesh,
+    mount_surface: MountSurface,
+    objects: str = "vehicles",
+    named: int = 5,
+) -> Path | None:
+    """Draw what each further camera would add to a rig: a dot at its place, in the colour of it.
+
+    The best camera of every place has an arrow in its direction, the best places carry their ranks. Nothing is
+    interpolated: between the dots nobody has looked.
+
+    Args:
+        path: PNG file to write.
+        further: The cameras that could join the rig.
+        rig: The rig, drawn in white.
+        ego: The vehicle; its outline is drawn.
+        mount_surface: The height map below the cameras.
+        objects: What is counted.
+        named: How many places carry their ranks.
+
+    Returns:
+        The file; None where there is no such camera.
+    """
+    from matplotlib.patheffects import withStroke
+
+    if not len(further):
+        return None
+    ink, most = hex_colour(INK_RGB), max(100.0 * float(further.gain.max()), 1e-9)
+    scale = {"cmap": further_map(), "clim": (0.0, most)}
+    best = further[further.best_places()]
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 4.7)
+        axis = figure.subplots()
+        draw_vehicle(axis, ego)
+        draw_height_map(axis, mount_surface, colours=pale_map())
+        for shown, size, order in ((further, 9.0, 4), (best, 22.0, 6)):
+            place_m, gain = shown.position_m[::-1, :2], 100.0 * shown.gain[::-1]  # the best last, on top of the others
+            dots = axis.scatter(*place_m.T, c=gain, s=size, edgecolors=ink, linewidths=0.4, zorder=order, **scale)
+        axis.quiver(
+            *best.position_m[::-1, :2].T,
+            *(0.2 * best.direction[::-1, :2]).T,
+            100.0 * best.gain[::-1],
+            **scale,
+            edgecolor=ink,
+            linewidth=0.5,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            units="xy",
+            width=0.025,
+            headwidth=3.8,
+            headlength=4.2,
+            headaxislength=3.8,
+            zorder=5,
+        )
+        for rank, (place_m, ahead) in enumerate(zip(best.position_m[:named], best.direction[:named], strict=True), 1):
+            axis.annotate(
+                str(rank),
+                place_m[:2] - 0.09 * ahead[:2] / max(float(np.linalg.norm(ahead[:2])), 1e-9),
+                ha="center",
+                va="center",
+                fontweight="bold",
+                zorder=9,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )
+        for camera in rig.cameras:
+            outline = sector_polygon_m(camera, radius_m=0.45)
+            axis.fill(*outline.T, facecolor="white", edgecolor=ink, alpha=0.55, linewidth=0.8, zorder=3)
+            axis.plot(*camera.position_m[:2], "o", markersize=8, zorder=7, **_RIG_MARK)
+        axis.plot([], [], "o", label="camera of the rig, and what it covers", markersize=8, **_RIG_MARK)
+        arrow = {"linestyle": "", "marker": r"$\rightarrow$", "color": ink, "markersize": 13}
+        axis.plot([], [], label="one more camera: the best at its place", **arrow)
+        figure.legend(loc="outside upper left", ncols=2)
+        axis.set_aspect("equal")
+        axis.use_sticky_edges = False
+        axis.margins(0.03)
+        axis.autoscale_view()
+        axis.set_xlabel("x, forward [m]")
+        axis.set_ylabel("y, left [m]")
+        bar = figure.colorbar(dots, ax=axis, shrink=0.75, pad=0.02, aspect=28)
+        bar.set_label(f"further {objects} found of 100")
         bar.outline.set_visible(False)
         return save_figure(figure, path)
 

@@ -1,0 +1,126 @@
+"""What one more camera would bring: the objective's own difference, cameras that may join, the best of every place."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.optimisation.test_polish import zone_of
+from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
+from warpav.optimisation.further_camera import FurtherCameras, further_cameras, further_gain, missed_probability
+from warpav.optimisation.mount import PITCH_RAD, YAW_RAD
+from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.pool import CameraPool
+
+
+def cameras_at(position_m, gain):
+    count = len(position_m)
+    return FurtherCameras(
+        np.asarray(position_m, float), np.zeros(count), np.zeros(count), np.full(count, 1.5), np.asarray(gain, float)
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 6), st.integers(1, 30))
+def test_the_gain_is_what_the_objective_falls_by(seed, rig_count, count, object_count):
+    rng = np.random.default_rng(seed)
+    # sure, blind and anything between
+    found = np.round(rng.random((rig_count + count, object_count)) * 1.4 - 0.2, 2).clip(0.0, 1.0)
+    rig, others = found[:rig_count], found[rig_count:]
+    gain = further_gain(missed_probability(rig), others)
+    for other, each in zip(others, gain, strict=True):
+        expected = expected_miss_rate(rig) - expected_miss_rate(np.vstack([rig, other]))
+        assert each == pytest.approx(expected, abs=1e-12)
+        by_hand = 0.0
+        for o in range(object_count):
+            missed = 1.0
+            for camera in rig:
+                missed *= 1.0 - min(camera[o], 0.9999)
+            by_hand += missed * min(other[o], 0.9999)
+        assert each == pytest.approx(by_hand / object_count, abs=1e-12)
+
+
+def test_large_pools_in_half_precision_have_the_same_gain():
+    rng = np.random.default_rng(3)
+    found = rng.random((1100, 7)).astype(np.float16)
+    found[:, 0] = 1.0
+    missed = missed_probability(found[:1])
+    assert missed[0] == pytest.approx(1e-4)
+    expected = np.minimum(found.astype(float), 0.9999) @ missed / 7
+    np.testing.assert_allclose(further_gain(missed, found), expected, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    return CameraPool.draw(poses_of(40), scenes=streets(), cameras=cameras_of())
+
+
+@pytest.fixture(scope="module")
+def further(pool):
+    mount, twice = mount_of(), np.r_[np.arange(40), 5, 6]
+    return further_cameras(
+        pool.mount_pose[twice],
+        pool.detection_probability[twice],
+        np.array([3, 17]),
+        mount=mount,
+        constraints=zone_of(mount, 2),
+    )
+
+
+def test_a_rig_with_one_more_camera_is_rendered_to_the_same_gain(pool, further):
+    """The best of them, placed and rendered anew beside the rig."""
+    mount, cameras = mount_of(), cameras_of()
+    pose = pool.mount_pose[[3, 17]]
+    position_m = mount.position_m(pool.mount_pose)
+    for k in (0, 5, len(further) - 1):
+        row = np.linalg.norm(position_m - further.position_m[k], axis=1).argmin()
+        assert further.yaw_rad[k] == pytest.approx(pool.mount_pose[row, YAW_RAD])
+        assert further.pitch_rad[k] == pytest.approx(pool.mount_pose[row, PITCH_RAD])
+        rigs = (pose, np.vstack([pose, pool.mount_pose[row]]))
+        before, after = (
+            expected_miss_rate(np.hstack([cameras.detection_probability(rig, scene) for scene in streets()]))
+            for rig in rigs
+        )
+        assert further.gain[k] == pytest.approx(before - after, abs=1e-6)
+    assert further.gain[0] > 0.0
+
+
+def test_only_cameras_that_may_join_are_left_the_best_first(pool, further):
+    mount = mount_of()
+    position_m = mount.position_m(pool.mount_pose)
+    rig_m, spacing_m = position_m[[3, 17]], zone_of(mount, 2).min_spacing_m
+    is_near = np.linalg.norm(position_m[:, None] - rig_m, axis=2).min(axis=1) < spacing_m
+    assert is_near.sum() > 2  # the rig itself, and others
+    assert len(further) == 40 - is_near.sum()  # none of them twice
+    assert (np.diff(further.gain) <= 0.0).all()
+    assert np.linalg.norm(further.position_m[:, None] - rig_m, axis=2).min() >= spacing_m
+
+
+def test_positions_are_those_of_the_rig():
+    mount, pose = mount_of(), poses_of(5)
+    expected = [camera.position_m for camera in mount.rig(pose).cameras]
+    np.testing.assert_array_equal(mount.position_m(pose), expected)
+
+
+def test_the_best_of_every_place():
+    found = cameras_at([[0.0, 0.0, 1.5], [0.15, 0.0, 1.5], [0.3, 0.0, 1.5], [0.0, 0.0, 1.5]], [0.4, 0.3, 0.2, 0.1])
+    assert found.best_places(0.2).tolist() == [0, 2]
+    assert found.best_places(0.1).tolist() == [0, 1, 2]  # two of them stand at one place
+    assert found[found.best_places(0.2)].gain.tolist() == [0.4, 0.2]
+    assert cameras_at(np.zeros((0, 3)), []).best_places().tolist() == []
+
+
+def test_directions_are_those_of_the_frame():
+    found = FurtherCameras(np.zeros((3, 3)), np.radians([0, 90, 180]), np.radians([0, 0, 30]), np.ones(3), np.ones(3))
+    expected = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-np.cos(np.pi / 6), 0.0, -0.5]]
+    np.testing.assert_allclose(found.direction, expected, atol=1e-12)
+
+
+def test_they_show_themselves():
+    found = cameras_at([[1.25, 0.0, 1.5]] * 12, np.linspace(0.0123, 0.0, 12))
+    assert repr(found) == "FurtherCameras(12, the best finds 1.23 more of 100 objects)"
+    lines = str(found).splitlines()
+    assert len(lines) == 11
+    assert lines[1].split()[:2] == ["1.23", "1.25"]
+    assert found._repr_html_().count("<tr>") == 11
+    assert repr(cameras_at(np.zeros((0, 3)), [])) == "FurtherCameras(0)"

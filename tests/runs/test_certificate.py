@@ -1,0 +1,219 @@
+"""What a search by a pool has proven, from the search to the report: bounds over the pool, and one more camera."""
+
+import dataclasses
+import io
+import itertools
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import warpav as wa
+from tests.cli.small_run import SMALL
+from tests.detection.test_probability import model_of
+from warpav.core.errors import InputError
+from warpav.optimisation.further_camera import FurtherCameras
+from warpav.rig.rig import Rig, RigCamera
+from warpav.runs.certificate import Certificate
+from warpav.runs.report.report import write_report
+from warpav.runs.verdict import show_verdict
+
+BASE = [*(each for each in SMALL if not each.startswith("losses")), "losses={expected_miss_rate: 1.0}"]
+POOL = ["optimiser.search=pool", "optimiser.pool_cameras=16", "optimiser.pool_rounds=1", "run.iterations=60"]
+
+
+def selected(bound, pool_cameras=20, camera_renders=100, stage="selection"):
+    return {
+        "stage": stage,
+        "bound": bound,
+        "pool_cameras": pool_cameras,
+        "camera_renders": camera_renders,
+        "training_objective": 0.25,
+    }
+
+
+def placement_of(*options, **changed):
+    probability = model_of(np.random.default_rng(1), 0.3)
+    config = wa.Config.load("quick", *BASE, *options)
+    return wa.Placement(wa.town([0, 1]), config=config, probability=probability, **changed)
+
+
+@pytest.fixture(scope="module")
+def placement():
+    return placement_of(*POOL)
+
+
+@pytest.fixture(scope="module")
+def result(placement):
+    return wa.optimise(placement)
+
+
+@pytest.fixture(scope="module")
+def folder(result, tmp_path_factory):
+    return wa.read_run(result.save(tmp_path_factory.mktemp("run") / "pool", test=wa.town([1000])))
+
+
+# ------------------------------------------------------------------------------------------------ what is proven
+
+
+def test_the_bound_holds_for_every_rig_of_the_pool(placement, result):
+    pool = result._descent.found.pool
+    count = result.pool_cameras
+    found = np.minimum(pool.detection_probability[:count].astype(float), 0.9999)
+    missed = 1.0 - found
+    place_m = placement.mount.position_m(pool.mount_pose[:count])
+    spacing_m = placement.objective.constraints.min_spacing_m
+    best = min(
+        float((missed[i] * missed[j]).mean())
+        for i, j in itertools.combinations(range(count), 2)
+        if np.linalg.norm(place_m[i] - place_m[j]) > spacing_m + 1e-6
+    )
+    assert 0.0 < result.bound <= best + 1e-9
+    assert result.bound > best - 2.0 * placement.config.optimiser.pool_gap  # and says something
+    assert result.gap == pytest.approx(result.found_objective - result.bound)
+
+
+def test_every_selection_has_a_bound_over_its_own_pool(result):
+    bounds = result.certificate.bounds
+    assert len(bounds) == sum(record.stage == "selection" for record in result.records) >= 2
+    assert result.certificate.scenes == 2
+    for before, after in itertools.pairwise(bounds):
+        assert after.pool_cameras > before.pool_cameras
+        assert after.camera_renders > before.camera_renders
+    # between two selections the records keep the bound together with the pool that it is over, not the larger one
+    for record in result.records:
+        known = [each for each in bounds if each.camera_renders <= record.camera_renders]
+        if record.stage == "start":
+            assert record.bound is record.pool_cameras is None
+        elif record.stage != "selection":
+            assert (record.bound, record.pool_cameras) in [(each.bound, each.pool_cameras) for each in known]
+
+
+def test_the_history_has_the_curve(result):
+    history = result.history
+    assert np.isnan(history["bound"][0])
+    assert history["bound"][-1] == result.bound
+    assert history["pool_cameras"][-1] == result.pool_cameras
+    assert history["camera_renders"] == [record.camera_renders for record in result.records]
+
+
+def test_a_descent_proves_nothing():
+    found = wa.optimise(placement_of("optimiser.search=descent", "run.iterations=1"))
+    assert found.bound is found.gap is found.pool_cameras is found.certificate is found.further_cameras is None
+    assert "bound" not in found.history
+
+
+def test_a_gap_is_negative_where_the_polish_went_further():
+    found = Certificate.of([selected(0.3, 10), selected(None, None, 50, "start"), selected(0.28)], scenes=3)
+    assert (found.bound, found.pool_cameras, len(found.bounds)) == (0.28, 20, 2)
+    assert found.gap == pytest.approx(-0.03)
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [],
+        [{"iteration": 0, "training_objective": 0.3}],
+        [selected(None, None, 0, "start")],
+        [{"stage": "selection", "bound": 0.1, "camera_renders": 3, "training_objective": 0.2}],  # an older version's
+    ],
+)
+def test_without_a_selection_there_is_no_certificate(events):
+    assert Certificate.of(events) is None
+
+
+# ------------------------------------------------------------------------------------------------ one more camera
+
+
+def test_the_gain_is_what_the_objective_of_the_larger_rig_says(placement, result):
+    larger = placement_of(*POOL, cameras=3)
+    further = result.further_cameras
+    assert further.gain[0] > 0.0
+    for k in (0, 3):
+        one_more = RigCamera(
+            "one_more", further.position_m[k], further.yaw_rad[k], further.pitch_rad[k], model=placement.mount.camera
+        )
+        objective, _ = larger.value_and_grad(Rig([*result.found.cameras, one_more]))
+        assert result.found_objective - objective == pytest.approx(further.gain[k], abs=1e-5)
+
+
+def test_a_camera_that_joins_keeps_the_constraints(placement, result):
+    constraints, further = placement.objective.constraints, result.further_cameras
+    for k in range(len(further)):
+        camera = RigCamera("one_more", further.position_m[k], further.yaw_rad[k], model=placement.mount.camera)
+        assert constraints.violation_m(Rig([*result.found.cameras, camera])) == 0.0
+
+
+# ------------------------------------------------------------------------------------------------ the run folder
+
+
+def test_a_folder_gives_back_what_was_proven(result, folder):
+    assert folder.certificate() == result.certificate
+    content = folder.evaluation()["certificate"]
+    assert content["bound"] == result.bound
+    assert content["gap"] == pytest.approx(result.gap)
+    assert content["pool_cameras"] == result.pool_cameras
+    assert content["scenes"] == 2
+    assert len(content["bounds"]) == len(result.certificate.bounds)
+    last = (folder.path / "metrics.csv").read_text().splitlines()
+    assert dict(zip(last[0].split(","), last[-1].split(","), strict=True))["pool_cameras"] == str(result.pool_cameras)
+
+
+def test_a_folder_gives_back_the_further_cameras(result, folder):
+    found, expected = folder.further_cameras(), result.further_cameras
+    for field in dataclasses.fields(FurtherCameras):
+        np.testing.assert_allclose(getattr(found, field.name), getattr(expected, field.name), atol=1e-6)
+
+
+def test_the_report_shows_both_and_says_of_what(folder, result):
+    names = {figure.stem for figure in folder.figures()}
+    assert {"search", "further_cameras"} <= names
+    assert "loss_curves" not in names
+    page = write_report(folder).read_text(encoding="utf-8")
+    assert 'id="further"' in page
+    assert "Best rig and bound over the camera renders" in page
+    assert f"no rig of the pool&#39;s {result.pool_cameras} cameras is expected to miss less than" in page
+    assert "on the training scenes" in page
+
+
+def test_the_terminal_has_it_in_one_line(result, folder):
+    stream = io.StringIO()
+    show_verdict(Console(file=stream, width=300), folder.evaluation())
+    [line] = [line for line in stream.getvalue().splitlines() if "(bound)" in line]
+    assert line.strip() == (
+        f"objective {result.found_objective:.4f} on the 2 scenes of the search; there no rig of the pool's "
+        f"{result.pool_cameras} cameras is below {result.bound:.4f} (bound)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda text: text.replace("gain,", "benefit,"), "got: columns benefit, x_m"),
+        (lambda text: text + "1,2,3\n", "was the file changed"),
+        (lambda text: text + "x,0,0,0,0,0,0\n", "could not convert"),
+        (lambda text: text + "nan,0,0,0,0,0,0\n", "a number that is not finite"),
+        (lambda text: "", "was the file changed"),
+    ],
+)
+def test_damaged_further_cameras_are_named(folder, tmp_path, damage, told):
+    file = folder.path / "further_cameras.csv"
+    text = file.read_text()
+    try:
+        file.write_text(damage(text))
+        with pytest.raises(InputError, match=r"further_cameras\.csv: expected rows of gain, x_m") as caught:
+            folder.further_cameras()
+        assert told in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+    finally:
+        file.write_text(text)
+
+
+def test_a_folder_without_them_shows_no_map(folder):
+    file = folder.path / "further_cameras.csv"
+    kept = file.rename(file.with_suffix(".kept"))
+    try:
+        assert folder.further_cameras() is None
+        assert 'id="further"' not in write_report(folder).read_text(encoding="utf-8")
+    finally:
+        kept.rename(file)

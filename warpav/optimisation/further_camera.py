@@ -1,0 +1,163 @@
+"""Where one more camera would help most: what each camera of a pool would add to a rig.
+
+A rig S is expected to miss the share f(S) of the objects, cameras erring independently; a camera c that joins it finds
+some of what S leaves over::
+
+    f(S) = mean over o of m_o,      m_o = product over i in S of (1 - p_io)
+    f(S) - f(S + c) = mean over o of m_o p_co
+
+The gain on the right is exact for the whole camera. It is also minus the derivative by x_c of the objective with shares
+of cameras, the mean of the products of (1 - x_i p_io), at the rig: the reduced cost of a column there, as
+`selection.price` has it for the bound.
+"""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
+from warpav.optimisation.polish import SUREST
+from warpav.optimisation.pool_cache import pose_keys
+
+PLACE_M = 0.2
+"""Cameras that stand nearer to each other than this have one place."""
+_SHOWN = 10
+_BLOCK = 512
+_COLUMNS = ("gain", "x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
+
+
+@dataclass(frozen=True, eq=False)
+class FurtherCameras:
+    """Cameras that could join a rig, the one that would help most first.
+
+    Attributes:
+        position_m: Centres in the ego frame [m], float64 [camera, 3].
+        yaw_rad: Turn to the left about z [rad], float64 [camera].
+        pitch_rad: Nose down [rad], float64 [camera].
+        fov_rad: Horizontal field of view [rad], float64 [camera].
+        gain: Share of the objects that the rig with this one more camera is expected to find and the rig alone is not,
+            0..1, float64 [camera]; on the scenes of the search.
+    """
+
+    position_m: np.ndarray
+    yaw_rad: np.ndarray
+    pitch_rad: np.ndarray
+    fov_rad: np.ndarray
+    gain: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of cameras."""
+        return len(self.gain)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Where they look, unit vectors in the ego frame, float64 [camera, 3]."""
+        level = np.cos(self.pitch_rad)
+        return np.stack([level * np.cos(self.yaw_rad), level * np.sin(self.yaw_rad), -np.sin(self.pitch_rad)], axis=1)
+
+    def best_places(self, apart_m: float = PLACE_M) -> np.ndarray:
+        """The cameras that nobody better stands near to, the best first: their numbers, int [place].
+
+        Args:
+            apart_m: What counts as near: less than this distance [m].
+        """
+        is_left, best = np.ones(len(self), bool), []
+        while is_left.any():
+            best.append(int(is_left.argmax()))
+            is_left &= np.linalg.norm(self.position_m - self.position_m[best[-1]], axis=1) >= apart_m
+            is_left[best[-1]] = False
+        return np.array(best, int)
+
+    def __getitem__(self, index: slice | np.ndarray) -> FurtherCameras:
+        """Some of them."""
+        return FurtherCameras(*(getattr(self, each.name)[index] for each in fields(self)))
+
+    def rows(self, count: int = _SHOWN) -> list[dict[str, float]]:
+        """The first cameras as numbers by heading: ``gain`` of 100 objects, place [m], angles [deg]."""
+        columns = (
+            100.0 * self.gain,
+            *self.position_m.T,
+            np.degrees(self.yaw_rad),
+            np.degrees(self.pitch_rad),
+            np.degrees(self.fov_rad),
+        )
+        table = np.stack(columns, axis=1)[:count]
+        return [dict(zip(_COLUMNS, map(float, row), strict=True)) for row in table]
+
+    def __repr__(self) -> str:
+        best = f", the best finds {100.0 * self.gain[0]:.2f} more of 100 objects" if len(self) else ""
+        return f"FurtherCameras({len(self)}{best})"
+
+    def __str__(self) -> str:
+        """The first ten as a table of plain text."""
+        lines = [[f"{value:.2f}" for value in row.values()] for row in self.rows()]
+        width = [max(map(len, column)) for column in zip(_COLUMNS, *lines, strict=True)]
+        return "\n".join("  ".join(text.rjust(width[k]) for k, text in enumerate(row)) for row in ([*_COLUMNS], *lines))
+
+    def _repr_html_(self) -> str:
+        """The same, as Jupyter shows it."""
+        heading = "".join(f"<th>{html.escape(name)}</th>" for name in _COLUMNS)
+        lines = "".join(
+            "<tr>" + "".join(f"<td>{value:.2f}</td>" for value in row.values()) + "</tr>" for row in self.rows()
+        )
+        return f"<table><tr>{heading}</tr>{lines}</table>"
+
+
+def missed_probability(detection_probability: np.ndarray) -> np.ndarray:
+    """The probability that a rig misses each object, cameras erring independently: the product of 1 - p, [object].
+
+    Args:
+        detection_probability: Of each camera of the rig for each object, 0..1, float [camera, object].
+    """
+    return np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
+
+
+def further_gain(missed: np.ndarray, detection_probability: np.ndarray) -> np.ndarray:
+    """The gain of each camera over a rig, 0..1, float64 [camera]; see the module.
+
+    Args:
+        missed: The probability that the rig misses each object, 0..1, float [object].
+        detection_probability: Of each further camera for each object, 0..1, float [camera, object].
+    """
+    gain = np.empty(len(detection_probability))
+    for first in range(0, len(gain), _BLOCK):  # matrices may be large, and kept in half precision
+        found = np.asarray(detection_probability[first : first + _BLOCK], np.float64)
+        gain[first : first + _BLOCK] = np.minimum(found, SUREST) @ missed
+    return gain / len(missed)
+
+
+def further_cameras(
+    mount_pose: np.ndarray,
+    detection_probability: np.ndarray,
+    rig: np.ndarray,
+    *,
+    mount: CameraMount,
+    constraints: Constraints,
+) -> FurtherCameras:
+    """What each camera of a pool would add to a rig; those that stand too near to one of its cameras are left out.
+
+    Args:
+        mount_pose: The pool, float [camera, 7]; some cameras may be in it twice.
+        detection_probability: What it detects, 0..1, float [camera, object].
+        rig: Which of them are the rig, int [camera of the rig].
+        mount: Says where they stand.
+        constraints: Ask for the spacing.
+    """
+    gain = further_gain(missed_probability(detection_probability[rig]), detection_probability)
+    position_m = mount.position_m(mount_pose)
+    apart_m = np.linalg.norm(position_m[:, None] - position_m[rig], axis=2).min(axis=1)
+    one_of_each = np.unique(pose_keys(mount_pose), return_index=True)[1]
+    order = one_of_each[np.argsort(-gain[one_of_each], kind="stable")]
+    order = order[apart_m[order] >= constraints.min_spacing_m]
+    pose = np.asarray(mount_pose, np.float64)[order]
+    return FurtherCameras(
+        position_m[order],
+        pose[:, YAW_RAD],
+        pose[:, PITCH_RAD],
+        np.array([mount.camera.zoomed(zoom).fov_rad for zoom in pose[:, LOG_ZOOM].tolist()]),
+        gain[order],
+    )
