@@ -29,8 +29,8 @@ IMAGE_MAX_PX = 1000
 
 SMALL = {
     "01_first_run": "os.environ['OPTIONS'] = 'run.iterations=2 run.batch_size=2 scenes.train_seeds=0..1 "
-    "scenes.test_seeds=[1000] optimiser.starts=6 baselines.random_samples=2'\n"
-    "train_seeds, test_seeds, iterations = range(2), range(1000, 1002), 2",
+    "scenes.test_seeds=[5000] optimiser.starts=6 baselines.random_samples=2'\n"
+    "train_seeds, test_seeds, iterations = range(2), range(5000, 5002), 2",
     "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
     "03_own_vehicle_and_scenes": "train_seeds, test_seeds, iterations = range(3), range(18, 19), 2\n"
     "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",

@@ -65,7 +65,9 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     assert list(evaluation["paired"]) == ["start", "highest", "random"]
     for metrics in evaluation["arms"].values():
         size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
-        assert set(ARM_ROWS) | size_aps | {"rig_recall", "objects", "frames", "recall_by", "per_scene"} == set(metrics)
+        assert set(ARM_ROWS) | size_aps | {"rig_recall", "objects", "frames", "recall_by", "per_scene"} | {
+            "confidence_at_equal_false_alarms"
+        } == set(metrics)
         assert all(len(values) == 2 for values in metrics["per_scene"].values())
         assert metrics["rig_recall"] == metrics["tp_detection_rate"]
         for by in ("distance_m", "sector", "category", "road_user"):

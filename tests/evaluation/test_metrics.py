@@ -119,6 +119,10 @@ def check(metrics, *, has_objective):
     assert (metrics.rig_recall, metrics.visible_rate) == (3 / 6, 5 / 6)
     assert metrics.rig_recall_visible == pytest.approx(3 / 5)
     assert (metrics.frames, metrics.false_alarms_per_frame) == (4, 1 / 4)
+    assert metrics.misses_per_100 == pytest.approx(100 * 3 / 6)
+    assert metrics.per_scene["misses_per_100"] == pytest.approx([100 / 3, 200 / 3])
+    # one false alarm in four images is fewer than half a one per image: the threshold stays
+    assert metrics.recall_at_equal_false_alarms == pytest.approx(3 / 6)
     assert metrics.per_scene["false_alarms_per_frame"] == [1 / 2, 0.0]
     assert metrics.recall_by["category"]["hatchback"] == GroupRecall(6, 5, 3, 3 / 6, 3 / 5)
     # camera 0: the false alarm comes first, so AP 0.5 in scene 0; one of two cars in scene 1: 51 of 101 recall points

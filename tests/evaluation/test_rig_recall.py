@@ -10,7 +10,7 @@ from tests.driving_scene import SKY, ConstantDetector, car, ego_mesh, vehicle
 from tests.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
-from warpav.evaluation.metrics import DISTANCE_EDGES_M, SECTORS, GroupRecall, evaluate_rig
+from warpav.evaluation.metrics import DISTANCE_EDGES_M, EQUAL_FALSE_ALARMS_PER_FRAME, SECTORS, GroupRecall, evaluate_rig
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.mount import views_of_rig
@@ -151,6 +151,53 @@ def test_a_false_alarm_on_the_ego_vehicle_and_a_second_box_count():
     # a confidence that is too low for a true positive is too low for a false alarm
     weak = measured(rig, [scene], ([[bonnet, boxes[0, 0]], []], [[0.05, 0.9], []]))
     assert weak.false_alarms_per_frame == 0.0
+
+
+def test_recall_at_equal_false_alarms_by_hand():
+    rig, scene = rig_of(yaw=BOTH_AHEAD), world(AHEAD)
+    box = truth_boxes(rig, scene.scene)[0, 0]
+    bonnet, sky = [20.0, 70.0, 110.0, 96.0], [2.0, 2.0, 30.0, 20.0]
+    # two images may keep one false alarm: that of 0.7 stays, that of 0.4 goes, and with it what is no surer
+    for confidence, recall in ((0.3, 0.0), (0.4, 0.0), (0.41, 1.0)):
+        metrics = measured(rig, [scene], ([[bonnet, sky, box], []], [[0.7, 0.4, confidence], []]))
+        assert (metrics.rig_recall, metrics.recall_at_equal_false_alarms) == (1.0, recall)
+        assert metrics.per_scene["recall_at_equal_false_alarms"] == [recall]
+        assert metrics.confidence_at_equal_false_alarms == np.nextafter(np.float64(np.float32(0.4)), 1.0)
+    # of two false alarms that are equally sure none may stay
+    tied = measured(rig, [scene], ([[bonnet, sky, box], []], [[0.7, 0.7, 0.6], []]))
+    assert (tied.rig_recall, tied.recall_at_equal_false_alarms) == (1.0, 0.0)
+    nothing = measured(rig, [world()], NOTHING)
+    assert (nothing.recall_at_equal_false_alarms, nothing.misses_per_100) == (None, None)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_recall_at_equal_false_alarms_is_that_of_the_lowest_threshold_that_is_quiet_enough(seed):
+    """Against a search that evaluates the rig at every threshold there could be."""
+    rng = np.random.default_rng([0xFA, seed])
+    rig, scenes = rig_of(yaw=(0.0, 0.7)), [world(AHEAD, (8.0, 5.0, 0.2), (14.0, -3.0, 1.0)) for _ in range(2)]
+    boxes = truth_boxes(rig, scenes[0].scene)
+    answers = []
+    for _ in scenes:
+        found, confidence = [], []
+        for true in boxes:
+            near = [box + rng.normal(0.0, 1.5, 4) for box in true[np.isfinite(true).all(axis=1)] for _ in range(2)]
+            corner = rng.uniform(0.0, 70.0, (int(rng.integers(0, 4)), 2))
+            found.append([*near, *np.hstack([corner, corner + rng.uniform(5.0, 25.0, corner.shape)])])
+            confidence.append(np.round(rng.uniform(0.1, 1.0, len(found[-1])), 2))  # some of them are equal
+        answers.append((found, confidence))
+
+    def at(threshold):
+        objective = objective_of(ScriptedDetector(ConstantDetector(*each) for each in answers))
+        objective.confidence_min = threshold
+        return evaluate_rig(rig, scenes, objective)
+
+    metrics = at(0.1)
+    said = np.concatenate([each for _, confidence in answers for each in confidence]).astype(np.float32)
+    thresholds = [0.1, *np.nextafter(np.unique(said).astype(np.float64), 2.0)]
+    quiet = [found for found in map(at, thresholds) if found.false_alarms_per_frame <= EQUAL_FALSE_ALARMS_PER_FRAME]
+    assert metrics.recall_at_equal_false_alarms == quiet[0].rig_recall
+    assert metrics.per_scene["recall_at_equal_false_alarms"] == quiet[0].per_scene["rig_recall"]
+    assert metrics.false_alarms_per_frame > EQUAL_FALSE_ALARMS_PER_FRAME  # else there would be nothing to see
 
 
 def test_the_least_iou_of_a_match_is_that_of_a_false_alarm():

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from warpav.optimisation.rivals import descent_camera_renders
 from warpav.optimisation.search import BudgetedValue
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import write_rig
-from warpav.runs.config import changed_config
+from warpav.runs.config import changed_config, load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
@@ -222,14 +223,16 @@ def test_unknown_arms_are_named_with_their_neighbour():
         find_arm("sgd_irf", own)
     with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
-    assert set(METHODS) - {"optimiser"} < set(common_arms())
+    assert set(METHODS) - {"optimiser", "as_configured"} < set(common_arms())
 
 
 def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     settings = problem.config
     for name in common_arms():
-        if name not in ("cma", "cma_then_gradient"):
+        if name not in ("cma", "cma_then_gradient", "thesis_as_printed"):
             find_arm(name, {}).check(settings, None)
+    with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
+        find_arm("thesis_as_printed", {}).check(settings, None)  # it prints batches of four
     for arm, least in (("descent", 12), ("random_batches", 4), ("greedy_cover", 20), ("default", 8), ("random", 4)):
         with pytest.raises(
             InputError, match=f"arm {arm}: `budget`: expected at least {least} camera renders, got {least - 1}"
@@ -253,3 +256,28 @@ def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
     assert arm.search_config(base).method == "thesis"
     assert arm.search_config(base).optimiser.learning_rate_yaw_deg == pytest.approx(math.degrees(0.25))
     assert arm.search_config(base).run == base.run
+
+
+def test_the_thesis_as_printed_is_the_shipped_configuration_on_the_task_of_the_experiment():
+    arm, printed = common_arms()["thesis_as_printed"], option_values(load_config("thesis"))
+    changes = ["rig.cameras=6", "rig.free.pitch_deg=[-20, 20]", "camera.fov_deg=60", "mount.margin_m=0.1"]
+    task = load_config("default", [*changes, "detector.classes.vehicle=[car]", "scenes.validation_seeds=150..159"])
+    found, asked = option_values(arm.search_config(task)), option_values(task)
+    own = ("scenes", "camera", "capture", "reconstruction", "baselines", "device", "executor", "run.seed", "run.out")
+    own += ("rig.cameras", "rig.freeze", "detector.model", "detector.format", "detector.labels", "detector.classes")
+    own += ("detector.input_px", "detector.provider")
+    for name, value in found.items():
+        assert value == (asked if name.startswith(own) else printed)[name], name
+    assert (found["run.batch_size"], found["rig.start"], found["detector.confidence_min"]) == (4, "random", 0.1)
+    assert arm.evaluation_config(task) == task
+
+
+def test_the_thesis_as_printed_takes_its_own_steps(problem):
+    arm = common_arms()["thesis_as_printed"]
+    small = ("run.iterations=1", "run.batch_size=2")
+    one_step = replace(arm, search_overrides=(*arm.search_overrides, *small))
+    placement = problem.with_config(one_step.search_config(problem.config))
+    for budget in (None, 10_000):
+        found = find_rig_of(one_step, placement, budget)
+        # two cameras: one batch of two, first and last rig
+        assert found.camera_renders == 2 * (2 + 2 * len(placement.validation))

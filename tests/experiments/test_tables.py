@@ -57,6 +57,20 @@ def test_tables_have_the_rows_and_columns_of_the_thesis(number):
     assert lines[-1] == WARNING
 
 
+def test_rows_with_the_same_rigs_are_said_to_be_one_measurement():
+    rigs = [{"seed": seed, "rig": {"cameras": [{"position_m": [seed, 0.0, 1.0]}]}} for seed in range(3)]
+    results = {
+        "random_ifr_doa": [result(0.5, **rig) for rig in rigs[:2]],
+        "random_ifr_10doa": [result(0.5, **rig) for rig in rigs[:2]],
+        "sgd_ifr": [result(0.5, **rig) for rig in rigs[1:]],
+    }
+    table = result_table("II", results, thesis_experiments._labels("II"))
+    told = "Ours hold the same rigs, so they are one measurement: Random IFR+DOA and Random IFR+10*DOA."
+    assert table.notes[-1] == told
+    del results["random_ifr_10doa"]
+    assert told not in result_table("II", results, thesis_experiments._labels("II")).notes
+
+
 def test_constraints_are_those_of_the_last_iterate():
     results = {
         "sgd_ifr": [result(0.3, unprojected_constraint_loss=0.5), result(0.3, unprojected_constraint_loss=1.5)],

@@ -114,7 +114,7 @@ def test_a_mistake_in_a_file_below_is_placed_there(yaml_file, tmp_path):
 def test_quick_configuration_is_the_promised_job():
     config = load_config("quick")
     assert config.scenes.train_seeds == tuple(range(30))
-    assert config.scenes.test_seeds == tuple(range(1000, 1010))
+    assert config.scenes.test_seeds == tuple(range(5000, 5010))
     assert (config.rig.cameras, config.camera.fov_deg, config.camera.width_px, config.camera.height_px) == (
         4,
         90.0,
@@ -352,8 +352,8 @@ OVERRIDE_MISTAKES = [
         "command line (scenes.train_seeds=[1, 2]): run.batch_size: expected at most the 2 training scene(s), got 4",
     ),
     (
-        "scenes.train_seeds=[1000, 1, 2, 3]",
-        "command line (scenes.train_seeds=[1000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
+        "scenes.train_seeds=[5000, 1, 2, 3]",
+        "command line (scenes.train_seeds=[5000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
     ),
 ]
 

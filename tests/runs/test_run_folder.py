@@ -49,7 +49,7 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
         "run": 0,
         "train": list(range(30)),
         "validation": [],
-        "test": list(range(1000, 1010)),
+        "test": list(range(5000, 5010)),
     }
     assert environment["packages"]["numpy"] == np.__version__
     assert {"warpav", "python", "platform", "device", "command", "started", "git_commit"} <= set(environment)

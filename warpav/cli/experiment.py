@@ -50,6 +50,10 @@ def experiment(
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
     out: Annotated[Path | None, Parameter(help="Folder; by default runs/NAME.")] = None,
     quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
+    sealed: Annotated[
+        str | None,
+        Parameter(help="Full hash of the commit that froze the method: test on the scenes that it seals (protocol)."),
+    ] = None,
 ) -> int:
     """Run an experiment and print its table; the same command again does what is missing."""
     from functools import partial
@@ -57,6 +61,7 @@ def experiment(
     from warpav.core.errors import ArgumentError
     from warpav.experiments import open_experiments, rival_settings, thesis_experiments
     from warpav.experiments.experiment import arms_of, overrides_of
+    from warpav.experiments.protocol import sealed_override
     from warpav.runs.config import placed_config
     from warpav.runs.progress import RunDisplay
 
@@ -74,6 +79,8 @@ def experiment(
         is_thesis = name in thesis_experiments.EXPERIMENTS
         found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
         run = partial(thesis_experiments.run_table if is_thesis else open_experiments.run_open, name)
+    if sealed is not None:
+        overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
     given = executor_overrides(executor, workers, address)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
@@ -117,12 +124,32 @@ def experiment_rescore(
     return 1 if done.failed else 0
 
 
+@experiment_app.command(name="judge")
+def experiment_judge(
+    *folders: Annotated[Path, Parameter(help="Folders of the experiments of the protocol's settings.")],
+    out: Annotated[Path | None, Parameter(help="Markdown file; by default the console alone.")] = None,
+) -> None:
+    """Decide the hypotheses of the protocol; failed ones are told like all others."""
+    from warpav.core.files import write_text
+    from warpav.experiments.judgement import judged_text
+
+    text = judged_text(folders)
+    say(text)
+    if out is not None:
+        write_text(out, text)
+        say(f"wrote {out}")
+
+
 @experiment_app.command(name="results")
 def experiment_results(
     *folders: Annotated[Path, Parameter(help="Folders of experiments, or of rescored ones.")],
     out: Annotated[Path, Parameter(help="Markdown file; the numbers of every run go into a folder beside it.")],
 ) -> None:
     """Write the results of experiments as a page: tables, goals, seeds, commands, versions, every run."""
-    from warpav.experiments.summary import write_results_page
+    from warpav.experiments.protocol import unknown_code
+    from warpav.experiments.summary import read_summary, with_history, write_results_page
 
     say(f"wrote {write_results_page(folders, out)}")
+    for folder in folders:
+        for doubt in unknown_code(with_history(read_summary(folder)).get("commits", [])):
+            say(f"{folder}: {doubt}; not to be published as results of the protocol")

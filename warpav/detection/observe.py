@@ -34,10 +34,10 @@ class VisibleObjects:
     truth_box_px: np.ndarray
     too_small_box_px: np.ndarray
 
-    def match(self, detections: Sequence[Detections], *, confidence_min: float, iou_min: float) -> np.ndarray:
-        """Detection that belongs to every vehicle, -1 for none, int64 [camera, vehicle]; arguments as in `observe`."""
-        match = np.full(self.truth_box_px.shape[:2], -1, np.int64)
-        for camera, (masks, found) in enumerate(zip(self.masks, detections, strict=True)):
+    def may_match(self, detections: Sequence[Detections]) -> list[np.ndarray]:
+        """Whether a visible part of a vehicle lies in a detection of its kind, bool [camera][vehicle, detection]."""
+        may = []
+        for masks, found in zip(self.masks, detections, strict=True):
             inside = np.zeros((self.scene.vehicle_count, len(found)), bool)
             for vehicle, (left, top, mask) in enumerate(masks):
                 if not mask.any():
@@ -46,16 +46,13 @@ class VisibleObjects:
                 for k, box_px in enumerate(found.box_px * self.supersampling):
                     x0, y0, x1, y1 = np.round(box_px - [left, top, left, top]).astype(int)
                     inside[vehicle, k] = mask[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)].any()
-            inside &= self.scene.road_user_index[:, None] == found.road_user_index
-            match[camera] = match_detections(
-                self.truth_box_px[camera],
-                found.box_px,
-                found.confidence,
-                confidence_min=confidence_min,
-                iou_min=iou_min,
-                seen_inside=inside,
-            )
-        return match
+            may.append(inside & (self.scene.road_user_index[:, None] == found.road_user_index))
+        return may
+
+    def match(self, detections: Sequence[Detections], *, confidence_min: float, iou_min: float) -> np.ndarray:
+        """Detection that belongs to every vehicle, -1 for none, int64 [camera, vehicle]; arguments as in `observe`."""
+        may = self.may_match(detections)
+        return _matched(self.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
 
 
 @dataclass(frozen=True)
@@ -69,6 +66,7 @@ class Observation:
             float32 [camera, vehicle, 4].
         too_small_box_px: The same for objects with too little visible for a truth box; else NaN.
         match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
+        may_match: See `VisibleObjects.may_match`.
     """
 
     image: wp.array
@@ -76,11 +74,24 @@ class Observation:
     truth_box_px: np.ndarray
     too_small_box_px: np.ndarray
     match: np.ndarray
+    may_match: list[np.ndarray]
 
     @property
     def image_rgb(self) -> np.ndarray:
         """Rendered images, uint8 [camera, row, column, 3]; a copy on the host."""
         return (self.image.numpy() * 255.0 + 0.5).astype(np.uint8)
+
+    def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
+        """Whether a detection matches a vehicle at other thresholds than those of `match`, bool [camera, vehicle].
+
+        Args:
+            confidence_min: Minimum confidence of a match; detections that the detector itself drops stay dropped.
+            iou_min: Minimum intersection over union of a match.
+        """
+        match = _matched(
+            self.truth_box_px, self.detections, self.may_match, confidence_min=confidence_min, iou_min=iou_min
+        )
+        return match >= 0
 
     def matched_box_px(self) -> np.ndarray:
         """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
@@ -93,6 +104,28 @@ class Observation:
             found = self.match[camera] >= 0
             confidence[camera, found] = detections.confidence[self.match[camera, found]]
         return confidence
+
+
+def _matched(
+    truth_box_px: np.ndarray,
+    detections: Sequence[Detections],
+    may_match: Sequence[np.ndarray],
+    *,
+    confidence_min: float,
+    iou_min: float,
+) -> np.ndarray:
+    """Detection that belongs to every vehicle, -1 for none, int64 [camera, vehicle]."""
+    match = np.full(truth_box_px.shape[:2], -1, np.int64)
+    for camera, (found, may) in enumerate(zip(detections, may_match, strict=True)):
+        match[camera] = match_detections(
+            truth_box_px[camera],
+            found.box_px,
+            found.confidence,
+            confidence_min=confidence_min,
+            iou_min=iou_min,
+            seen_inside=may,
+        )
+    return match
 
 
 def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.ndarray:
@@ -199,5 +232,6 @@ def observe(
         image = frame.colours(views=forward_view)
     detections = detections_in(network_input_of([image], detector), detector)
     visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
-    match = visible.match(detections, confidence_min=confidence_min, iou_min=iou_min)
-    return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match)
+    may = visible.may_match(detections)
+    match = _matched(visible.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
+    return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match, may)

@@ -132,12 +132,15 @@ class DetectorUse:
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the file, the settings and the features; equal means that a fit can be used again."""
+        """SHA-256 of the file, the settings and the features; equal means that a fit can be used again.
+
+        Of a feature name and unit count: who changes what it is, and not only its words, raises `SCHEMA`.
+        """
         content = {
             "schema": SCHEMA,
             "model": self.model_sha256,
             "settings": self.settings,
-            "features": [[each.name, each.unit, each.definition] for each in FEATURES],
+            "features": [[each.name, each.unit] for each in FEATURES],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

@@ -36,12 +36,17 @@ PAIRED_METRICS = (
     "tp_detection_rate",
     "rig_recall",
     "rig_recall_visible",
+    "misses_per_100",
+    "recall_at_equal_false_alarms",
     "tp_in_frame_rate",
     "detection_confidence",
     "ap50_pooled",
     "false_alarms_per_frame",
     "objective",
 )
+
+EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
+"""False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
 """Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin
@@ -102,6 +107,15 @@ class ArmMetrics:
         rig_recall: Share of all objects of the scenes that some camera detects; the same as `tp_detection_rate`.
         rig_recall_visible: Detected share of the objects that some camera of this rig sees well enough for a
             ground-truth box.
+        misses_per_100: Objects that no camera detects, per 100 objects of the scenes: 100 (1 - `rig_recall`).
+        recall_at_equal_false_alarms: The rig's recall at the confidence threshold at which it has
+            `EQUAL_FALSE_ALARMS_PER_FRAME`, so that a rig does not gain from images in which the detector says more. The
+            threshold `confidence_at_equal_false_alarms` is the lowest one that leaves at most that many false alarms
+            per image over all scenes together (as `false_alarms_per_frame` counts them), and objects are matched again
+            with the detections of at least this confidence. It is never below the configured threshold, because the
+            detector says nothing below: a rig that has fewer false alarms there keeps its `rig_recall`, which is then
+            a lower bound. Intervals over scenes hold the threshold fixed.
+        confidence_at_equal_false_alarms: That threshold; above 1 if not even the most confident detections are left.
         visible_rate: Share of all objects that some camera sees well enough; `rig_recall` is its product with
             `rig_recall_visible`.
         detection_confidence: Mean over detected objects of their best confidence.
@@ -134,6 +148,9 @@ class ArmMetrics:
     tp_in_frame_rate: float | None
     rig_recall: float | None
     rig_recall_visible: float | None
+    misses_per_100: float | None
+    recall_at_equal_false_alarms: float | None
+    confidence_at_equal_false_alarms: float
     visible_rate: float | None
     detection_confidence: float | None
     false_alarms_per_frame: float | None
@@ -212,6 +229,11 @@ class RigObservation:
     def detected(self) -> np.ndarray:
         """Whether some camera detects an object, bool [object]."""
         return np.isfinite(self._best_confidence)
+
+    def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
+        """Whether some camera detects an object at other thresholds, bool [object]; see `Observation`."""
+        detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
+        return np.asarray(np.concatenate(detected).any(axis=0))
 
     @property
     def confidence(self) -> np.ndarray:
@@ -377,6 +399,8 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
     position_m = np.array([camera.position_m for camera in rig.cameras])
     flags = np.concatenate(visible), np.concatenate(detected)
     whole = GroupRecall.of(*flags)
+    threshold = boxes.confidence_at(EQUAL_FALSE_ALARMS_PER_FRAME)
+    detected_there = [each.is_detected_at(threshold, objective.iou_min) for each in observations]
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
@@ -394,6 +418,9 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         tp_in_frame_rate=_mean(np.concatenate(in_frame)),
         rig_recall=whole.recall,
         rig_recall_visible=whole.recall_visible,
+        misses_per_100=_misses_per_100(whole),
+        recall_at_equal_false_alarms=_mean(np.concatenate(detected_there)),
+        confidence_at_equal_false_alarms=threshold,
         visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
@@ -407,6 +434,8 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
             "tp_detection_rate": [each.recall for each in of_scene],
             "rig_recall": [each.recall for each in of_scene],
             "rig_recall_visible": [each.recall_visible for each in of_scene],
+            "misses_per_100": [_misses_per_100(each) for each in of_scene],
+            "recall_at_equal_false_alarms": [_mean(each) for each in detected_there],
             "tp_in_frame_rate": [_mean(each) for each in in_frame],
             "detection_confidence": [_mean(values) for values in confidence],
             "ap50_pooled": boxes.ap50_of_scenes(),
@@ -444,9 +473,13 @@ class _Boxes:
         # the last threshold is that of a true positive, for the false alarms
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
         self.false_alarms = np.zeros(shape, np.int64)
+        self._confidence_min = objective.confidence_min
+        alarms = [np.zeros(0)]
         for each in scores:
             is_false = each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.confidence_min)
+            alarms.append(each.confidence[is_false])
             self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
+        self._alarm_confidence = np.sort(np.concatenate(alarms))[::-1]
         self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
         self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
 
@@ -457,6 +490,13 @@ class _Boxes:
             {name: _mean(whole[:, k, 0]) for k, name in enumerate(COCO_AREA_PX2)},
             {name: _mean(whole[:, k, : len(COCO_IOU)].mean(axis=1)) for k, name in enumerate(COCO_AREA_PX2)},
         )
+
+    def confidence_at(self, false_alarms_per_frame: float) -> float:
+        """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
+        allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
+        if len(self._alarm_confidence) <= allowed:
+            return self._confidence_min
+        return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""
@@ -504,6 +544,10 @@ def _recall_by(
         by: {name: GroupRecall.of(visible[group], detected[group]) for name, group in flags.items()}
         for by, flags in groups.items()
     }
+
+
+def _misses_per_100(group: GroupRecall) -> float | None:
+    return None if group.recall is None else 100.0 * (1.0 - group.recall)
 
 
 def _number(value: float) -> float | None:

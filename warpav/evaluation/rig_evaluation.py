@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError
-from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics, ObjectOutcome
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, PAIRED_METRICS, ArmMetrics, ObjectOutcome
 from warpav.evaluation.statistics import Difference, paired_difference, paired_differences
 from warpav.rig.rig import Rig
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 TABLE_ROWS = {
     "rig_recall": "recall of the rig",
+    "misses_per_100": "misses per 100",
+    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms a frame",
     "rig_recall_visible": "recall of the visible",
     "visible_rate": "visible to the rig",
     "tp_in_frame_rate": "in frame",

@@ -48,7 +48,7 @@ from warpav.optimisation.selection.select import Selection
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.optimise import Optimisation, pool_search_settings
+from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.rig_source import read_start
 
@@ -168,7 +168,7 @@ class Arm:
             config.optimiser, looked_at_count, camera_count=cameras, iterations=1, batch_size=config.run.batch_size
         )
         match self.method:
-            case "optimiser" if config.optimiser.search == "descent":
+            case "optimiser" if config.optimiser.search != "pool":
                 return one_step
             case "optimiser" | "pool_only":  # the start, and a pool of as many
                 return 2 * one_rig
@@ -215,14 +215,16 @@ def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
     ``default`` is the search by a pool, ``descent`` the many starts and the descent from the best of them.
-    ``thesis_gradient`` is the descent of the shipped configuration ``thesis``, evaluated like all others.
+    ``thesis_as_printed`` is the search of the shipped configuration ``thesis`` with its own number of steps,
+    ``thesis_gradient`` a hybrid of it and the descent (`thesis_method`); they are evaluated like all others.
     """
     own = [
         Arm("default", "optimiser", search_overrides=("optimiser.search=pool",)),
         Arm("descent", "optimiser", search_overrides=("optimiser.search=descent",)),
         Arm("thesis_gradient", "optimiser", search_overrides=thesis_method()),
+        Arm("thesis_as_printed", "as_configured", search_overrides=thesis_as_printed()),
     ]
-    others = [Arm(name, name) for name in (*METHODS, *preset_names()) if name != "optimiser"]
+    others = [Arm(name, name) for name in (*METHODS, *preset_names()) if name not in _NEEDS_OPTIONS]
     return {arm.name: arm for arm in (*own, *others)}
 
 
@@ -252,10 +254,35 @@ def odd_fields(preset: str) -> str:
 
 
 def thesis_method() -> tuple[str, ...]:
-    """Overrides that make a configuration search as the thesis does."""
-    sections = ("method", "losses", "visibility", "optimiser")
+    """Overrides for a search with the thesis's losses, occlusion, optimiser and bounding rectangle.
+
+    A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
+    """
+    return _thesis_options("method", "losses", "visibility", "optimiser")
+
+
+def thesis_as_printed() -> tuple[str, ...]:
+    """Overrides for a search by the whole shipped configuration ``thesis``.
+
+    The task stays that of the configuration: scenes, number and model of the cameras, detection network.
+    """
+    whole = _thesis_options(
+        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "segregation", "losses"),
+        *("visibility", "optimiser"),
+    )
+    task = ("rig.cameras", "rig.freeze", "detector.")
+    thresholds = ("detector.confidence_min", "detector.iou_min", "detector.nms_iou_max")
+    return tuple(each for each in whole if not each.startswith(task) or each.startswith(thresholds))
+
+
+def _thesis_options(*parts: str) -> tuple[str, ...]:
+    """Overrides with the values of the shipped configuration ``thesis``, of whole sections or single options."""
     values = option_values(load_config("thesis"))
-    return tuple(f"{name}={json.dumps(value)}" for name, value in values.items() if name.partition(".")[0] in sections)
+    return tuple(
+        f"{name}={json.dumps(value)}"
+        for name, value in values.items()
+        if any(f"{name}.".startswith(f"{part}.") for part in parts)
+    )
 
 
 def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
@@ -268,7 +295,7 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
 
 def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The configuration's own search, from its own start."""
-    if placement.config.optimiser.search == "pool":
+    if searches_by_pool(placement):
         return _pooled(placement, camera_renders_max)
     placement = _within(placement, camera_renders_max)
     optimisation = Optimisation.begin(placement)
@@ -602,6 +629,7 @@ def _greedy(placement: Placement) -> Search:
 
 METHODS: dict[str, Finder] = {
     "optimiser": _optimised,
+    "as_configured": lambda placement, _: _optimised(placement, None),  # with its own number of steps
     "pool_only": partial(_pooled, only=True),
     "descent_only": _descent_only,
     "start": _start,
@@ -622,10 +650,13 @@ METHODS: dict[str, Finder] = {
 """How a rig can be found, by name; the presets' names are methods as well."""
 
 _SEEDLESS = ("highest",)
-_STARTING = ("optimiser", "pool_only", "descent_only", "start")
+_STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
 """Ways that begin with the configuration's start."""
 
-_WHOLE = ("thesis_gradient",)
+_NEEDS_OPTIONS = ("optimiser", "as_configured")
+"""Ways that are no arm without options."""
+
+_WHOLE = ("thesis_gradient", "thesis_as_printed")
 _HOLDING = (
     *(*_STARTING, "random_rig", "highest", "random", "sobol", "random_selected", "sobol_selected"),
     *("cma", "differential_evolution", "cma_then_gradient"),

@@ -33,6 +33,7 @@ from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
+from warpav.runs.commit import running_commit
 from warpav.runs.config import (
     Config,
     changed_config,
@@ -358,6 +359,7 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
         "arm": task.arm.name,
         "seed": task.config.run.seed,
         "made_with": task.made_with,
+        "commit": asdict(running_commit()),
         **result,
     }
     write_json(task.file, result)

@@ -40,7 +40,12 @@ _QUICK = (
     "run.batch_size=8",
     "optimiser.starts=8",
 )
-_RIVALS = ("thesis_gradient", *(arm for arm in RIVAL_ARMS if arm != REFERENCE), "cma_then_gradient")
+_RIVALS = (
+    "thesis_gradient",
+    "thesis_as_printed",
+    *(arm for arm in RIVAL_ARMS if arm != REFERENCE),
+    "cma_then_gradient",
+)
 _CHANGES = {
     "panorama": ("optimiser.panorama_until=0.3",),
     "random_start": ("rig.start=random", "optimiser.starts=1"),
@@ -192,6 +197,8 @@ def _remarks(name: str, config: Config) -> tuple[str, ...]:
     count = len(config.scenes.train_seeds) * (1 + config.scenes.mirror)
     return (
         f"All searches compare rigs on the same {count} training scenes, each camera render in the budget.",
-        "thesis_gradient takes the same number of steps, but compares rigs only twice.",
+        "thesis_gradient: the thesis's losses, optimiser and bounding rectangle with this configuration's batch size, "
+        "start and detector thresholds. thesis_as_printed: the shipped configuration thesis in full, with its own "
+        "number of steps whatever the budget.",
         "Presets and default_as_ arms have their own number of cameras.",
     )

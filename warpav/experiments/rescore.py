@@ -41,12 +41,13 @@ from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import Rig, read_rig
+from warpav.runs.commit import running_commit
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
 
-SCHEMA = 1
+SCHEMA = 2
 RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
@@ -242,6 +243,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     result = {
         "schema": SCHEMA,
         "made_with": task.made_with,
+        "commit": asdict(running_commit()),
         **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
         "overrides": old.get("overrides", []),
         "metrics": metrics,

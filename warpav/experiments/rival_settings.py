@@ -36,10 +36,11 @@ CONFIGURED = "configured"
 """Name of the objective that the arms are evaluated with."""
 
 _QUICK = ("scenes.train_seeds=0..19", "scenes.test_seeds=1000..1019", "optimiser.starts=8")
+_LEVEL = ("rig.free.pitch_deg=null",)
 _OPTIONS = {
-    "4x90": (45_000, ("rig.cameras=4", "camera.fov_deg=90")),
-    "2x60": (30_000, ("rig.cameras=2", "camera.fov_deg=60")),
-    "1x120": (30_000, ("rig.cameras=1", "camera.fov_deg=120")),
+    "4x90": (45_000, ("rig.cameras=4", "camera.fov_deg=90", *_LEVEL)),
+    "2x60": (30_000, ("rig.cameras=2", "camera.fov_deg=60", *_LEVEL)),
+    "1x120": (30_000, ("rig.cameras=1", "camera.fov_deg=120", *_LEVEL)),
     "6x60": (
         50_000,
         (
@@ -47,8 +48,8 @@ _OPTIONS = {
             "scenes.targets=[vehicle, pedestrian, cyclist]",
         ),
     ),
-    "8x90": (50_000, ("rig.cameras=8", "camera.fov_deg=90")),
-    "bus": (45_000, ("rig.cameras=4", "camera.fov_deg=90")),
+    "8x90": (50_000, ("rig.cameras=8", "camera.fov_deg=90", *_LEVEL)),
+    "bus": (45_000, ("rig.cameras=4", "camera.fov_deg=90", *_LEVEL)),
 }
 """Budget of a search [camera renders], and options, by setting: so many cameras of so many degrees."""
 

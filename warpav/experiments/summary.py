@@ -17,12 +17,15 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
 from warpav.experiments.experiment import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.goals import Goal
+from warpav.experiments.protocol import code_since_seal, seal_of
 from warpav.experiments.tables import COMPARED, Results
+from warpav.runs.commit import commit_of_code, history
 from warpav.runs.environment import command_line
 
 SCHEMA = 1
 SUMMARY = "summary.json"
-_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "constraint_violation", "objects")
+_METRICS = (*COMPARED, "map50_average", "rig_recall_visible", "confidence_at_equal_false_alarms")
+_METRICS = (*_METRICS, "constraint_violation", "objects")
 _VERSIONS = ("warpav", "git_commit", "python", "platform", "device", "packages")
 _DIGITS = 5
 
@@ -50,11 +53,37 @@ def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goa
                 name: _without_folders(value) if isinstance(value, str) else value
                 for name, value in described["options"].items()
             },
+            "commits": _commits(results),
             "table": "\n".join(line for line in text.splitlines() if not line.startswith("![")),
             "goals": [goal.data() for goal in goals],
             "runs": [_gradients(run) if "gradients" in run else _run(run) for runs in results.values() for run in runs],
         },
     )
+
+
+def _commits(results: Results) -> list[dict[str, Any]]:
+    """The commits that made the runs, every one once."""
+    made = [dict(run["commit"]) for runs in results.values() for run in runs if run.get("commit")]
+    return [commit for k, commit in enumerate(made) if commit not in made[:k]]
+
+
+def with_history(summary: dict[str, Any]) -> dict[str, Any]:
+    """A summary with what the history says of it: commits of copies without history, and the seal of its test scenes.
+
+    What it says already stays; without a history nothing changes.
+    """
+    if not history():
+        return summary
+    commits = [dict(commit) for commit in summary.get("commits", [])]
+    for commit in commits:
+        if commit["hash"] is None:
+            commit["hash"] = commit_of_code(commit["code"])
+            commit["is_clean"] = None if commit["hash"] is None else True
+    summary = {**summary, "commits": commits} if commits else summary
+    seeds = summary["options"].get("scenes.test_seeds")
+    if not summary.get("sealed_by") and isinstance(seeds, list) and (seal := seal_of(seeds)):
+        summary = {**summary, "sealed_by": seal, "changed_since_seal": code_since_seal(seal, commits)}
+    return summary
 
 
 def _without_folders(word: str) -> str:
@@ -132,7 +161,7 @@ def write_results_page(folders: Sequence[Path], page: Path) -> Path:
     """
     if not folders:
         raise InputError("experiment results: expected folders of experiments such as runs/open, got none")
-    summaries = [read_summary(folder) for folder in folders]
+    summaries = [with_history(read_summary(folder)) for folder in folders]
     names = [summary["experiment"] for summary in summaries]
     for name in names:
         if names.count(name) > 1:
@@ -176,22 +205,46 @@ def _section(summary: Mapping[str, Any], file: Path) -> str:
     versions, options = summary["versions"], summary["options"]
     seeds = {name: _seeds_text(options.get(f"scenes.{name}_seeds")) for name in ("train", "validation", "test")}
     runs = sorted({run["seed"] for run in summary["runs"]})
-    commit = f", commit {versions['git_commit']}" if versions.get("git_commit") else ""
+    if summary.get("sealed_by"):
+        seeds["test"] = f"{len(options['scenes.test_seeds'])} sealed ones"
     return "\n".join(
         [
             f"## {summary['experiment']}",
             "",
             f"- Command: `{summary['command']}`",
-            f"- Date: {summary['date']}; warpav {versions['warpav']}{commit}, Python {versions['python']}, "
+            f"- Date: {summary['date']}; warpav {versions['warpav']}, Python {versions['python']}, "
             f"{versions['platform']}, {versions['device']}",
+            f"- Code: {_code_text(summary)}",
             f"- Scenes: {options.get('scenes.source')}; training seeds {seeds['train']}, validation "
             f"{seeds['validation']}, test {seeds['test']}; run seeds {_seeds_text(runs)}",
+            *_seal_lines(summary),
             f"- All runs with metrics, seeds, cameras and options: [{file.as_posix()}]({file.as_posix()})",
             "",
             summary["table"].strip(),
             "",
         ]
     )
+
+
+def _code_text(summary: Mapping[str, Any]) -> str:
+    """Which code made the results, as far as is known."""
+    commits, began_at = summary.get("commits", []), summary["versions"].get("git_commit")
+    if not commits:
+        return f"commit {began_at} at the beginning, not recorded run by run" if began_at else "commit not recorded"
+    return ", ".join(
+        "no commit: an installed package or a copy without history"
+        if each["hash"] is None
+        else f"commit {each['hash']}" + (" with changes" if each["is_clean"] is False else "")
+        for each in commits
+    )
+
+
+def _seal_lines(summary: Mapping[str, Any]) -> list[str]:
+    """By which commit the test scenes are sealed, and whether the code changed since; nothing where they are not."""
+    if not summary.get("sealed_by"):
+        return []
+    changed = ", ".join(summary["changed_since_seal"]) or "nothing"
+    return [f"- Test scenes sealed by commit {summary['sealed_by']}; code and configurations changed since: {changed}"]
 
 
 def _seeds_text(seeds: Any) -> str:  # noqa: ANN401 (as configurations hold them)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
 from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
 from warpav.experiments.gradient_magnitude import LOSS_OF, pooled_magnitudes
 from warpav.experiments.thesis_tables import WARNING, thesis_table
@@ -34,7 +36,8 @@ _CONSTRAINTS = {"constraint_loss": "constraint loss", "min_pair_distance_m": "mi
 _GRADIENTS = {"positional": "positional", "rotational": "rotational"}
 
 NOTES = {
-    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs.",
+    "I": "Ours: mean over all non-zero gradient values of all runs, ± standard deviation of the means of the runs. "
+    "That of IFR includes vehicles already in frame, whose gradient equation 12 multiplies by epsilon.",
     "II": "± standard deviation over runs (none for a single run); all numbers are on the test scenes.",
     "III": "The thesis prints table I's caption above it. The constraint loss of SGD is that of its last iterate, as "
     "in the thesis; the returned rig is the nearest feasible one.",
@@ -167,7 +170,22 @@ def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, 
             )
         )
     caption = "Constraint results" if number == "III" else thesis["caption"]  # it is printed as table I's
-    return ThesisTable(number, caption, ("method", "loss"), dict(columns), tuple(rows), _notes(number, thesis))
+    notes = (*_notes(number, thesis), *_same_rigs(results, labels))
+    return ThesisTable(number, caption, ("method", "loss"), dict(columns), tuple(rows), notes)
+
+
+def _same_rigs(results: Results, labels: Mapping[str, tuple[str, str]]) -> tuple[str, ...]:
+    """A note for arms that found the same rigs, which are one measurement."""
+    arms_of: dict[str, list[str]] = {}
+    for arm, found in results.items():
+        rigs = [(result["seed"], result["rig"]["cameras"]) for result in found if "rig" in result]
+        if len(rigs) > 1:
+            arms_of.setdefault(json.dumps(rigs), []).append(" ".join(labels.get(arm, (arm,))))
+    return tuple(
+        f"Ours hold the same rigs, so they are one measurement: {' and '.join(arms)}."
+        for arms in arms_of.values()
+        if len(arms) > 1
+    )
 
 
 def _gradient_table(number: str, results: Results) -> ThesisTable:
@@ -213,6 +231,8 @@ def _markdown_row(cells: Sequence[str]) -> str:
 
 COMPARED = {
     "tp_detection_rate": "recall of the rig",
+    "misses_per_100": "misses per 100",
+    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms per frame",
     "ap50_pooled": "AP50",
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
@@ -221,7 +241,7 @@ COMPARED = {
 }
 """Metrics in which arms are compared, and their headings; all of them exist scene by scene."""
 
-RATES_OF_OBJECTS = ("tp_detection_rate", "tp_in_frame_rate")
+RATES_OF_OBJECTS = ("tp_detection_rate", "misses_per_100", "recall_at_equal_false_alarms", "tp_in_frame_rate")
 """Those whose scenes weigh by their objects."""
 
 

@@ -31,7 +31,7 @@ SUREST = 0.9999
 """Greatest probability that counts, as in the loss."""
 TRUST_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
-RADII = (0.4, 0.03)
+RADIUS_FIRST, RADIUS_LAST = 0.4, 0.03
 """Of the first and of the last step, in `TRUST_UNIT`: 8 cm and 6 mm."""
 RISE_MAX = 0.15
 """How much higher than the best an objective may be, relatively, for the steps to go on from there."""
@@ -80,6 +80,7 @@ def polish(
     weight: np.ndarray | None = None,
     camera_renders_max: int | None = None,
     step_count: int = 20,
+    radius: float = RADIUS_FIRST,
     tolerance: float = 1e-4,
 ) -> Iterator[PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
@@ -94,6 +95,7 @@ def polish(
         camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
         step_count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over
             as many as can.
+        radius: Of the first step, in `TRUST_UNIT`; smaller where the rig is nearly polished.
         tolerance: Relative gain that the model must promise for another step.
 
     Yields:
@@ -115,9 +117,9 @@ def polish(
     if camera_renders_max is not None and moving:
         step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
     best = here = _Here(pose, probability, jacobian, objective)
-    for radius in _radii(step_count):
+    for length in _radii(radius, step_count):
         model = _Model(problem, here.pose, here.probability, here.jacobian, shares)
-        tried = problem.feasible(model.minimised(radius))
+        tried = problem.feasible(model.minimised(length))
         promised = model.value(problem.free_of(tried) - problem.free_of(here.pose))
         if promised > here.objective * (1.0 - tolerance):
             here = best
@@ -132,7 +134,7 @@ def polish(
             best = here
         elif here.objective > best.objective * (1.0 + RISE_MAX):
             here = best
-        yield PolishStep(best.pose, best.objective, tried_objective, promised, radius, renders)
+        yield PolishStep(best.pose, best.objective, tried_objective, promised, length, renders)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +147,10 @@ class _Here:
     objective: float
 
 
-def _radii(count: int) -> np.ndarray:
+def _radii(first: float, count: int) -> np.ndarray:
     """A cosine from the first radius to the last."""
-    first, last = RADII
-    return last + (first - last) * 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
+    share = 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
+    return RADIUS_LAST + (first - RADIUS_LAST) * share
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:

@@ -45,11 +45,11 @@ class PoolDescent:
         cache: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """A run on the training scenes.
+        """A run on some scenes.
 
         Args:
             objective: With the loss ``expected_miss_rate`` alone, without the detector's own word.
-            scenes: The training scenes.
+            scenes: The scenes of the search.
             start: Where the rig begins, float [camera, 7].
             settings: How much to look at.
             seed: Of the pool.

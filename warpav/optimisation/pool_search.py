@@ -34,6 +34,8 @@ from warpav.scene.device_scene import DeviceScene
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
 PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
+FIRST_POLISH, FURTHER_POLISH = (20, 0.4), (10, 0.2)
+"""Steps and first radius of a polish: of the first selected rig, and of those that are mostly polished already."""
 _SAME = 1e-6  # the polish and the pool round differently
 
 
@@ -265,9 +267,12 @@ class _Search:
 
         if self._affordable(self.camera_count) < self.camera_count:
             return
+        step_count, radius = FURTHER_POLISH if self.round else FIRST_POLISH
         steps = polish(
             rig,
             detect,
+            step_count=step_count,
+            radius=radius,
             mount=self.cameras.mount,
             constraints=self.constraints,
             scene_count=len(self.scenes),

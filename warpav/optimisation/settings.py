@@ -155,10 +155,11 @@ class OptimiserSettings(Section):
         le=1.0,
         description="expected_miss_rate: share of the run from which the detector counts",
     )
-    search: Literal["descent", "pool"] = Field(
-        default="descent",
-        description="descent: gradient steps on batches from the best of some starts; pool: the best rig of a pool of "
-        "single cameras, with a bound, polished on all scenes",
+    search: Literal["auto", "pool", "descent"] = Field(
+        default="auto",
+        description="pool: the best rig of a pool of single cameras, with a bound, polished on all scenes; descent: "
+        "gradient steps on batches from the best of some starts; auto: pool where expected_miss_rate is the only loss, "
+        "else descent",
     )
     pool_cameras: int = Field(default=128, ge=16, le=1_000_000, description="search=pool: single cameras at first")
     pool_rounds: int = Field(default=2, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")

@@ -7,13 +7,13 @@ import os
 import platform
 import re
 import shlex
-import subprocess
 import sys
 import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from warpav.runs.commit import running_commit
 from warpav.runs.config import Config
 
 # worth knowing although warpav does not ask for them itself
@@ -62,13 +62,6 @@ def package_versions() -> dict[str, str]:
 
 
 def _git_commit() -> str | None:
-    """Commit of the checkout that runs, with ``+`` when it has changes; None for an installed package."""
-    checkout = Path(__file__).resolve().parents[2]
-    if not (checkout / ".git").exists():
-        return None
-    command = ["git", "-C", str(checkout), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() or None
+    """Commit of the checkout that runs, with ``+`` when its code has changes; None for an installed package."""
+    commit = running_commit()
+    return None if commit.hash is None else commit.hash + ("" if commit.is_clean else "+")

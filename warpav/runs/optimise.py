@@ -14,6 +14,7 @@ from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
+from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
@@ -61,6 +62,12 @@ def optimise(
         optimisation = Optimisation.begin(placement, progress=shown)
         optimisation.run(progress=shown)
         return optimisation.result()
+
+
+def searches_by_pool(placement: Placement) -> bool:
+    """Whether the search of a placement is the one by a pool, as ``optimiser.search`` says."""
+    search = placement.config.optimiser.search
+    return search == "pool" or (search == "auto" and single_cameras_of(placement.objective) is not None)
 
 
 def pool_search_settings(config: Config) -> PoolSearchSettings:
@@ -120,7 +127,7 @@ class Optimisation:
             InputError: The cameras do not fit on the mount surface.
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
-        by_pool = config.optimiser.search == "pool"
+        by_pool = searches_by_pool(placement)
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
@@ -148,7 +155,7 @@ class Optimisation:
             settings = pool_search_settings(config) if pool is None else pool
             seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
             searched = PoolDescent(
-                objective, placement.train, start, settings, seed=seed, cache=cache, progress=progress
+                objective, placement.search_scenes, start, settings, seed=seed, cache=cache, progress=progress
             )
             return cls(placement, searched, began_as)
         descent = Descent(

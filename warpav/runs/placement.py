@@ -338,6 +338,13 @@ class Placement:
         return self._ready.validation
 
     @property
+    def search_scenes(self) -> list[AssignedScene]:
+        """Scenes of a search by a pool: those of training and of validation, each once."""
+        train = self.train
+        known = {id(each.scene) for each in train}
+        return [*train, *(each for each in self.validation if id(each.scene) not in known)]
+
+    @property
     def test(self) -> list[AssignedScene]:
         """Test scenes of the configuration, likewise; none where the placement is made of objects."""
         return self._ready.test

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
+
 ARM_ROWS = {
     "map50_average": "AP50, mean of the cameras",
     "map50_min_camera": "AP50, worst camera",
@@ -20,6 +22,8 @@ ARM_ROWS = {
     "ap50_large": "AP50, larger",
     "ap50_95_pooled": "AP50:95, all images",
     "tp_detection_rate": "recall of the rig",
+    "misses_per_100": "misses per 100",
+    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
     "false_alarms_per_frame": "false alarms a frame",

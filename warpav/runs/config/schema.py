@@ -179,7 +179,7 @@ class SceneConfig(Section):
     validation_seeds: Seeds | None = Field(
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
     )
-    test_seeds: Seeds = Field(default=tuple(range(1000, 1010)), description="scenes that only the evaluation sees")
+    test_seeds: Seeds = Field(default=tuple(range(5000, 5010)), description="scenes that only the evaluation sees")
     folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None,
         description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
@@ -309,7 +309,9 @@ FovRange = Annotated[
 class FreeConfig(Section):
     """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
 
-    pitch_deg: PitchRange = Field(default=None, description="bounds of each camera's pitch, nose-down positive")
+    pitch_deg: PitchRange = Field(
+        default=(-10.0, 20.0), description="bounds of each camera's pitch, nose-down positive; null: level cameras"
+    )
     height_m: HeightRange = Field(
         default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
     )
