@@ -258,7 +258,7 @@ def thesis_method() -> tuple[str, ...]:
 
     A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
     """
-    return _thesis_options("method", "losses", "visibility", "optimiser")
+    return _thesis_options("method", "losses", "visibility", "optimiser", "rig.free")
 
 
 def thesis_as_printed() -> tuple[str, ...]:
