@@ -155,43 +155,43 @@ class SingleCameras:
         renderers = self._renderers_of(len(pose))
         views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
 
-        def drawn(scene: DeviceScene) -> Appearance:
+        def drawn(scene: DeviceScene) -> _Shown:
             renderer = renderers.get()
             try:
                 poses = views.position_ego_m, views.camera_from_ego
-                return Appearance.of(renderer.render(scene.raster, *poses, log_focal=views.log_zoom), scene)
+                frame = renderer.render(scene.raster, *poses, log_focal=views.log_zoom)
+                return _Shown.of(Appearance.of(frame, scene))
             finally:
                 renderers.put(renderer)
 
         peopled = [scene for scene in scenes if scene.vehicle_count > 0]
+        if not peopled:
+            return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
         if renderers.qsize() == 1:
             shown = [drawn(scene) for scene in peopled]
         else:
             with ThreadPoolExecutor(renderers.qsize()) as threads:
                 shown = list(threads.map(drawn, peopled))
-        # Warp has one tape for all threads, so what needs one comes after them
-        found = [self._differentiated(each, views.position_ego_m, slope) for each in shown]
-        if not found:
-            return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
-        probability, jacobian = zip(*found, strict=True)
-        return np.concatenate(probability, axis=1), np.concatenate(jacobian, axis=1)
+        # Warp has one tape for all threads, so what needs one comes after them, for all scenes at once
+        return self._differentiated(_Shown.together(shown), views.position_ego_m.numpy(), slope)
 
     def _differentiated(
-        self, appearance: Appearance, position: wp.array, slope: _PlacingSlope
+        self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities and Jacobian of what one scene shows to cameras at ``position``, vec3 [camera]."""
-        measures, in_frame = appearance.measures, appearance.in_frame
-        whole_sr = whole_solid_angle(position, appearance.box, vehicle_count=measures.value.shape[1])
+        """Probabilities and Jacobian of what cameras at some places [camera, 3] are shown."""
+        device = self.mount.device
+        whole_sr, whole_slope = _whole_and_slope(position_ego_m, shown.box, device)
         # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
-        leaves = [wp.clone(each, requires_grad=True) for each in (measures.value, in_frame.value, whole_sr)]
+        values = (shown.measures["value"], shown.in_frame["value"], whole_sr)
+        leaves = [wp.array(each, dtype=float, device=device, requires_grad=True) for each in values]
         with wp.Tape() as tape:
             seen = self.probability.model.of_measures(
                 leaves[0],
                 leaves[1],
                 leaves[2],
-                appearance.contrast,
-                width_px=appearance.width_px,
-                height_px=appearance.height_px,
+                wp.array(shown.contrast, dtype=float, device=device),
+                width_px=self.mount.camera.width_px,
+                height_px=self.mount.camera.height_px,
             )
             found = self.probability.share_of_box(seen) or seen.probability
         tape.backward(grads={found: wp.ones_like(found)})
@@ -199,12 +199,10 @@ class SingleCameras:
 
         def chained(name: str) -> np.ndarray:
             """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
-            own, in_image = (getattr(each, name).numpy().astype(np.float64) for each in (measures, in_frame))
-            return np.einsum("vkm,vkm...->vk...", by_measure, own) + np.einsum(
-                "vkm,vkm...->vk...", by_in_frame, in_image
+            return np.einsum("vkm,vkm...->vk...", by_measure, shown.measures[name]) + np.einsum(
+                "vkm,vkm...->vk...", by_in_frame, shown.in_frame[name]
             )
 
-        whole_slope = _whole_slope(position, appearance.box, whole_sr.shape[1])
         by_position = chained("jac_translation") + by_whole[..., None] * whole_slope
         jacobian = (
             np.einsum("vki,vij->vkj", by_position, slope.position)
@@ -277,16 +275,78 @@ def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
     return _PlacingSlope(slope[:, :3], spin, slope[:, 12])
 
 
-def _whole_slope(position_ego_m: wp.array, box: UprightBoxes, count: int) -> np.ndarray:
-    """How the solid angle of every object's box changes with a view's centre [sr/m], float64 [view, object, 3]."""
-    place_m = position_ego_m.numpy()
-    # a centre of its own for every object, so that the gradients of objects are not summed
-    own = wp.array(np.repeat(place_m, count, axis=0), dtype=wp.vec3, device=position_ego_m.device, requires_grad=True)
-    with wp.Tape() as tape:
-        whole_sr = whole_solid_angle(own, box, vehicle_count=count)
-    seed = np.tile(np.eye(count, dtype=np.float32), (len(place_m), 1))
-    tape.backward(grads={whole_sr: wp.array(seed, dtype=float, device=position_ego_m.device)})
-    return _gradient_of(own).reshape(len(place_m), count, 3)
+_MEASURED = ("value", "jac_translation", "jac_rotation", "jac_log_focal")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What cameras are shown of the objects of one or more scenes, on the host; as `Appearance` has it.
+
+    Attributes:
+        measures: Measures and their Jacobians by name, float32 [camera, object, measure, ...].
+        in_frame: Likewise of the solid angle in the image [sr].
+        contrast: Of colours, float32 [camera, object].
+        box: Centre, half size [m] and direction of every object's upright box, float32 [object, 3], [object, 3] and
+            [object, 2].
+    """
+
+    measures: dict[str, np.ndarray]
+    in_frame: dict[str, np.ndarray]
+    contrast: np.ndarray
+    box: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, appearance: Appearance) -> _Shown:
+        count = appearance.contrast.shape[1]
+        box = appearance.box
+        return cls(
+            {name: getattr(appearance.measures, name).numpy() for name in _MEASURED},
+            {name: getattr(appearance.in_frame, name).numpy() for name in _MEASURED},
+            appearance.contrast.numpy(),
+            (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count]),
+        )
+
+    @classmethod
+    def together(cls, shown: Sequence[_Shown]) -> _Shown:
+        """Those of several scenes, the objects scene by scene."""
+        return cls(
+            {name: np.concatenate([each.measures[name] for each in shown], axis=1) for name in _MEASURED},
+            {name: np.concatenate([each.in_frame[name] for each in shown], axis=1) for name in _MEASURED},
+            np.concatenate([each.contrast for each in shown], axis=1),
+            (
+                np.concatenate([each.box[0] for each in shown]),
+                np.concatenate([each.box[1] for each in shown]),
+                np.concatenate([each.box[2] for each in shown]),
+            ),
+        )
+
+
+def _whole_and_slope(
+    position_ego_m: np.ndarray, box: tuple[np.ndarray, np.ndarray, np.ndarray], device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solid angle of every object's box [sr], and how it changes with a camera's centre [sr/m].
+
+    It depends on centre less place alone, so its gradient to the centre is that to the place with the other sign; and a
+    centre has a gradient of its own for every object.
+
+    Returns:
+        float32 [camera, object] and float64 [camera, object, 3].
+    """
+    count = len(box[0])
+    centre = wp.array(box[0], dtype=wp.vec3, device=device, requires_grad=True)
+    boxes = UprightBoxes(
+        centre, wp.array(box[1], dtype=wp.vec3, device=device), wp.array(box[2], dtype=wp.vec2, device=device)
+    )
+    whole_sr, slope = [], []
+    for place_m in position_ego_m:
+        place = wp.array(place_m[None], dtype=wp.vec3, device=device)
+        with wp.Tape() as tape:
+            found = whole_solid_angle(place, boxes, vehicle_count=count)
+        tape.backward(grads={found: wp.ones_like(found)})
+        whole_sr.append(found.numpy()[0])
+        slope.append(-_gradient_of(centre))
+        tape.zero()
+    return np.array(whole_sr), np.array(slope)
 
 
 def _gradient_of(array: wp.array) -> np.ndarray:
