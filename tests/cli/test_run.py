@@ -243,3 +243,35 @@ def test_a_run_by_a_pool_records_bounds_and_is_no_worse_than_its_start():
     found = RunFolder.open("pool").evaluation()
     assert found["training_objective"]["optimised"] == pytest.approx(events[-1]["training_objective"], abs=1e-9)
     assert found["arms"]["optimised"]["constraint_violation"] == 0.0
+
+
+@pytest.mark.slow
+def test_workers_draw_the_same_pool(monkeypatch, working_directory):
+    words = ["scenes.train_seeds=0..3", "scenes.test_seeds=[1000]", "run.batch_size=4", "rig.cameras=2"]
+    pool = [
+        "optimiser.search=pool",
+        "optimiser.pool_cameras=24",
+        "optimiser.pool_rounds=0",
+        "baselines.random_samples=2",
+    ]
+    for name, more in (("here", []), ("there", ["--executor", "process", "--workers", "2"])):
+        monkeypatch.setattr(
+            "warpav.runs.optimise.pool_cache_folder", lambda name=name: working_directory / f"of_{name}"
+        )
+        assert main(["optimise", *words, *pool, f"run.out={name}", *more]) == 0
+    here, there = (RunFolder.open(name) for name in ("here", "there"))
+    renders = [event["camera_renders"] for event in here.events()]
+    assert renders[0] > 0  # drawn, not found in a cache
+    assert [event["camera_renders"] for event in there.events()] == renders
+    assert here.rig_path("best").read_bytes() == there.rig_path("best").read_bytes()
+    one, other = ({file.name: file.read_bytes() for file in Path(f"of_{name}").iterdir()} for name in ("here", "there"))
+    assert one == other
+
+
+def test_workers_are_refused_where_nothing_is_drawn_in_advance(working_directory, capsys):
+    message = complaint(capsys, "optimise", *SMALL, "optimiser.search=descent", "--executor", "process")
+    assert (
+        "executor.name: expected none with optimiser.search=descent, whose steps follow one another, got process"
+        in message
+    )
+    assert not list(working_directory.iterdir())

@@ -20,11 +20,23 @@ experiment_app = App(name="experiment", help="Run experiments, rescore their rig
 @experiment_app.default
 def experiment(
     name: Annotated[
-        Literal["table1", "table2", "table3", "table4", "table5", "open", "rivals", "ablations", "correlation"],
+        Literal[
+            "table1",
+            "table2",
+            "table3",
+            "table4",
+            "table5",
+            "open",
+            "rivals",
+            "ablations",
+            "correlation",
+            "scene_count",
+        ],
         Parameter(
             help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
             "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "
-            "correlation: whether the objective ranks rigs as the detector does."
+            "correlation: whether the objective ranks rigs as the detector does; "
+            "scene_count: the search by a pool on 50 to 1500 training scenes, judged on others."
         ),
     ],
     config: Annotated[
@@ -34,6 +46,9 @@ def experiment(
     *overrides: Overrides,
     runs: Annotated[int | None, Parameter(help="Run seeds an arm, from run.seed; by default the experiment's.")] = None,
     arms: Annotated[str | None, Parameter(help="Only these, such as sgd_ifr,highest_ifr_doa,cma.")] = None,
+    scenes: Annotated[
+        str | None, Parameter(help="Of scene_count: numbers of training scenes; by default 50,150,500,1500.")
+    ] = None,
     setting: Annotated[
         str | None,
         Parameter(help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus."),
@@ -67,6 +82,27 @@ def experiment(
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
+    given = executor_overrides(executor, workers, address)
+    if name != "scene_count" and scenes is not None:
+        raise ArgumentError("scenes", f"expected nothing, as it is an option of scene_count, got it with {name}")
+    if name == "scene_count":
+        if setting is not None or detector or sealed is not None:
+            raise ArgumentError("setting", "expected no setting, detector or seal with scene_count, got one")
+        from warpav.experiments import scene_count
+
+        whole = [*scene_count.OPTIONS, *(scene_count.QUICK if quick else ()), *overrides, *given]
+        with placed_config(config or "default", whole) as settings, RunDisplay() as display:
+            failed = scene_count.run_scene_count(
+                settings,
+                arms=arms,
+                scene_counts=scenes,
+                runs=runs,
+                render_budget=budget,
+                out=out,
+                quick=quick,
+                progress=display,
+            )
+        return 1 if failed else 0
     if name == "rivals":
         setting, found = rival_settings.find_setting(setting)
         run = partial(rival_settings.run_rivals, setting, is_judged=detector)
@@ -82,7 +118,6 @@ def experiment(
     if sealed is not None:
         overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
-    given = executor_overrides(executor, workers, address)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)
     with placed_config(config or found.config, whole) as settings, RunDisplay() as display:
         done = run(

@@ -14,12 +14,24 @@ from warpav.cli.arguments import (
     RigSource,
     SceneSource,
     complain,
+    executor_overrides,
     say,
     warn_renamed,
 )
+from warpav.core.errors import OptionError
 
 
-def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+def optimise(
+    config: Config = DEFAULT_CONFIG,
+    /,
+    *overrides: Overrides,
+    executor: Annotated[
+        Literal["serial", "process", "ray", "slurm"] | None,
+        Parameter(help="Where the search by a pool draws its cameras; by default here, with a thread for each core."),
+    ] = None,
+    workers: Annotated[int | None, Parameter(help="Scenes that are drawn at a time.")] = None,
+    address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
+) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
     from warpav.runs.jobs import optimise_rig
@@ -28,7 +40,14 @@ def optimise(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
-    with placed_config(config, overrides) as settings, RunDisplay() as display:
+    given = executor_overrides(executor, workers, address)
+    with placed_config(config, [*overrides, *given]) as settings, RunDisplay() as display:
+        if given and settings.optimiser.search == "descent":
+            raise OptionError(
+                "executor.name",
+                f"expected none with optimiser.search={settings.optimiser.search}, whose steps follow one another, got "
+                f"{settings.executor.name}; set optimiser.search=pool",
+            )
         _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         show_verdict(display.console, evaluation)
     for text in worse_than_start(evaluation):

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+DRAFT = ".draft-"
+"""How the names of files begin that are not whole yet."""
+
 
 @contextlib.contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
@@ -19,7 +22,7 @@ def atomic_write(file: Path) -> Iterator[Path]:
     Raises:
         OSError: The file cannot be replaced, such as where a folder has its name.
     """
-    draft = file.with_name(f".draft-{secrets.token_hex(4)}-{file.name}")
+    draft = file.with_name(f"{DRAFT}{secrets.token_hex(4)}-{file.name}")
     try:
         yield draft
         os.replace(draft, file)

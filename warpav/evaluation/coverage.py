@@ -101,13 +101,14 @@ class Ground:
         """
         if not (radius_m > 0.0 and cell_m > 0.0):
             raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
-        low_m, high_m = scene.raster.layer_bounds_world_m.numpy()[scene.raster.foreground_layer]
+        raster = scene.raster  # held while kernels read it
+        low_m, high_m = raster.layer_bounds_world_m.numpy()[raster.foreground_layer]
         centre_m = 0.5 * (low_m + high_m)[:2].astype(np.float64)
         steps = np.arange(-int(radius_m / cell_m), int(radius_m / cell_m) + 1)
         x_m, y_m = centre_m[0] + cell_m * steps, centre_m[1] + cell_m * steps
         position_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
         distance_m = np.linalg.norm(position_m - centre_m, axis=-1)
-        device, count = scene.raster.device, distance_m.size
+        device, count = raster.device, distance_m.size
         ground_m = wp.empty(count, dtype=float, device=device)
         headroom_m = wp.empty(count, dtype=float, device=device)
         highest_m = (_HIGHEST_M + _GRADE_MAX * distance_m).astype(np.float32)
@@ -115,7 +116,7 @@ class Ground:
             kernels.ground_kernel,
             dim=count,
             inputs=[
-                scene.raster.mesh.id,
+                raster.mesh.id,
                 _ENVIRONMENT,
                 wp.array(position_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
                 -_DEPTH_M,
@@ -198,12 +199,13 @@ def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, n
     Returns:
         Share of the distance up to the first occluder, float32 [point]; 1 for an unobstructed line of sight.
     """
-    device, count = scene.raster.device, len(end_m)
+    raster = scene.raster  # held while kernels read it
+    device, count = raster.device, len(end_m)
     if count == 0:
         return np.zeros(0, np.float32)
     end = wp.array(np.asarray(end_m, np.float32), dtype=wp.vec3, device=device)
     share = wp.empty(count, dtype=float, device=device)
-    mesh = scene.raster.mesh.id  # built before the threads use it
+    mesh = raster.mesh.id  # built before the threads use it
 
     def launch(first: int) -> None:
         wp.launch(

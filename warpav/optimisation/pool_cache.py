@@ -54,6 +54,7 @@ class PoolCache:
         self.folder = folder
         self._identity = dict(identity)
         self._pose: dict[Path, np.ndarray] = {}  # of the chunks that were opened, float32 [camera, 7]
+        self._files: dict[str, list[Path]] | None = None  # the chunks by how their names begin
 
     def find(self, scene: str, object_count: int, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which cameras are there, bool [camera], and what these detect, float32 [camera that is there, object].
@@ -70,7 +71,7 @@ class PoolCache:
         """
         is_there = np.zeros(len(mount_pose), bool)
         found = np.zeros((len(mount_pose), object_count), np.float32)
-        for file in sorted(self.folder.glob(f"{self._name(scene)}_*.npz")):
+        for file in self._chunks(scene):
             try:
                 row = self._rows(file, scene, mount_pose)
                 is_new = (row >= 0) & ~is_there
@@ -96,10 +97,21 @@ class PoolCache:
                 detection_probability=detection_probability,
             )
             self._pose[file] = mount_pose
+            if self._files is not None:
+                self._files.setdefault(self._name(scene), []).append(file)
 
     def shrink(self) -> None:
         """Remove the oldest chunks, until the others fit into the capacity."""
         remove_oldest(self.folder, "pool_*.npz", capacity_bytes=CAPACITY_BYTES)
+        self._files = None
+
+    def _chunks(self, scene: str) -> list[Path]:
+        """The files of a scene; the folder is listed once for all scenes, and anew after `shrink`."""
+        if self._files is None:
+            self._files = {}
+            for file in sorted(self.folder.glob("pool_*.npz")):
+                self._files.setdefault(file.name.rpartition("_")[0], []).append(file)
+        return self._files.get(self._name(scene), [])
 
     def _name(self, scene: str) -> str:
         """How the names of a scene's chunks begin."""

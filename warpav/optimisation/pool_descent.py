@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from warpav.core.errors import OptionError
+from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
@@ -42,6 +43,7 @@ class PoolDescent:
         settings: PoolSearchSettings,
         *,
         seed: int,
+        executor: Executor | None = None,
         cache: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
@@ -53,6 +55,7 @@ class PoolDescent:
             start: Where the rig begins, float [camera, 7].
             settings: How much to look at.
             seed: Of the pool.
+            executor: Where the pool is drawn; None: here.
             cache: Folder that keeps what is drawn; None: nothing is kept.
             progress: Shows the drawing of the pool.
 
@@ -81,6 +84,7 @@ class PoolDescent:
             start=self.start,
             settings=settings,
             seed=seed,
+            executor=executor,
             cache=cache,
             progress=progress,
         )

@@ -18,6 +18,7 @@ import warp as wp
 
 from warpav.core.executor import available_cores
 from warpav.core.fingerprint import digest, fingerprint
+from warpav.core.warp_setup import load_warp
 from warpav.detection.probability import Appearance, whole_solid_angle
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount
@@ -355,6 +356,7 @@ def _gradient_of(array: wp.array) -> np.ndarray:
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401
+    load_warp()  # before the mount asks for it, which would print what it loads
     surface, camera, height_offset_m, device, free = mount
     return SingleCameras(
         CameraMount(surface, camera=camera, height_offset_m=height_offset_m, device=device, free=free), *others

@@ -171,11 +171,13 @@ class Scene:
         }
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray], *, device: str | wp.Device | None = "cpu") -> Scene:
-        """The scene that `arrays` told of; nothing is sorted again.
+    def of_arrays(
+        cls, arrays: Mapping[str, np.ndarray] | np.ndarray, *, device: str | wp.Device | None = "cpu"
+    ) -> Scene:
+        """The scene that `arrays` told of; nothing is sorted again, and on the CPU nothing is copied.
 
         Args:
-            arrays: Of a scene, maybe on another device or in another process.
+            arrays: Of a scene, maybe on another device or in another process; by name, or one structured element.
             device: Warp device.
 
         Raises:
@@ -187,7 +189,7 @@ class Scene:
         scene._name(names, int(arrays["occluder_count"]), has_foreground=bool(arrays["has_foreground"]))
         horizon, zenith = arrays["background_rgb"]
         scene.background_rgb = wp.vec3(*horizon), wp.vec3(*zenith)
-        scene._place(arrays, device)
+        scene._place(arrays, device, copy=False)
         return scene
 
     def _name(self, object_names: tuple[str, ...], occluder_count: int, *, has_foreground: bool) -> None:
@@ -238,9 +240,14 @@ class Scene:
             "source_triangle": order,
         }
 
-    def _place(self, arrays: Mapping[str, np.ndarray], device: str | wp.Device | None) -> None:
+    def _place(
+        self, arrays: Mapping[str, np.ndarray] | np.ndarray, device: str | wp.Device | None, *, copy: bool = True
+    ) -> None:
         self.device = _device(device)
-        on_device = {name: wp.array(arrays[name], dtype=kind, device=self.device) for name, kind in _TYPES.items()}  # pyright: ignore[reportArgumentType]
+        on_device = {
+            name: wp.array(arrays[name], dtype=kind, device=self.device, copy=copy)  # pyright: ignore[reportArgumentType]
+            for name, kind in _TYPES.items()
+        }
         self.triangles: Any = Triangles()  # the struct is no type to a checker
         for name in Triangles.vars:
             setattr(self.triangles, name, on_device[name])

@@ -7,9 +7,11 @@ from typing import Any
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, OptionError
+from warpav.core.executor import Executor
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.optimisation.history import IterationRecord
+from warpav.optimisation.pool import pool_cache_folder
 from warpav.rig.rig import write_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
@@ -41,7 +43,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
     check_new_run(config)
     placement = Placement.from_config(config).prepare(progress)
     timer.end("scenes and detector")
-    optimisation = Optimisation.begin(placement, progress=progress)
+    optimisation = Optimisation.begin(placement, executor=_pool_executor(config), progress=progress)
     timer.end("searching for a start")
 
     folder = RunFolder.create(
@@ -59,6 +61,12 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
     return folder, evaluation
+
+
+def _pool_executor(config: Config) -> Executor:
+    """Where pools are drawn; what Slurm needs lies beside them, as all machines must see both."""
+    of = config.executor
+    return Executor(of.name, of.workers, of.address, of.options, pool_cache_folder() / "slurm_jobs")
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:

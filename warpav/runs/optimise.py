@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
@@ -106,6 +107,7 @@ class Optimisation:
         *,
         start: np.ndarray | None = None,
         began_as: Rig | None = None,
+        executor: Executor | None = None,
         pool: PoolSearchSettings | None = None,
         keeps_pool: bool = True,
         progress: Progress | None = None,
@@ -119,6 +121,7 @@ class Optimisation:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
+            executor: Where the search by a pool draws its cameras; None: here.
             pool: How much a search by a pool looks at; None: as configured.
             keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
             progress: Shows that several starts are tried.
@@ -155,7 +158,14 @@ class Optimisation:
             settings = pool_search_settings(config) if pool is None else pool
             seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
             searched = PoolDescent(
-                objective, placement.search_scenes, start, settings, seed=seed, cache=cache, progress=progress
+                objective,
+                placement.search_scenes,
+                start,
+                settings,
+                seed=seed,
+                executor=executor,
+                cache=cache,
+                progress=progress,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,13 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras, assign_vehicles, nearest_cameras
+from warpav.optimisation.assignment import (
+    AssignedScene,
+    assign_to_nearest_cameras,
+    assign_vehicles,
+    cameras_of,
+    nearest_cameras,
+)
 from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import Loss, LossSchedule
 from warpav.optimisation.losses.options import LossOptions, Reference
@@ -47,6 +53,9 @@ if TYPE_CHECKING:
 
 TOWN_SOURCE = "town seed "
 """How the source of an embedded scene begins; its seed follows."""
+
+ORIENTATION_SCENES = 200
+"""Training scenes by which the orientations are chosen, at most; of more, so many that are evenly spread."""
 
 DEGREES_OF_FREEDOM = {
     "x_m": X_M,
@@ -104,7 +113,7 @@ class _Prepared:
     networks: Networks
     probability: DetectionProbability | None
     objective: RigObjective
-    segregation: Segregation
+    segregation: Callable[[], Segregation]
     train: list[AssignedScene]
     validation: list[AssignedScene]
     test: list[AssignedScene]
@@ -285,7 +294,7 @@ class Placement:
         return placement
 
     def prepare(self, progress: Progress | None = None) -> Placement:
-        """Load the scenes and the detector, fit its detection probability if there is no fit, assign the vehicles.
+        """Load the scenes and the detector, and fit its detection probability if there is no fit.
 
         Returns:
             The same placement.
@@ -302,7 +311,6 @@ class Placement:
             if probability is None and _needs_fit(parts):
                 own = networks.detector if parts.has_own_detector else None
                 probability = ensure_fit(parts.config, detector=own, ego=parts.ego, progress=progress)
-            progress.stage("assigning the vehicles to the cameras")
             self._prepared = _assembled(parts, scenes, networks, probability)
         return self
 
@@ -325,7 +333,7 @@ class Placement:
     @property
     def segregation(self) -> Segregation:
         """Orientations that share the vehicles among the cameras."""
-        return self._ready.segregation
+        return self._ready.segregation()
 
     @property
     def train(self) -> list[AssignedScene]:
@@ -541,17 +549,20 @@ def _have_one_objective(one: Config, other: Config) -> bool:
 def _assembled(
     parts: Parts, scenes: SceneSet, networks: Networks, probability: DetectionProbability | None
 ) -> _Prepared:
-    """The objective, and the vehicles of all scenes assigned to orientations."""
+    """The objective, and the vehicles of all scenes assigned to orientations, which happens where somebody asks."""
     config = parts.config
-    areas = scenes.areas(config.segregation.rotations)
-    train_count = len(scenes.train)
-    segregation = choose_orientations(
-        areas[:train_count],
-        config.rig.cameras,
-        config.segregation.rotations,
-        _random_numbers(config, Stream.SEGREGATION),
-    )
-    assigned = assign_vehicles(scenes.scenes, [area[:, segregation.rotation] for area in areas])
+    rotation_count, train_count = config.segregation.rotations, len(scenes.train)
+
+    @cache
+    def segregation() -> Segregation:
+        looked_at = scenes.train[:: -(-train_count // ORIENTATION_SCENES)]
+        rng = _random_numbers(config, Stream.SEGREGATION)
+        return choose_orientations(scenes.areas(looked_at, rotation_count), config.rig.cameras, rotation_count, rng)
+
+    def assigned_camera(scene: DeviceScene) -> np.ndarray:
+        return cameras_of(scenes.areas([scene], rotation_count)[0][:, segregation().rotation])
+
+    assigned = [AssignedScene(scene, partial(assigned_camera, scene)) for scene in scenes.scenes]
     mount = scenes.mount
     if parts.start is not None and parts.freeze:
         mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)

@@ -26,6 +26,7 @@ from warpav.runs.mounts import camera_mount
 from warpav.scene.cache import town_scenes
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.device_scene import DeviceScene
+from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
@@ -62,7 +63,7 @@ class SceneSet:
     mount: CameraMount
     ego: Mesh
     shown: Scene
-    _areas: dict[int, list[np.ndarray]] = field(default_factory=dict, repr=False)
+    _areas: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def scenes(self) -> list[DeviceScene]:
@@ -82,11 +83,13 @@ class SceneSet:
         """The same scenes with other cameras, on another mount surface; nothing is loaded."""
         return replace(self, mount=camera_mount(config, self.ego), _areas={})
 
-    def areas(self, rotation_count: int) -> list[np.ndarray]:
-        """What `areas_of` gives for `scenes`; rendered when first asked for."""
-        if rotation_count not in self._areas:
-            self._areas[rotation_count] = self.areas_of(self.scenes, rotation_count)
-        return self._areas[rotation_count]
+    def areas(self, scenes: Sequence[DeviceScene], rotation_count: int) -> list[np.ndarray]:
+        """What `areas_of` gives for some of `scenes`; rendered when first asked for."""
+        new = [scene for scene in scenes if (id(scene), rotation_count) not in self._areas]
+        if new:
+            found = self.areas_of(new, rotation_count)
+            self._areas.update({(id(scene), rotation_count): area for scene, area in zip(new, found, strict=True)})
+        return [self._areas[id(scene), rotation_count] for scene in scenes]
 
     def areas_of(self, scenes: Sequence[DeviceScene], rotation_count: int) -> list[np.ndarray]:
         """Area of every vehicle alone in directions all round [px^2], seen from the middle of the ego vehicle.
@@ -128,16 +131,56 @@ def same_scenes(one: Config, other: Config) -> bool:
 
 
 def load_scene_set(config: Config, progress: Progress) -> SceneSet:
-    """Build or read the scenes of a configuration, and find where cameras may stand.
+    """Open or make the scenes of a configuration, and find where cameras may stand.
 
     Raises:
         InputError: The device or a scene cannot be used.
     """
     config = scene_part(config)
-    parts = (config.scenes.train_seeds, config.scenes.validation_seeds or (), config.scenes.test_seeds)
-    seeds = tuple(seed for part in parts for seed in part)
-    scenes = progress.steps("scenes", load_scenes(config, seeds, say=progress.say), count=len(seeds))
-    return pack_scenes(scenes, (len(parts[0]), len(parts[1])), config, progress)
+    device = checked_device(config.device)
+    train, validation, test = (
+        config.scenes.train_seeds,
+        config.scenes.validation_seeds or (),
+        config.scenes.test_seeds,
+    )
+    recipes = scene_recipes(config, (*train, *validation, *test), progress)
+    if config.scenes.mirror:
+        recipes += [replace(recipe, is_mirrored=True) for recipe in recipes[: len(train)]]
+    scenes: list[StoredScene] = []
+    with compiling(device, but=RARE_KERNELS):
+        made = stored_scenes(recipes, device=device)
+        for scene in progress.steps("scenes", made, count=len(recipes)):
+            _check_same_vehicle(scene.name, scene.ego_bounds_m, (scenes or [scene])[0].ego_bounds_m)
+            if scene.left_out and not recipes[len(scenes)].is_mirrored:
+                progress.say(_left_out_text(scene.name, scene.left_out))
+            scenes.append(scene)
+    _check_targets(config.scenes.targets, scenes, progress)
+    first, shown = (load_scenes(config, seeds[:1]) for seeds in (train, test or train))
+    ego = next(first).ego
+    until = np.cumsum([len(train), len(validation), len(test)])
+    return SceneSet(
+        [*scenes[: until[0]], *scenes[until[2] :]],
+        list(scenes[until[0] : until[1]]),
+        list(scenes[until[1] : until[2]]),
+        camera_mount(config, ego),
+        ego,
+        next(shown),
+    )
+
+
+def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> list[SceneRecipe]:
+    """What the scenes of a configuration are made of; those that have to be captured first are captured here.
+
+    Raises:
+        InputError: A file is missing or cannot be used.
+    """
+    ego, targets = own_vehicle(config), tuple(config.scenes.targets)
+    sources: Sequence[int | Path] = seeds
+    if config.scenes.source == "captured":
+        sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
+    elif config.scenes.source != "town":
+        sources = _files_of(config, seeds)
+    return [SceneRecipe(source, ego, targets) for source in sources]
 
 
 def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config, progress: Progress) -> SceneSet:
@@ -160,8 +203,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
     with compiling(device, but=RARE_KERNELS):
         for k, scene in enumerate(scenes):
             ego = scene.ego if ego is None else ego
-            if not is_same_vehicle(scene.ego, ego):
-                raise InputError(f"{scene.name}: ego: expected the same vehicle as in the first scene, got another")
+            _check_same_vehicle(scene.name, scene.ego.bounds_m(), ego.bounds_m())
             shown = scene if k in (0, test_from) else shown
             packed.append(DeviceScene.pack(scene, device=device))
             if config.scenes.mirror and k < train_count:
@@ -202,8 +244,7 @@ def load_scenes(
         around = scene if ego is None else scene.around(ego)
         left_out = len(scene.road_users) - len(around.road_users)
         if left_out and say is not None:
-            users = "1 road user" if left_out == 1 else f"{left_out} road users"
-            say(f"{scene.name}: {users} left out, where the vehicle of scenes.ego stands")
+            say(_left_out_text(scene.name, left_out))
         yield around.targeting(config.scenes.targets)
 
 
@@ -356,6 +397,11 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     if config.scenes.source == "captured":
         yield from map(read_scene, _captured(config, seeds))
         return
+    yield from map(read_scene, _files_of(config, seeds))
+
+
+def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
+    """The files of scenes in the configured folder."""
     assert config.scenes.folder is not None
     files = [scene_path(config.scenes.folder, seed) for seed in seeds]
     missing = [file for file in files if not file.is_file()]
@@ -365,7 +411,7 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
             f"expected {missing[0].name} in {str(config.scenes.folder)!r}, got no such file "
             f"({len(missing)} of {len(files)} missing); change scenes.train_seeds and scenes.test_seeds",
         )
-    yield from map(read_scene, files)
+    return files
 
 
 def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
@@ -392,6 +438,11 @@ def _scene_of(source: str) -> Scene:
     return read_scene(source)
 
 
+def _left_out_text(name: str, count: int) -> str:
+    users = "1 road user" if count == 1 else f"{count} road users"
+    return f"{name}: {users} left out, where the vehicle of scenes.ego stands"
+
+
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:
     """Say which targets no scene holds.
 
@@ -414,6 +465,15 @@ def is_same_vehicle(one: Mesh, other: Mesh) -> bool:
 
     How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
     """
-    difference_m = np.abs(one.bounds_m() - other.bounds_m())
+    return _is_same_size(one.bounds_m(), other.bounds_m())
+
+
+def _is_same_size(one_bounds_m: np.ndarray, other_bounds_m: np.ndarray) -> bool:
+    difference_m = np.abs(one_bounds_m - other_bounds_m)
     difference_m[0, 2] = 0.0
     return bool(difference_m.max() <= EGO_TOLERANCE_M)
+
+
+def _check_same_vehicle(name: str, bounds_m: np.ndarray, first_bounds_m: np.ndarray) -> None:
+    if not _is_same_size(bounds_m, first_bounds_m):
+        raise InputError(f"{name}: ego: expected the same vehicle as in the first scene, got another")

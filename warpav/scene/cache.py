@@ -29,6 +29,7 @@ CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
 _PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
 _FORMAT = 1
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def scene_cache_folder() -> Path:
@@ -74,6 +75,18 @@ def town_scenes(
     remove_oldest(folder, "town_*.npz", capacity_bytes=CAPACITY_BYTES)
 
 
+def town_scene_once(seed: int) -> Scene:
+    """The embedded scene of a seed, read where it was built before, else built and not kept.
+
+    Raises:
+        ValueError: The seed is negative.
+    """
+    try:
+        return _read(scene_file(seed, scene_cache_folder()))
+    except _UNREADABLE:
+        return town_scene(seed)
+
+
 def scene_file(seed: int, folder: Path) -> Path:
     """The file that keeps the scene of a seed."""
     made_of = fingerprint(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
@@ -85,7 +98,7 @@ def _read_or_build(seed: int, folder: Path) -> Scene:
     try:
         scene = _read(file)
         file.touch()
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except _UNREADABLE:
         scene = _build((seed, folder))
     return scene
 

@@ -90,10 +90,11 @@ class DeviceScene:
 
         triangles, device = self.raster.triangles, self.raster.device
         vertex_ego_m = triangles.vertex_world_m.numpy()
-        triangle, body = triangles.triangle.numpy(), triangles.triangle_body.numpy()
+        triangle, body = triangles.triangle.numpy(), triangles.triangle_body.numpy()  # sorted by body
         centre, half_size, along = [], [], []
         for index in self.raster.layer_body.numpy():
-            point_m = vertex_ego_m[np.unique(triangle[body == index])]
+            first, end = np.searchsorted(body, [index, index + 1])
+            point_m = vertex_ego_m[np.unique(triangle[first:end])]
             middle_xy, (length, width), turn_deg = cv2.minAreaRect(np.ascontiguousarray(point_m[:, :2]))
             low_m, high_m = point_m[:, 2].min(), point_m[:, 2].max()
             centre.append([*middle_xy, 0.5 * (low_m + high_m)])
@@ -136,9 +137,7 @@ class DeviceScene:
             arrays["road_user_index"],
             arrays["from_ego_m"],
         )
-        kinds = {"centre_ego_m": wp.vec3, "half_size_m": wp.vec3, "along": wp.vec2}
-        boxes = {name: wp.array(arrays[f"box_{name}"], dtype=kind, device=device) for name, kind in kinds.items()}
-        scene.__dict__["upright_box"] = UprightBoxes(**boxes)
+        scene.__dict__["upright_box"] = boxes_of_arrays(arrays, device=device)
         return scene
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -173,6 +172,18 @@ class DeviceScene:
             from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
             - scene.ego.bounds_m()[:, :2].mean(axis=0),
         )
+
+
+def boxes_of_arrays(arrays: Mapping[str, np.ndarray] | np.ndarray, *, device: str) -> UprightBoxes:
+    """The boxes that `DeviceScene.arrays` told of, on a device.
+
+    Raises:
+        KeyError: One is missing.
+    """
+    kinds = {"centre_ego_m": wp.vec3, "half_size_m": wp.vec3, "along": wp.vec2}
+    return UprightBoxes(
+        **{name: wp.array(arrays[f"box_{name}"], dtype=kind, device=device) for name, kind in kinds.items()}
+    )
 
 
 def _unpacked(arrays: Mapping[str, np.ndarray], device: str) -> DeviceScene:

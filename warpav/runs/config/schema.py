@@ -175,7 +175,7 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
         "folder reads scene_<seed>.glb files",
     )
-    train_seeds: Seeds = Field(default=tuple(range(30)), description="scenes that the optimiser sees")
+    train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
     validation_seeds: Seeds | None = Field(
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
     )

@@ -73,6 +73,39 @@ def objective_scatter(
         return save_figure(figure, path)
 
 
+def seen_and_unseen(results: Sequence[Mapping[str, Any]], path: Path | str) -> Path:
+    """Draw the objective on scenes seen and unseen over the number of training scenes, a panel for every arm.
+
+    Args:
+        results: Searches with ``arm``, ``training_scenes``, ``seen``, ``unseen`` and ``bound``; several of the same arm
+            and number are dots around their mean.
+        path: PNG file to write.
+    """
+    arms = list(dict.fromkeys(run["arm"] for run in results))
+    kinds = (("unseen", "unseen scenes", MISS_RGB), ("seen", "training scenes", TRUE_POSITIVE_RGB))
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 3.6)
+        axes = figure.subplots(1, len(arms), squeeze=False, sharey=True)[0]
+        for axis, arm in zip(axes, arms, strict=True):
+            runs = [run for run in results if run["arm"] == arm]
+            counts = sorted({run["training_scenes"] for run in runs})
+            for name, label, rgb in (*kinds, ("bound", "bound of the pool", MUTED_RGB)):
+                mean = [np.mean([run[name] for run in runs if run["training_scenes"] == count]) for count in counts]
+                style = "--" if name == "bound" else "-"
+                axis.plot(counts, mean, style, color=hex_colour(rgb), label=label)
+            for name, _, rgb in kinds:
+                place, value = [run["training_scenes"] for run in runs], [run[name] for run in runs]
+                axis.scatter(place, value, s=16.0, color=hex_colour(rgb), linewidths=0.0)
+            axis.set_xscale("log")
+            axis.set_xticks(counts, [str(count) for count in counts])
+            axis.minorticks_off()
+            axis.set_xlabel("training scenes")
+            axis.set_title(arm.replace("_", " "))
+        axes[0].set_ylabel("expected miss rate")
+        axes[0].legend(loc="best")
+        return save_figure(figure, path)
+
+
 def reliability_diagram(
     bins: Sequence[CalibrationBin], probability: np.ndarray, is_detected: np.ndarray, path: Path | str, *, title: str
 ) -> Path:
