@@ -14,7 +14,9 @@ from warpav.experiments import rival_settings
 from warpav.experiments.experiment import objective_on_tests, overrides_of
 from warpav.experiments.rival_settings import RIVAL_ARMS, SETTINGS
 from warpav.experiments.rival_table import rival_table
+from warpav.rig.rig import read_rig
 from warpav.runs.config import load_config
+from warpav.runs.placement import Placement
 
 PLAIN = (
     "losses.probability=visible_share",  # needs no fit
@@ -71,6 +73,17 @@ def test_a_setting_is_one_command(done):
     published = json.loads((done / "summary.json").read_text())
     assert published["camera_renders_max"] == 110
     assert {run["camera_renders"] for run in published["runs"] if run["arm"] == "random"} == {108}
+
+
+def test_the_objective_on_unseen_scenes_is_that_of_the_objective(done, scenes):
+    run = json.loads((done / "results" / "default_0.json").read_text())
+    options = [word for word in overrides(scenes, *PLAIN) if not word.startswith(("rig.cameras", "camera.fov"))]
+    _, experiment = rival_settings.find_setting("2x60")
+    placement = Placement.from_config(load_config("default", overrides_of(experiment, options, quick=False)))
+    pose = placement.mount.mount_pose_of_rig(read_rig(done / "results" / "default_0.yaml"), as_configured=True)
+    expected = placement.objective.evaluate(pose, placement.test).objective
+    assert objective_on_tests(run) == pytest.approx(expected, abs=1e-5)  # the file rounds poses
+    assert len(set(run["test_objective_of_scene"])) == 2
 
 
 def test_a_failing_arm_leaves_the_others_alone_and_what_is_there_is_kept(done, scenes, tmp_path, monkeypatch, capsys):

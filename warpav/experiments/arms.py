@@ -48,7 +48,7 @@ from warpav.optimisation.selection.select import Selection
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.optimise import Optimisation, pool_search_settings
+from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.rig_source import read_start
 
@@ -168,7 +168,7 @@ class Arm:
             config.optimiser, looked_at_count, camera_count=cameras, iterations=1, batch_size=config.run.batch_size
         )
         match self.method:
-            case "optimiser" if config.optimiser.search == "descent":
+            case "optimiser" if config.optimiser.search != "pool":
                 return one_step
             case "optimiser" | "pool_only":  # the start, and a pool of as many
                 return 2 * one_rig
@@ -258,7 +258,7 @@ def thesis_method() -> tuple[str, ...]:
 
     A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
     """
-    return _thesis_options("method", "losses", "visibility", "optimiser")
+    return _thesis_options("method", "losses", "visibility", "optimiser", "rig.free")
 
 
 def thesis_as_printed() -> tuple[str, ...]:
@@ -295,7 +295,7 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
 
 def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The configuration's own search, from its own start."""
-    if placement.config.optimiser.search == "pool":
+    if searches_by_pool(placement):
         return _pooled(placement, camera_renders_max)
     placement = _within(placement, camera_renders_max)
     optimisation = Optimisation.begin(placement)

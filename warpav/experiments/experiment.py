@@ -28,7 +28,8 @@ from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, fi
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.rig_values import rig_values_of
+from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
@@ -410,9 +411,18 @@ def _objective_of_scene(evaluation: Placement, found: FoundRig, scenes: Sequence
     """The objective of a rig in each test scene; None in those without objects, and for cameras of other lenses."""
     if found.mount_pose is None:
         return [None] * len(scenes)
-    rigs = np.asarray(found.mount_pose, np.float32)[None]
-    values = [next(iter(rig_values_of(evaluation.objective, [scene])(rigs))) for scene in scenes]
-    return [value if each.scene.vehicle_count else None for value, each in zip(values, scenes, strict=True)]
+    pose, counts = np.asarray(found.mount_pose, np.float32), [each.scene.vehicle_count for each in scenes]
+    values = rig_values_of(evaluation.objective, scenes)
+    if isinstance(values, SingleCameraValues):
+        of_scene = np.split(values.detection_probability(pose), np.cumsum(counts)[:-1], axis=1)
+        return [
+            values.weight * expected_miss_rate(each) if count else None
+            for each, count in zip(of_scene, counts, strict=True)
+        ]
+    return [
+        evaluation.objective.evaluate(pose, [each]).objective if count else None
+        for each, count in zip(scenes, counts, strict=True)
+    ]
 
 
 def _validation_objectives(task: ArmTask, found: FoundRig) -> dict[str, float | None]:

@@ -65,6 +65,12 @@ def optimise(
         return optimisation.result()
 
 
+def searches_by_pool(placement: Placement) -> bool:
+    """Whether the search of a placement is the one by a pool, as ``optimiser.search`` says."""
+    search = placement.config.optimiser.search
+    return search == "pool" or (search == "auto" and single_cameras_of(placement.objective) is not None)
+
+
 def pool_search_settings(config: Config) -> PoolSearchSettings:
     """How much a search by a pool looks at, as configured."""
     optimiser = config.optimiser
@@ -124,8 +130,7 @@ class Optimisation:
             InputError: The cameras do not fit on the mount surface.
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
-        search = config.optimiser.search
-        by_pool = search == "pool" or (search == "auto" and single_cameras_of(objective) is not None)
+        by_pool = searches_by_pool(placement)
         further: list[np.ndarray] = []
         if start is None:
             if placement.start_rig is not None:
