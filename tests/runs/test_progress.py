@@ -79,17 +79,28 @@ def _states():
 
 
 def test_piped_output_of_a_search_by_a_pool_is_a_line_for_every_stage():
-    text = _shown(False, lambda display: list(display.iterations(_states(), count=100, min_spacing_m=0.2)))
-    lines = text.splitlines()[1:]
+    text = _shown(False, lambda display: list(display.iterations(_states(), count=None, min_spacing_m=0.2)))
+    first, *lines = text.splitlines()
+    assert first == "searching"
     assert [line.split()[1] for line in lines] == ["start", "selection", "polish", "pricing", "selection", "settled"]
     assert "bound -" in lines[0]
+    assert "objective 0.17  bound 0.15 (of any rig of 40 cameras)  camera renders 300" in lines[2]  # the last of two
     assert "objective 0.16  bound 0.15 (of any rig of 40 cameras)  camera renders 400" in lines[3]
-    assert "/100" not in text  # nobody knows how many states there will be
+
+
+def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():
+    def interrupt(display):
+        states = display.iterations(_states(), count=None, min_spacing_m=0.2)
+        for _ in range(4):
+            next(states)
+        states.close()
+
+    assert _shown(False, interrupt).splitlines()[-1].startswith("done polish  objective 0.17")
 
 
 def test_a_terminal_shows_objective_bound_and_what_was_spent():
     def watch(display):
-        for record in display.iterations(_states(), count=100, min_spacing_m=0.2):
+        for record in display.iterations(_states(), count=None, min_spacing_m=0.2):
             list(display.steps("pool of cameras", "ab", count=2) if record.stage == "start" else ())
             time.sleep(1.5 / REFRESH_PER_SECOND)
 

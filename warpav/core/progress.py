@@ -31,12 +31,12 @@ class Progress(Protocol):
         """Something of ``count`` steps begins; one item for each."""
         ...
 
-    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
-        """An optimisation of at most ``count`` iterations begins.
+    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
+        """An optimisation begins.
 
         Args:
             records: `warpav.optimisation.history.IterationRecord`, one after each iteration.
-            count: Iterations planned.
+            count: Iterations planned; None: nobody knows how many there will be.
             min_spacing_m: Least distance allowed between two cameras [m], to be shown beside the actual one.
         """
         ...
@@ -62,7 +62,7 @@ class NullProgress:
         del description, count
         yield from items
 
-    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
         """Pass the records on."""
         del count, min_spacing_m
         yield from records

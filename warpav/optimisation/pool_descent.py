@@ -109,7 +109,7 @@ class PoolDescent:
         """Why there is no use in going on, in words; None while there is."""
         if self.found is None or self.found.stage != "settled":
             return None
-        return f"no camera was found that makes the rig better, after {self.found.camera_renders} camera renders"
+        return f"the search has settled, after {self.found.camera_renders} camera renders"
 
     def step(self) -> IterationRecord:
         """Go on until the search comes to another state.

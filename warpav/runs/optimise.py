@@ -39,7 +39,8 @@ def optimise(
     Args:
         placement: Which cameras, in which traffic, for which detector.
         progress: True: a bar in a terminal, lines elsewhere; an object receives what happens; None or False: nothing.
-        iterations: Steps; None: ``run.iterations`` of the placement's configuration.
+        iterations: Steps of a descent, states of a search by a pool at most; None: ``run.iterations`` of the
+            placement's configuration.
         seed: Of every random choice; None: ``run.seed``.
 
     Raises:
@@ -195,7 +196,8 @@ class Optimisation:
         """
         config, descent = self.placement.config, self.descent
         steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
-        for record in progress.iterations(steps, count=config.run.iterations, min_spacing_m=config.rig.min_spacing_m):
+        count = config.run.iterations if isinstance(descent, Descent) else None
+        for record in progress.iterations(steps, count=count, min_spacing_m=config.rig.min_spacing_m):
             self.records.append(record)
             if on_step is not None:
                 on_step(record)

@@ -97,35 +97,52 @@ class RunDisplay:
                 self.say(f"{description}: {number}/{count}")
             yield item
 
-    def iterations(self, records: Iterable[Record], *, count: int, min_spacing_m: float) -> Iterator[Record]:
+    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
         """Pass the records of an optimisation on and show their numbers.
 
         Args:
             records: Iteration records: loss, terms, multipliers, gradient norms, positions, seconds.
-            count: How many are expected.
+            count: How many are expected; None: nobody knows, as in a search by a pool.
             min_spacing_m: Least allowed distance between cameras [m], shown beside the actual one.
         """
+        if count is None:
+            yield from self._states(records, min_spacing_m)
+            return
         self._start("optimising", count)
         every = max(1, count // PLAIN_LINES_PER_STAGE)
-        began, last_stage = time.perf_counter(), None
+        began = time.perf_counter()
         for number, record in enumerate(records, start=1):
             speed = (time.perf_counter() - began) / number
             rows = iteration_rows(record, min_spacing_m=min_spacing_m)
-            stage = getattr(record, "stage", None)
-            if stage is not None:  # how many more there will be is not known
-                self._replace_task("searching", None, completed=number)
-                if not self.console.is_terminal and stage != last_stage:
-                    self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
-                last_stage = stage
-            else:
-                self._advance(number, began)
-                if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
-                    left_s = speed * (count - number)
-                    text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
-                    self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
+            self._advance(number, began)
+            if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
+                left_s = speed * (count - number)
+                text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
+                self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
             self._numbers = _grid(rows)
             yield record
         self._numbers = None
+
+    def _states(self, records: Iterable[Record], min_spacing_m: float) -> Iterator[Record]:
+        """Those of a search by a pool; plain lines have the last state of each stage."""
+        self._start("searching", None)
+        last: dict[str, str] = {}
+        try:
+            for number, record in enumerate(records, start=1):
+                rows = iteration_rows(record, min_spacing_m=min_spacing_m)
+                self._replace_task("searching", None, completed=number)
+                if last and rows["done"] != last["done"]:
+                    self._say_plainly(last)
+                last, self._numbers = rows, _grid(rows)
+                yield record
+        finally:  # an interrupted search has come to something, too
+            self._numbers = None
+            if last:
+                self._say_plainly(last)
+
+    def _say_plainly(self, rows: Mapping[str, str]) -> None:
+        if not self.console.is_terminal:
+            self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
 
     def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
         if self._task is not None:
