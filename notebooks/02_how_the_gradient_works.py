@@ -150,7 +150,7 @@ for axis, name in enumerate(["x forward", "y left", "z up"]):
 # ## Is it right everywhere?
 #
 # One pose proves little. So: cameras all over the roof in all directions, every vehicle that any of them sees, and the
-# derivative to x, y and yaw, which warpav optimises first. The truth is again central differences of supersampled
+# derivative to x, y and yaw. The truth is again central differences of supersampled
 # renders. They know nothing about outlines, and the derivative knows nothing about supersampling.
 
 # %%
@@ -287,8 +287,8 @@ plt.show()
 
 # %% [markdown]
 # The steps are vehicles that leave the image. While the border of the image cuts a vehicle, there is a slope, and the
-# gradient has it. On the plateaus between, nothing pulls: this is why an optimisation starts from the best of 16 rigs
-# and sees many scenes, whose steps lie at other angles.
+# gradient has it. On the plateaus between, nothing pulls: this is why a search sees many scenes, whose steps lie at
+# other angles, and begins with a rig that is selected from a pool of cameras all over the vehicle.
 #
 # That is all of it: one hard render, an outline whose motion is known, and plain automatic differentiation of what
 # follows. An optimiser that takes steps does the rest. `warpav doctor` repeats a check like this one on every device of

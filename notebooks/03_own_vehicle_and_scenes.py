@@ -16,7 +16,7 @@
 # into a folder of scenes, and optimises four cameras on it.
 
 # %% tags=["parameters"]
-train_seeds, test_seeds, iterations = range(18), range(18, 24), 60
+train_seeds, test_seeds = range(18), range(18, 24)
 fit_seeds, held_out_seeds = range(500000, 500020), range(500050, 500058)  # scenes that show what the detector finds
 
 # %%
@@ -142,7 +142,7 @@ print(
 
 # %%
 placement = wa.Placement(train, cameras=4, ego=van, probability=fitted.model)
-result = wa.optimise(placement, iterations=iterations)
+result = wa.optimise(placement)
 wa.plot(result, scene=test[0])
 
 # %%

@@ -20,7 +20,7 @@
 
 # %% tags=["parameters"]
 fit_seeds, held_out_seeds = range(500000, 500016), range(500050, 500058)
-train_seeds, test_seeds, iterations = range(12), range(1000, 1006), 30
+train_seeds, test_seeds = range(12), range(5000, 5006)
 
 # %%
 import math
@@ -136,7 +136,7 @@ print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.
 # %%
 train, test = wa.town(train_seeds), wa.town(test_seeds)
 placement = wa.Placement(train, detector="mine.onnx", probability=fitted.model)
-result = wa.optimise(placement, iterations=iterations)
+result = wa.optimise(placement)
 evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
 wa.plot(evaluation)
 

@@ -17,7 +17,7 @@
 # that every exported file holds the same poses.
 
 # %% tags=["parameters"]
-train_seeds, test_seeds, iterations = range(16), range(1000, 1006), 40
+train_seeds, test_seeds = range(16), range(5000, 5006)
 
 # %%
 import math
@@ -72,7 +72,7 @@ wa.plot(start, scene=test[0], coverage=wa.coverage(start, test[0]))
 # ## Two stay, two move
 
 # %%
-result = wa.optimise(placement, iterations=iterations)
+result = wa.optimise(placement)
 wa.plot(result, scene=test[0])
 
 # %%

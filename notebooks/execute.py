@@ -28,17 +28,17 @@ PNG_MAX_BYTES = 60_000
 IMAGE_MAX_PX = 1000
 
 SMALL = {
-    "01_first_run": "os.environ['OPTIONS'] = 'run.iterations=2 run.batch_size=2 scenes.train_seeds=0..1 "
-    "scenes.test_seeds=[5000] optimiser.starts=6 baselines.random_samples=2'\n"
-    "train_seeds, test_seeds, iterations = range(2), range(5000, 5002), 2",
+    "01_first_run": "os.environ['OPTIONS'] = 'optimiser.pool_cameras=12 scenes.train_seeds=0..1 "
+    "scenes.test_seeds=[5000] baselines.random_samples=2'\n"
+    "train_seeds, test_seeds = range(2), range(5000, 5002)",
     "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
-    "03_own_vehicle_and_scenes": "train_seeds, test_seeds, iterations = range(3), range(18, 19), 2\n"
+    "03_own_vehicle_and_scenes": "train_seeds, test_seeds = range(3), range(18, 19)\n"
     "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
-    "04_own_detector": "train_seeds, test_seeds, iterations = range(3), range(1000, 1001), 2\n"
+    "04_own_detector": "train_seeds, test_seeds = range(3), range(5000, 5001)\n"
     "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
     "05_reproduce_table_two": "arms, runs = 'random_ifr_doa,highest_ifr_doa', 1\n"
     "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
-    "06_inspect_and_export": "train_seeds, test_seeds, iterations = range(3), range(1000, 1002), 2",
+    "06_inspect_and_export": "train_seeds, test_seeds = range(3), range(5000, 5002)",
     "07_rasteriser": "step_count = 5",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
