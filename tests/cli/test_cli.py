@@ -64,7 +64,7 @@ BAD_INPUT = [
     (["optimise", "rig.camera=3"], "command line (rig.camera=3): rig.camera: expected one of cameras,"),
     (
         ["optimise", "rig.cameras=many"],
-        "command line (rig.cameras=many): rig.cameras: expected a whole number from 2 to",
+        "command line (rig.cameras=many): rig.cameras: expected a whole number from 1 to",
     ),
     (["optimise", "nowhere.yaml"], "nowhere.yaml: config: expected a YAML file or a shipped name"),
     (["optimise", "quick", "device=cuda:99"], "command line (device=cuda:99): device: expected one of cpu"),

@@ -188,7 +188,8 @@ def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
 
 def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
     # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding swap them
-    steps = ["optimiser.learning_rate_position_m=1e-9", "optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest"]
+    steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=1e-9"]
+    steps += ["optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest", "rig.free.pitch_deg=null"]
     assert main(["optimise", *SMALL, *steps, "run.out=still"]) == 0
     folder = RunFolder.open("still")
     arms = folder.evaluation()["arms"]
@@ -202,7 +203,8 @@ def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
 
 def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsys):
     # steps of 2 m, and the last iterate counts
-    steps = ["optimiser.learning_rate_position_m=2", "optimiser.keep=last", "optimiser.starts=1", "rig.start=highest"]
+    steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=2", "optimiser.keep=last"]
+    steps += ["optimiser.starts=1", "rig.start=highest", "rig.free.pitch_deg=null"]
     assert main(["optimise", *SMALL, *steps, "run.iterations=4", "run.out=worse"]) == 0
     captured = capsys.readouterr()
     folder = RunFolder.open("worse")

@@ -126,3 +126,25 @@ def test_the_budget_is_kept_and_frozen_cameras_stay():
     for step in steps:
         np.testing.assert_array_equal(step.mount_pose[1], frozen.frozen.mount_pose[1])
     assert polished(cameras, frozen.mount_pose_of_rig(rig), constraints, camera_renders_max=9)[-1].camera_renders == 9
+
+
+def test_steps_may_rise_and_go_back_to_the_best_where_they_rise_by_much():
+    """On an objective with a bump: taking only what is better ends before it, the schedule comes over it."""
+    mount = mount_of(free=None)
+    start = poses_of(1, mount)
+    start[:, :2] = 0.0
+    calls = []
+
+    def detect(pose):
+        """Better and better to the left, but for a bump of 2 cm."""
+        y_m = float(pose[0, 1])
+        calls.append(y_m)
+        bump = 0.03 * np.exp(-((y_m - 0.05) ** 2) / 2e-4)
+        probability = 0.5 + 0.4 * y_m - bump
+        jacobian = np.zeros((1, 1, 7))
+        jacobian[0, 0, 1] = 0.4
+        return np.array([[probability]]), jacobian
+
+    steps = list(polish(start, detect, mount=mount, constraints=zone_of(mount, 1), scene_count=1))
+    assert max(calls) == max(step.mount_pose[0, 1] for step in steps) > 0.15
+    assert steps[-1].objective == min(step.tried_objective for step in steps)

@@ -74,6 +74,23 @@ def test_the_budget_of_camera_renders_is_kept():
     assert states[-1].objective <= states[0].objective
 
 
+def test_whatever_was_rendered_joins_the_pool():
+    for state in searched():
+        assert state.camera_renders == len(state.pool.mount_pose) * len(streets())
+    pool, cameras = state.pool, cameras_of(mount=mount_of(free=None))
+    again = np.concatenate([cameras.detection_probability(pool.mount_pose, scene) for scene in streets()], axis=1)
+    np.testing.assert_allclose(pool.detection_probability, again, atol=1e-5)
+
+
+def test_of_a_budget_enough_is_left_for_the_polish():
+    settings = PoolSearchSettings(pool_cameras=1000, camera_renders_max=400)
+    states = searched(settings=settings)
+    assert states[0].camera_renders <= 0.45 * 400
+    assert "polish" in {state.stage for state in states}
+    only = PoolSearchSettings(pool_cameras=1000, camera_renders_max=400, polishes=False, rounds=0)
+    assert searched(settings=only)[-1].camera_renders > 400 - len(streets())
+
+
 def test_a_pool_that_is_too_small_is_refused():
     with pytest.raises(InputError, match="pool_cameras: expected at least the rig's 3, got 2"):
         searched(settings=PoolSearchSettings(pool_cameras=2))

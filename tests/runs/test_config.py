@@ -81,7 +81,7 @@ def test_the_thesis_comes_by_its_method_alone(yaml_file):
     own = load_config(yaml_file("method: thesis\noptimiser: {keep: best}\nrig: {cameras: 6}\n"))
     assert overrides_from(thesis, own) == ["rig.cameras=6", "optimiser.keep=best"]
     # what a file says stays, also where the method changes
-    assert load_config("quick", ["method=thesis"]).optimiser.learning_rate_position_m == 0.02
+    assert load_config("default", ["method=thesis"]).optimiser.learning_rate_position_m == 0.04
     assert load_config("quick", ["method=thesis"]).losses.in_frame_rotation == 1.0
 
 
@@ -113,7 +113,7 @@ def test_a_mistake_in_a_file_below_is_placed_there(yaml_file, tmp_path):
 
 def test_quick_configuration_is_the_promised_job():
     config = load_config("quick")
-    assert config.scenes.train_seeds == tuple(range(30))
+    assert config.scenes.train_seeds == tuple(range(60))
     assert config.scenes.test_seeds == tuple(range(5000, 5010))
     assert (config.rig.cameras, config.camera.fov_deg, config.camera.width_px, config.camera.height_px) == (
         4,
@@ -121,7 +121,8 @@ def test_quick_configuration_is_the_promised_job():
         256,
         256,
     )
-    assert (config.run.batch_size, config.run.iterations) == (4, 100)
+    assert config.optimiser.search == "auto"
+    assert config.rig.free.pitch_deg == (-10.0, 20.0)
 
 
 def test_thesis_configuration_holds_the_appendix():
@@ -191,7 +192,8 @@ def test_what_is_free_has_bounds_in_units_and_reads_back():
     ranges = free_ranges(config)
     assert ranges.pitch_rad == (pytest.approx(math.radians(-20.0)), pytest.approx(0.2))
     assert (ranges.height_m, ranges.fov_rad) == (config.rig.free.height_m, None)
-    assert free_ranges(load_config(None, [])) == FreeRanges()
+    assert free_ranges(load_config(None, ["rig.free.pitch_deg=null"])) == FreeRanges()
+    assert free_ranges(load_config("thesis")) == FreeRanges()
 
 
 def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
@@ -201,7 +203,7 @@ def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
 
 def test_option_values_are_flat_and_complete():
     values = option_values(load_config("quick"))
-    assert values["scenes.train_seeds"] == "0..29"
+    assert values["scenes.train_seeds"] == "0..59"
     assert values["rig.cameras"] == 4
     assert values["executor.options"] == {}
     assert "run" not in values
@@ -280,7 +282,7 @@ FILE_MISTAKES = [
         "losses: {in_frame_rotation: 0, expected_miss_rate: 0}\n",
         "mine.yaml:1: losses.expected_miss_rate: expected at least one weight above 0, got only zeros",
     ),
-    ("run: {batch_size: 31}\n", "mine.yaml:1: run.batch_size: expected at most the 30 training scene(s), got 31"),
+    ("run: {batch_size: 61}\n", "mine.yaml:1: run.batch_size: expected at most the 60 training scene(s), got 61"),
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
     (
         "rig:\n  free:\n    fov_deg: [110, 60]\n",

@@ -9,7 +9,7 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.detection import probability
-from warpav.detection.probability import DetectionProbability
+from warpav.detection.probability import DetectionProbability, stored_file
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
@@ -50,12 +50,22 @@ def test_scenes_of_files_are_shared_out(tmp_path):
 
 
 def test_a_fit_is_for_what_is_free():
-    fixed = detector_use(load_config("quick"))
+    level = "rig.free.pitch_deg=null"
+    fixed = detector_use(load_config("quick", [level]))
     assert "rig.free" not in fixed.settings
-    free = detector_use(load_config("quick", ["rig.free.height_m=[0.1, 0.4]"]))
+    free = detector_use(load_config("quick", [level, "rig.free.height_m=[0.1, 0.4]"]))
     assert free.settings["rig.free"] == {"height_m": [0.1, 0.4]}
-    wider = detector_use(load_config("quick", ["rig.free.height_m=[0.05, 0.4]"]))
+    wider = detector_use(load_config("quick", [level, "rig.free.height_m=[0.05, 0.4]"]))
     assert len({fixed.identity, free.identity, wider.identity}) == 3
+
+
+@pytest.mark.parametrize("words", [["quick"], ["quick", "rig.free.pitch_deg=null"], ["default"]])
+def test_what_is_shipped_needs_no_fit(words, tmp_path, monkeypatch):
+    """A first run of a shipped configuration finds the model of detection probability that the package holds."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = stored_file(detector_use(load_config(words[0], words[1:])))
+    assert found is not None
+    assert found.parent.name == "models"
 
 
 @pytest.mark.parametrize(

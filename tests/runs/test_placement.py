@@ -112,7 +112,7 @@ def test_the_gradient_is_that_of_the_objective(train, result, column):
     value, gradient = placement.value_and_grad(rig)
     pose, scenes = placement.mount.mount_pose_of_rig(rig), placement.assigned(placement.train, rig)
     assert value == pytest.approx(placement.objective.evaluate(pose, scenes).objective)
-    assert [set(each) for each in gradient.values()] == [{"x_m", "y_m", "yaw_rad"}] * len(rig.cameras)
+    assert [set(each) for each in gradient.values()] == [{"x_m", "y_m", "yaw_rad", "pitch_rad"}] * len(rig.cameras)
     number = {"x_m": 0, "yaw_rad": 2}[column]
     differences = []
     for k in range(len(rig.cameras)):

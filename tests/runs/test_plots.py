@@ -20,6 +20,7 @@ def placement():
         "camera.height_px=64",
         "run.iterations=2",
         "run.batch_size=1",
+        "optimiser.search=descent",
         "optimiser.starts=1",
     ]
     return wa.Placement(wa.town([3]), cameras=2, fov_deg=90.0, config=wa.Config.load("quick", *options))

@@ -47,7 +47,7 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
     environment = folder.environment()
     assert environment["seeds"] == {
         "run": 0,
-        "train": list(range(30)),
+        "train": list(range(60)),
         "validation": [],
         "test": list(range(5000, 5010)),
     }

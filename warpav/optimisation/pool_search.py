@@ -32,6 +32,8 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
+POOL_SHARE = 0.45
+"""Of a budget, the share of the first pool at most, so that enough is left for polish and pricing."""
 PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
 FIRST_POLISH, FURTHER_POLISH = (20, 0.4), (10, 0.2)
@@ -50,7 +52,7 @@ class PoolSearchSettings:
         gap: Objective less bound at which a selection ends, an expected miss rate.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
-            those with a Jacobian among them; the pool is no larger than that. None: as many as it takes.
+            those with a Jacobian among them; the first pool has its share of that at most. None: as many as it takes.
         polishes: Whether selected rigs are polished.
     """
 
@@ -193,7 +195,9 @@ class _Search:
             first = self.assembly.in_order(start)
         limit = self.settings.camera_renders_max
         if limit is not None:
-            spread_count = min(spread_count, limit // len(self.scenes) - len(first))
+            share = POOL_SHARE if self.settings.polishes else 1.0
+            most = max(int(share * limit) // len(self.scenes), self.camera_count)
+            spread_count = min(spread_count, most - len(first))
         if len(first) + spread_count < self.camera_count:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
             raise ArgumentError("camera_renders_max", f"{expected}, got {limit}")

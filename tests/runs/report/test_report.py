@@ -339,7 +339,7 @@ def test_the_bound_is_told_with_what_it_is_over(folder):
     page = Page(text)
     assert "Best rig and bound over the camera renders" in text
     assert "loss over the iterations" not in text
-    assert "on the 30 scenes of the search no rig of the pool's 60 cameras is expected to miss less than 7.75" in (
+    assert "on the 60 scenes of the search no rig of the pool's 60 cameras is expected to miss less than 7.75" in (
         page.words.replace("On the", "on the")
     )
     assert "misses 8.00\N{NO-BREAK SPACE}%, 0.25 points more." in text
