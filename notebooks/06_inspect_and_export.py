@@ -17,7 +17,7 @@
 # that every exported file holds the same poses.
 
 # %% tags=["parameters"]
-train_seeds, test_seeds = range(16), range(5000, 5006)
+train_seeds, test_seeds = range(60), range(5000, 5010)
 
 # %%
 import math
@@ -94,7 +94,7 @@ print(
 )
 
 # %% [markdown]
-# Six scenes are few. Where the interval contains 0, they cannot tell the two rigs apart; the published results use
+# Ten scenes are few. Where the interval contains 0, they cannot tell the two rigs apart; the published results use
 # fifty.
 #
 # ## What it sees
