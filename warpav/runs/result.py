@@ -111,7 +111,7 @@ class Result:
     @cached_property
     def certificate(self) -> Certificate | None:
         """What a search by a pool has proven; None for a descent, and before the first selection."""
-        return Certificate.of([asdict(record) for record in self.records], scenes=len(self.placement.train))
+        return Certificate.of([asdict(record) for record in self.records], scenes=len(self.placement.search_scenes))
 
     @property
     def bound(self) -> float | None:

@@ -256,7 +256,7 @@ class RunFolder:
         events = self.events()
         if Certificate.of(events) is None:
             return None
-        return Certificate.of(events, scenes=len(self.config().scenes.train_seeds))
+        return Certificate.of(events, scenes=self.config().scenes.search_scene_count)
 
     def write_report(self, html: str) -> Path:
         """Write ``report.html`` and return its path."""

@@ -140,7 +140,8 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     if training:
         start, end = training["start"], training["optimised"]
         change = f" ({(end - start) / start:+.1%})" if start else ""
-        console.print(f"objective on the training scenes: {start:.4f} at the start, {end:.4f} at the end{change}")
+        where = "the scenes of the search" if evaluation.get("certificate") else "the training scenes"
+        console.print(f"objective on {where}: {start:.4f} at the start, {end:.4f} at the end{change}")
     certificate = evaluation.get("certificate")
     if certificate:
         scenes, count = certificate["scenes"], certificate["pool_cameras"]

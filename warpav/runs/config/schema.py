@@ -213,6 +213,11 @@ class SceneConfig(Section):
         description="the road users that rigs are optimised and evaluated for; all others only hide them",
     )
 
+    @property
+    def search_scene_count(self) -> int:
+        """Scenes on which a search by a pool chooses: of training, with their mirror images, and of validation."""
+        return len(self.train_seeds) * (1 + self.mirror) + len(self.validation_seeds or ())
+
     @model_validator(mode="after")
     def _check(self) -> SceneConfig:
         for name in ("train_seeds", "validation_seeds"):

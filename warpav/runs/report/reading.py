@@ -317,7 +317,7 @@ def read_run(folder: RunFolder) -> RunContent:
         ground=_ground(folder, evaluation),
         certificate=Certificate.of(
             [event.model_dump() for event in events],
-            scenes=None if config is None else len(config.scenes.train_seeds),
+            scenes=None if config is None else config.scenes.search_scene_count,
         ),
         further=folder.further_cameras(),
     )

@@ -215,9 +215,10 @@ def _proof(evaluation: EvaluationRecord) -> Statement | None:
 
 def search_scenes(run: RunContent) -> str:
     """The scenes on which a run compares its rigs before it ends."""
+    validation = run.config is not None and bool(run.config.scenes.validation_seeds)
     if run.certificate is not None:
-        return "training"
-    return "validation" if run.config is not None and run.config.scenes.validation_seeds else "training"
+        return "training and validation" if validation else "training"
+    return "validation" if validation else "training"
 
 
 def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
