@@ -28,7 +28,7 @@ PNG_MAX_BYTES = 60_000
 IMAGE_MAX_PX = 1000
 
 SMALL = {
-    "01_first_run": "os.environ['OPTIONS'] = 'optimiser.pool_cameras=16 scenes.train_seeds=0..1 "
+    "01_first_run": "os.environ['OPTIONS'] = 'run.batch_size=2 optimiser.pool_cameras=16 scenes.train_seeds=0..1 "
     "scenes.test_seeds=[5000] baselines.random_samples=2'\n"
     "train_seeds, test_seeds = range(2), range(5000, 5002)",
     "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
