@@ -102,7 +102,7 @@ def test_a_run_repeats_itself_and_prints_whole_lines_when_piped(run_folder, caps
     lines = output.splitlines()
     assert [line.split()[1] for line in lines if line.startswith("iteration ")] == ["1/3", "2/3", "3/3"]
     assert any(line.startswith("constraints met") for line in lines)
-    assert any(line.startswith("objective on the scenes of the search") for line in lines)
+    assert any(line.startswith("objective on the training scenes") for line in lines)
 
 
 def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory):
