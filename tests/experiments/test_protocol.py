@@ -183,7 +183,7 @@ def test_code_is_told_by_its_content(repository):
     assert code_since_seal(repository[2], [{"hash": repository[4]}]) == ["warpav/code.py"]
 
 
-def test_published_results_of_unknown_or_changed_code_are_told(repository):
+def test_published_results_of_unknown_or_changed_code_are_named(repository):
     good = {"hash": repository[2], "is_clean": True, "code": code_of(repository[2])}
     assert unknown_code([good]) == []
     assert unknown_code([]) == ["no commit of the code that made them"]
@@ -194,7 +194,7 @@ def test_published_results_of_unknown_or_changed_code_are_told(repository):
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="there is no history")
-def test_the_code_that_runs_is_told_like_that_of_a_commit():
+def test_the_code_that_runs_is_identified_like_that_of_a_commit():
     running = running_commit()
     assert running.hash == history()[0]
     assert running.is_clean is (code_of(running.hash) == running.code)

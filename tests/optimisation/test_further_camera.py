@@ -68,7 +68,7 @@ def further(pool):
 
 
 def test_a_rig_with_one_more_camera_is_rendered_to_the_same_gain(pool, further):
-    """The best of them, placed and rendered anew beside the rig."""
+    """The best of them, placed and rendered again beside the rig."""
     mount, cameras = mount_of(), cameras_of()
     pose = pool.mount_pose[[3, 17]]
     position_m = mount.position_m(pool.mount_pose)

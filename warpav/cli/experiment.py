@@ -164,7 +164,7 @@ def experiment_judge(
     *folders: Annotated[Path, Parameter(help="Folders of the experiments of the protocol's settings.")],
     out: Annotated[Path | None, Parameter(help="Markdown file; by default the console alone.")] = None,
 ) -> None:
-    """Decide the hypotheses of the protocol; failed ones are told like all others."""
+    """Decide the hypotheses of the protocol; failed ones are shown like all others."""
     from warpav.core.files import write_text
     from warpav.experiments.judgement import judged_text
 

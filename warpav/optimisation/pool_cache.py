@@ -106,7 +106,7 @@ class PoolCache:
         self._files = None
 
     def _chunks(self, scene: str) -> list[Path]:
-        """The files of a scene; the folder is listed once for all scenes, and anew after `shrink`."""
+        """The files of a scene; the folder is listed once for all scenes, and again after `shrink`."""
         if self._files is None:
             self._files = {}
             for file in sorted(self.folder.glob("pool_*.npz")):
