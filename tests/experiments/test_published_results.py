@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "results.md"
 SUMMARIES = {json.loads(file.read_text())["experiment"]: file for file in PAGE.with_suffix("").glob("*.json")}
 ARM_OF = {
-    "**warpav, `method: default`**": "gradient",
+    "**warpav, `optimiser.search=descent`**": "gradient",
     "cameras around the highest point": "highest",
     "best of random rigs": "random",
     "Sobol sequence": "sobol",

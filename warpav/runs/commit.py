@@ -1,8 +1,8 @@
 """The commit of the code that runs, and what the history says of a commit.
 
-Code is identified by its content: `Commit.code` is a hash of all files of the packages, which the history gives for every
-commit as well. So a result shows whether it was made by the code of its commit, and which commit made it where it ran
-from a copy without a history.
+Code is identified by its content: `Commit.code` is a hash of all files of the packages, which the history gives for
+every commit as well. So a result shows whether it was made by the code of its commit, and which commit made it where it
+ran from a copy without a history.
 """
 
 from __future__ import annotations
