@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.driving_scene import flat_surface, roof
 from warpav.core.errors import InputError
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing, min_camera_distance_m
-from warpav.optimisation.mount import CameraMount
+from warpav.optimisation.mount import CameraMount, FrozenCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig, RigCamera
@@ -125,6 +125,28 @@ def test_violation_adds_excess_and_missing_spacing():
     # 0.1 m beyond x, 0.2 m beyond -y, and a pair 0.2 m apart instead of 0.3 m
     rig = rig_at([[1.5, 0.0], [0.0, -0.8], [-0.5, 0.3], [-0.5, 0.5]], SURFACE)
     assert BoundsAndSpacing(SURFACE, min_spacing_m=0.3).violation_m(rig) == pytest.approx(0.1 + 0.2 + 0.1)
+
+
+@pytest.mark.parametrize("held", [None, [True, False, False]])
+def test_the_slope_of_the_slack_is_that_of_its_differences(held):
+    slope = flat_surface([0.0, 0.0], [2.0, 2.0])
+    slope.height_m[:] += 0.3 * np.linspace(0.0, 2.0, len(slope.height_m))[:, None]
+    place, rise = np.array([[0.503, 0.611], [1.207, 0.909], [0.311, 1.513]]), np.array([0.0, 0.1, -0.05])
+    frozen = None
+    if held is not None:
+        cameras = rig_at(place, slope).cameras
+        frozen = FrozenCameras(tuple(cameras), np.array(held), np.c_[place, np.zeros((3, 5))].astype(np.float32))
+    constraints = ZoneAndSpacing(slope, camera_count=3, min_spacing_m=0.3, frozen=frozen)
+    found = constraints.slack_slope(place, rise)
+    expected = np.full(found.shape, np.nan)
+    for camera, number in np.ndindex(3, 3):
+        ends = []
+        for step in (1e-5, -1e-5):
+            moved = np.c_[place, rise]
+            moved[camera, number] += step
+            ends.append(constraints.slack_m(moved[:, :2], moved[:, 2]))
+        expected[:, camera, number] = (ends[0] - ends[1]) / 2e-5
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_smallest_distance_of_cameras():

@@ -41,10 +41,10 @@ def test_states_never_get_worse_and_satisfy_the_constraints():
     np.testing.assert_array_equal(again[-1].mount_pose, states[-1].mount_pose)
 
 
-def test_the_first_selection_is_the_best_rig_of_the_pool_by_brute_force():
+def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
     mount = mount_of(free=None)
     constraints, cameras = zone_of(mount), cameras_of(mount=mount)
-    first = searched(mount)[0]
+    [chosen, _] = searched(mount, settings=replace(SMALL, polishes=False))
     pose = spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)
     pool = CameraPool.draw(pose, scenes=streets(), cameras=cameras)
     point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
@@ -54,9 +54,24 @@ def test_the_first_selection_is_the_best_rig_of_the_pool_by_brute_force():
         if all(np.linalg.norm(point[i] - point[j]) > 0.3 + 1e-6 for i, j in itertools.combinations(rig, 2))
     ]
     best = min(expected_miss_rate(pool.detection_probability[list(rig)], np.full(10, 0.1)) for rig in rigs)
-    assert first.objective == pytest.approx(best, abs=1e-7)
-    assert first.bound <= best + 1e-9
-    assert first.gap == pytest.approx(0.0, abs=1e-6)
+    assert chosen.objective == pytest.approx(best, abs=1e-7)
+    assert chosen.bound <= best + 1e-9
+    assert chosen.gap == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_proven_at_the_end_is_of_the_whole_pool():
+    settings = replace(SMALL, gap=0.0)
+    *_, first, last, settled = [state for state in searched(settings=settings) if state.stage != "polish"]
+    assert (last.stage, settled.stage) == ("selection", "settled")
+    assert last.pool_cameras == settled.pool_cameras >= first.pool_cameras
+    assert settled.objective == pytest.approx(settled.bound, abs=1e-6)
+
+
+def test_cameras_keep_their_places_in_the_rig():
+    assembly = _Assembly(mount_of(free=None), 3)
+    rig = poses_of(3, mount_of(free=None))
+    moved = rig + np.float32(0.01)
+    np.testing.assert_array_equal(assembly.rig(moved[[2, 0, 1]], like=rig), moved)
 
 
 def test_frozen_cameras_are_part_of_every_rig():

@@ -1,7 +1,8 @@
 """How what single cameras detect changes as they move: one render in each scene, one backward pass for all of them.
 
 A camera's probability to detect an object depends on the camera's pose alone, so the Jacobian of all probabilities is
-what a tape gives for one rig, pair by pair. On a GPU the launches of every scene are recorded and replayed.
+what a tape gives for one rig, pair by pair. On a GPU the launches of every scene are recorded and replayed, several
+scenes beside each other: a rig of a few cameras does not fill it.
 """
 
 from __future__ import annotations
@@ -114,7 +115,9 @@ class _Views:
         self._renderers = renderers
         self._pose = wp.zeros((renderers[0].view_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)
-        self._recorded: WeakKeyDictionary[DeviceScene, tuple[_Room, Recording]] = WeakKeyDictionary()
+        self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
+        is_cuda = renderers[0].device.is_cuda
+        self._streams = [wp.Stream(renderer.device) for renderer in renderers] if is_cuda else []
 
     def shown(self, pose: np.ndarray, scenes: Sequence[DeviceScene]) -> _Shown:
         """What cameras [camera, 7] are shown in some scenes, none of them empty."""
@@ -141,31 +144,33 @@ class _Views:
             return _Shown.together(list(threads.map(drawn, scenes)))
 
     def _replayed(self, scenes: Sequence[DeviceScene]) -> _Shown:
-        """The same from recorded launches, which wait for nothing; again if one had too little room."""
-        renderer = self._renderers[0]
-        while True:
-            rooms = []
-            for scene in scenes:
+        """The same from recorded launches; the streams, each with a renderer of its own, share the scenes."""
+        todo = list(scenes)
+        while todo:
+            for number, scene in enumerate(todo):
                 if scene not in self._recorded:
-                    room = _Room(renderer, scene)
-                    self._recorded[scene] = room, Recording(self._drawing(scene, room), renderer)
-                room, recording = self._recorded[scene]
-                recording()
-                rooms.append(room)
-            shown = [room.shown() for room in rooms]
-            if not renderer.grew():
-                return _Shown.together(shown)
+                    self._recorded[scene] = self._recording(scene, number % len(self._streams))
+                taken = self._recorded[scene]
+                with wp.ScopedStream(self._streams[taken.stream]):
+                    taken.draw()
+            for stream in self._streams:
+                wp.wait_stream(stream)
+            # recorded launches cannot make room for more samples than there were before
+            grown = [renderer.grew() for renderer in self._renderers]
+            todo = [scene for scene in todo if grown[self._recorded[scene].stream]]
+        return _Shown.together([self._recorded[scene].room.shown() for scene in scenes])
 
-    def _drawing(self, scene: DeviceScene, room: _Room) -> Callable[[], None]:
+    def _recording(self, scene: DeviceScene, stream: int) -> _Recorded:
         """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it."""
-        weak = ref(scene)
+        renderer, weak = self._renderers[stream], ref(scene)
+        room = _Room(renderer, scene)
 
         def draw() -> None:
             held = weak()
             assert held is not None
-            self._draw(self._renderers[0], held, room)
+            self._draw(renderer, held, room)
 
-        return draw
+        return _Recorded(room, stream, Recording(draw, renderer))
 
     def _draw(self, renderer: Renderer, scene: DeviceScene, room: _Room) -> None:
         """Render a scene and measure it, nothing taped."""
@@ -174,6 +179,15 @@ class _Views:
         measures = frame.measure(into=room.measures)
         frame.window_area(visible=False, into=room.in_frame)
         wp.copy(room.contrast, frame.contrast(measures.value))
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """A scene's recorded launches: where they leave what they find, and the number of their stream and renderer."""
+
+    room: _Room
+    stream: int
+    draw: Recording
 
 
 class _Room:

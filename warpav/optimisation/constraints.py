@@ -28,6 +28,7 @@ RANDOM_TRIES = 1000
 
 # a rig file keeps micrometres; what is smaller is rounding, not a violation
 _ROUNDING_M = 1e-6
+_SLOPE_STEP_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,40 @@ class Constraints(ABC):
         apart_m = np.linalg.norm(point_m[one[counts]] - point_m[other[counts]], axis=-1)
         border_m = self._border_distance_m(place[~is_frozen])
         return np.concatenate([border_m - self.margin_m, apart_m - self.min_spacing_m])
+
+    def slack_slope(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
+        """The slope of `slack_m` to x, y and the height of every camera [m/m], float64 [constraint, camera, 3].
+
+        Borders and heights of the surface by differences, as they come from rasters; 0 for what is frozen.
+        """
+        place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
+        is_frozen = self._put_frozen(place, height_delta)
+        count = len(place)
+        step_m = _SLOPE_STEP_M * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        around = (place[:, None] + step_m).reshape(-1, 2)
+
+        def differences(value: np.ndarray) -> np.ndarray:
+            """Slopes to x and y from values around every place, [place, 2]."""
+            value = value.reshape(count, 2, 2)
+            return (value[..., 0] - value[..., 1]) / (2.0 * _SLOPE_STEP_M)
+
+        free = np.flatnonzero(~is_frozen)
+        borders = np.zeros((len(free), count, 3))
+        borders[np.arange(len(free)), free, :2] = differences(self._border_distance_m(around))[free]
+        rise = differences(self.surface.height_at_m(around))
+        point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
+        one, other = np.triu_indices(count, 1)
+        counts = ~(is_frozen[one] & is_frozen[other])
+        one, other = one[counts], other[counts]
+        apart = point_m[one] - point_m[other]
+        apart /= np.maximum(np.linalg.norm(apart, axis=-1, keepdims=True), 1e-9)
+        pairs = np.zeros((len(one), count, 3))
+        for camera, sign in ((one, 1.0), (other, -1.0)):
+            pairs[np.arange(len(one)), camera, :2] = sign * (apart[:, :2] + apart[:, 2:] * rise[camera])
+            pairs[np.arange(len(one)), camera, 2] = sign * apart[:, 2]
+        slope = np.concatenate([borders, pairs])
+        slope[:, is_frozen] = 0.0
+        return slope
 
     def margins(self, rig: Rig) -> list[Margin]:
         """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.

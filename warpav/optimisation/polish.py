@@ -200,6 +200,13 @@ class _Problem:
     def slack_m(self, pose: np.ndarray) -> np.ndarray:
         return self.constraints.slack_m(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
 
+    def slack_slope(self, pose: np.ndarray) -> np.ndarray:
+        """How the slack changes with the free numbers, float64 [constraint, free number]."""
+        by_place = self.constraints.slack_slope(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
+        slope = np.zeros((len(by_place), *self.is_free.shape))
+        slope[..., [X_M, Y_M, HEIGHT_DELTA_M]] = by_place
+        return slope[:, self.is_free]
+
 
 class _Model:
     """The expected miss rate around a rig, as a function of how far its free numbers have moved."""
@@ -249,16 +256,21 @@ class _Model:
             value, gradient = self._value_and_grad(scaled * unit)
             return 100.0 * value, 100.0 * gradient * unit
 
-        def slack_m(scaled: np.ndarray) -> np.ndarray:
-            return problem.slack_m(problem.pose_of(self.pose, here + scaled * unit))
+        def moved(scaled: np.ndarray) -> np.ndarray:
+            return problem.pose_of(self.pose, here + scaled * unit)
 
+        slack = {
+            "type": "ineq",
+            "fun": lambda scaled: problem.slack_m(moved(scaled)),
+            "jac": lambda scaled: problem.slack_slope(moved(scaled)) * unit,
+        }
         found = minimize(
             objective,
             np.clip(np.zeros(len(here)), low, high),
             jac=True,
             method="SLSQP",
             bounds=np.c_[low, high],
-            constraints={"type": "ineq", "fun": slack_m},
+            constraints=slack,
             options={"maxiter": 60, "ftol": 1e-8},
         )
         scaled = np.clip(np.nan_to_num(found.x), low, high)

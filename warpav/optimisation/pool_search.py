@@ -38,6 +38,8 @@ PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
 FIRST_POLISH, FURTHER_POLISH = (20, 0.4), (10, 0.2)
 """Steps and first radius of a polish: of the first selected rig, and of those that are mostly polished already."""
+GAP_ON_THE_WAY = 3e-3
+"""Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
 _SAME = 1e-6  # the polish and the pool round differently
 
 
@@ -49,7 +51,8 @@ class PoolSearchSettings:
         pool_cameras: Single cameras of the first pool, at least as many as the rig has.
         rounds: How often further cameras are priced, at most.
         priced_cameras: Cameras that a round follows along their prices, each for a few steps.
-        gap: Objective less bound at which a selection ends, an expected miss rate.
+        gap: Objective less bound at which the last selection ends, an expected miss rate; those before, whose rigs are
+            polished, end at `GAP_ON_THE_WAY`, where that is more.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
             those with a Jacobian among them; the first pool has its share of that at most. None: as many as it takes.
@@ -210,6 +213,13 @@ class _Search:
         if start is not None:
             self._is_better(start, expected_miss_rate(self.pool.detection_probability[: self.camera_count]))
             yield self.found("start")
+        if self.settings.polishes:
+            yield from self._improved()
+        self._select(self.settings.gap)
+        yield self.found("selection")
+
+    def _improved(self) -> Iterator[Found]:
+        """Select and polish; then price, select and polish until a round brings nothing."""
         yield from self._select_and_polish()
         while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
             self.round += 1
@@ -241,7 +251,8 @@ class _Search:
             return True
         return False
 
-    def _select_and_polish(self) -> Iterator[Found]:
+    def _select(self, gap: float) -> tuple[np.ndarray, bool]:
+        """The best rig of the pool, and whether it is better than what was known."""
         pool, known = self.pool, None
         if self.best is not None:
             known = rows_of(self.assembly.in_order(self.best) + np.float32(0.0), pool.mount_pose)
@@ -251,14 +262,17 @@ class _Search:
             conflict=too_near(pool.mount_pose, self.constraints),
             required=np.arange(len(self.assembly.frozen)),
             start=known,
-            gap=self.settings.gap,
+            gap=gap,
             time_limit_s=self.settings.selection_time_s,
             seed=self.seed,
         )
-        chosen = self.assembly.rig(pool.mount_pose[selection.cameras])
-        is_news = self._is_better(chosen, selection.objective) or self.round == 0
+        chosen = self.assembly.rig(pool.mount_pose[selection.cameras], like=self.best)
+        return chosen, self._is_better(chosen, selection.objective)
+
+    def _select_and_polish(self) -> Iterator[Found]:
+        chosen, is_better = self._select(max(self.settings.gap, GAP_ON_THE_WAY))
         yield self.found("selection")
-        if is_news and self.settings.polishes:
+        if is_better or self.round == 0:
             yield from self._polish(chosen)
 
     def _polish(self, rig: np.ndarray) -> Iterator[Found]:
@@ -336,12 +350,30 @@ class _Assembly:
         """The cameras of a rig, the frozen ones first, as `rig` takes them."""
         return np.concatenate([self.frozen, rig[~self.is_frozen]])
 
-    def rig(self, pose: np.ndarray) -> np.ndarray:
-        """The rig of chosen cameras, the frozen ones first among them, float32 [camera, 7]."""
+    def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
+        """The rig of chosen cameras, the frozen ones first among them, float32 [camera, 7].
+
+        Args:
+            pose: The cameras, float32 [camera, 7].
+            like: A rig whose cameras' places in the list those take that are nearest to them, float [camera, 7].
+        """
         result = np.empty((len(self.is_frozen), 7), np.float32)
         count = len(self.frozen)
-        result[self.is_frozen], result[~self.is_frozen] = pose[:count], pose[count:]
+        result[self.is_frozen], free = pose[:count], pose[count:]
+        if like is not None:
+            from scipy.optimize import linear_sum_assignment
+
+            _, order = linear_sum_assignment(_distance(like[~self.is_frozen], free))
+            free = free[order]
+        result[~self.is_frozen] = free
         return result
+
+
+def _distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far cameras [camera, 7] are from each other in place [m] and direction [rad], [one, other]."""
+    difference = one[:, None].astype(np.float64) - other[None]
+    difference[..., YAW_RAD] = (difference[..., YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)
 
 
 def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:

@@ -31,6 +31,8 @@ from warpav.scene.device_scene import DeviceScene
 
 CPU_VIEWS = 16
 """Views that one thread renders at once."""
+CUDA_STREAMS = 12
+"""Scenes that a GPU renders beside each other for Jacobians: the few cameras of a rig do not fill it."""
 CUDA_CHUNKS = 8
 """Chunks of `chunk_view_count` that a GPU renders at once: it fills with more views than a CPU's caches hold."""
 
@@ -156,7 +158,9 @@ class SingleCameras:
 
     @cached_property
     def _jacobians(self) -> CameraJacobians:
-        return CameraJacobians(self.mount, self.probability, self._renderers_for)
+        is_cuda = wp.get_device(self.mount.device).is_cuda
+        count = CUDA_STREAMS if is_cuda else self.thread_count or available_cores()
+        return CameraJacobians(self.mount, self.probability, lambda views: self._renderers_for(views, count))
 
     @property
     def _most_views(self) -> int:
@@ -169,13 +173,13 @@ class SingleCameras:
         if view_count not in self._renderers:
             self._renderers.clear()
             self._renderers[view_count] = renderers = SimpleQueue()
-            for renderer in self._renderers_for(view_count):
+            is_cuda = wp.get_device(self.mount.device).is_cuda
+            for renderer in self._renderers_for(view_count, 1 if is_cuda else self.thread_count or available_cores()):
                 renderers.put(renderer)
         return self._renderers[view_count]
 
-    def _renderers_for(self, view_count: int) -> list[Renderer]:
-        """New renderers of so many views, one for each thread of the CPU."""
-        is_cuda = wp.get_device(self.mount.device).is_cuda
+    def _renderers_for(self, view_count: int, count: int) -> list[Renderer]:
+        """New renderers of so many views, which do not share launches over threads."""
         return [
             Renderer(
                 [self.mount.camera] * view_count,
@@ -184,7 +188,7 @@ class SingleCameras:
                 device=self.mount.device,
                 thread_count=1,
             )
-            for _ in range(1 if is_cuda else self.thread_count or available_cores())
+            for _ in range(count)
         ]
 
 
