@@ -133,6 +133,7 @@ def pool_search(
 
     Raises:
         InputError: The pool sees nothing, or the cameras do not fit.
+        KeyboardInterrupt: Ctrl-C during a selection, after the state that it has come to.
     """
     settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
@@ -258,6 +259,8 @@ class _Search:
         chosen = self.assembly.rig(pool.mount_pose[selection.cameras])
         is_news = self._is_better(chosen, selection.objective) or self.round == 0
         yield self.found("selection")
+        if selection.ended == "interrupted":  # what it has found is kept, the search ends
+            raise KeyboardInterrupt
         if is_news and self.settings.polishes:
             yield from self._polish(chosen)
 
