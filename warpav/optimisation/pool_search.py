@@ -138,6 +138,8 @@ def pool_search(
     settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
+    if not settings.selection_time_s > 0.0:  # before anything is drawn
+        raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
     search = _Search(cameras, scenes, constraints, camera_count, settings, seed)
     yield from search.states(start, executor, cache, progress)
     yield search.found("settled")
