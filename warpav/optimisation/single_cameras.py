@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from queue import SimpleQueue
 from typing import Any
@@ -19,14 +20,14 @@ import warp as wp
 from warpav.core.executor import available_cores
 from warpav.core.fingerprint import digest, fingerprint
 from warpav.core.warp_setup import load_warp
-from warpav.detection.probability import Appearance, whole_solid_angle
+from warpav.optimisation.camera_jacobians import CameraJacobians
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene, UprightBoxes
+from warpav.scene.device_scene import DeviceScene
 
 CPU_VIEWS = 16
 """Views that one thread renders at once."""
@@ -151,66 +152,11 @@ class SingleCameras:
         Raises:
             InputError: The images or their supersampling are too large.
         """
-        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
-        slope = _placing_slope(self.mount, pose)
-        renderers = self._renderers_of(len(pose))
-        views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
+        return self._jacobians.of(mount_pose, scenes)
 
-        def drawn(scene: DeviceScene) -> _Shown:
-            renderer = renderers.get()
-            try:
-                poses = views.position_ego_m, views.camera_from_ego
-                frame = renderer.render(scene.raster, *poses, log_focal=views.log_zoom)
-                return _Shown.of(Appearance.of(frame, scene))
-            finally:
-                renderers.put(renderer)
-
-        peopled = [scene for scene in scenes if scene.vehicle_count > 0]
-        if not peopled:
-            return np.zeros((len(pose), 0)), np.zeros((len(pose), 0, MOUNT_POSE_SIZE))
-        if renderers.qsize() == 1:
-            shown = [drawn(scene) for scene in peopled]
-        else:
-            with ThreadPoolExecutor(renderers.qsize()) as threads:
-                shown = list(threads.map(drawn, peopled))
-        # Warp has one tape for all threads, so what needs one comes after them, for all scenes at once
-        return self._differentiated(_Shown.together(shown), views.position_ego_m.numpy(), slope)
-
-    def _differentiated(
-        self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities and Jacobian of what cameras at some places [camera, 3] are shown."""
-        device = self.mount.device
-        whole_sr, whole_slope = _whole_and_slope(position_ego_m, shown.box, device)
-        # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
-        values = (shown.measures["value"], shown.in_frame["value"], whole_sr)
-        leaves = [wp.array(each, dtype=float, device=device, requires_grad=True) for each in values]
-        with wp.Tape() as tape:
-            seen = self.probability.model.of_measures(
-                leaves[0],
-                leaves[1],
-                leaves[2],
-                wp.array(shown.contrast, dtype=float, device=device),
-                width_px=self.mount.camera.width_px,
-                height_px=self.mount.camera.height_px,
-            )
-            found = self.probability.share_of_box(seen) or seen.probability
-        tape.backward(grads={found: wp.ones_like(found)})
-        by_measure, by_in_frame, by_whole = (_gradient_of(each) for each in leaves)
-
-        def chained(name: str) -> np.ndarray:
-            """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
-            return np.einsum("vkm,vkm...->vk...", by_measure, shown.measures[name]) + np.einsum(
-                "vkm,vkm...->vk...", by_in_frame, shown.in_frame[name]
-            )
-
-        by_position = chained("jac_translation") + by_whole[..., None] * whole_slope
-        jacobian = (
-            np.einsum("vki,vij->vkj", by_position, slope.position)
-            + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
-            + chained("jac_log_focal")[..., None] * slope.log_zoom[:, None]
-        )
-        return found.numpy().astype(np.float64), jacobian
+    @cached_property
+    def _jacobians(self) -> CameraJacobians:
+        return CameraJacobians(self.mount, self.probability, self._renderers_for)
 
     @property
     def _most_views(self) -> int:
@@ -222,137 +168,24 @@ class SingleCameras:
         """Renderers of so many views, one for each thread; the last ones that were asked for are kept."""
         if view_count not in self._renderers:
             self._renderers.clear()
-            is_cuda = wp.get_device(self.mount.device).is_cuda
             self._renderers[view_count] = renderers = SimpleQueue()
-            for _ in range(1 if is_cuda else self.thread_count or available_cores()):
-                renderers.put(
-                    Renderer(
-                        [self.mount.camera] * view_count,
-                        supersampling=self.supersampling,
-                        occlusion=self.occlusion,
-                        device=self.mount.device,
-                        thread_count=1,
-                    )
-                )
+            for renderer in self._renderers_for(view_count):
+                renderers.put(renderer)
         return self._renderers[view_count]
 
-
-@dataclass(frozen=True, eq=False)
-class _PlacingSlope:
-    """How the views of cameras move with their mount poses, float64.
-
-    Attributes:
-        position: Of the centres [m], [camera, 3, 7].
-        rotation: Of the small rotation about the camera's axes [rad], [camera, 3, 7].
-        log_zoom: Of the log zoom, [camera, 7].
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    log_zoom: np.ndarray
-
-
-def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
-    """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""
-    pose = wp.array(mount_pose, dtype=float, device=mount.device, requires_grad=True)
-    with wp.Tape() as tape:
-        views = mount.place(pose, 1)
-    rows = []
-    for array, size in ((views.position_ego_m, 3), (views.camera_from_ego, 9), (views.log_zoom, 1)):
-        for number in range(size):
-            seed = np.zeros((len(mount_pose), size), np.float32)
-            seed[:, number] = 1.0
-            shaped = seed.reshape(array.numpy().shape)
-            tape.zero()
-            tape.backward(grads={array: wp.array(shaped, dtype=array.dtype, device=mount.device)})
-            rows.append(_gradient_of(pose))
-    slope = np.stack(rows, axis=1)
-    # with the vector s the rotation R becomes R + [s]x R
-    turned = slope[:, 3:12].reshape(-1, 3, 3, MOUNT_POSE_SIZE)
-    skew = np.einsum("vijn,vkj->vikn", turned, views.camera_from_ego.numpy().astype(np.float64))
-    spin = 0.5 * np.stack(
-        [skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1
-    )
-    return _PlacingSlope(slope[:, :3], spin, slope[:, 12])
-
-
-_MEASURED = ("value", "jac_translation", "jac_rotation", "jac_log_focal")
-
-
-@dataclass(frozen=True, eq=False)
-class _Shown:
-    """What cameras are shown of the objects of one or more scenes, on the host; as `Appearance` has it.
-
-    Attributes:
-        measures: Measures and their Jacobians by name, float32 [camera, object, measure, ...].
-        in_frame: Likewise of the solid angle in the image [sr].
-        contrast: Of colours, float32 [camera, object].
-        box: Centre, half size [m] and direction of every object's upright box, float32 [object, 3], [object, 3] and
-            [object, 2].
-    """
-
-    measures: dict[str, np.ndarray]
-    in_frame: dict[str, np.ndarray]
-    contrast: np.ndarray
-    box: tuple[np.ndarray, np.ndarray, np.ndarray]
-
-    @classmethod
-    def of(cls, appearance: Appearance) -> _Shown:
-        count = appearance.contrast.shape[1]
-        box = appearance.box
-        return cls(
-            {name: getattr(appearance.measures, name).numpy() for name in _MEASURED},
-            {name: getattr(appearance.in_frame, name).numpy() for name in _MEASURED},
-            appearance.contrast.numpy(),
-            (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count]),
-        )
-
-    @classmethod
-    def together(cls, shown: Sequence[_Shown]) -> _Shown:
-        """Those of several scenes, the objects scene by scene."""
-        return cls(
-            {name: np.concatenate([each.measures[name] for each in shown], axis=1) for name in _MEASURED},
-            {name: np.concatenate([each.in_frame[name] for each in shown], axis=1) for name in _MEASURED},
-            np.concatenate([each.contrast for each in shown], axis=1),
-            (
-                np.concatenate([each.box[0] for each in shown]),
-                np.concatenate([each.box[1] for each in shown]),
-                np.concatenate([each.box[2] for each in shown]),
-            ),
-        )
-
-
-def _whole_and_slope(
-    position_ego_m: np.ndarray, box: tuple[np.ndarray, np.ndarray, np.ndarray], device: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solid angle of every object's box [sr], and how it changes with a camera's centre [sr/m].
-
-    It depends on centre less place alone, so its gradient to the centre is that to the place with the other sign; and a
-    centre has a gradient of its own for every object.
-
-    Returns:
-        float32 [camera, object] and float64 [camera, object, 3].
-    """
-    count = len(box[0])
-    centre = wp.array(box[0], dtype=wp.vec3, device=device, requires_grad=True)
-    boxes = UprightBoxes(
-        centre, wp.array(box[1], dtype=wp.vec3, device=device), wp.array(box[2], dtype=wp.vec2, device=device)
-    )
-    whole_sr, slope = [], []
-    for place_m in position_ego_m:
-        place = wp.array(place_m[None], dtype=wp.vec3, device=device)
-        with wp.Tape() as tape:
-            found = whole_solid_angle(place, boxes, vehicle_count=count)
-        tape.backward(grads={found: wp.ones_like(found)})
-        whole_sr.append(found.numpy()[0])
-        slope.append(-_gradient_of(centre))
-        tape.zero()
-    return np.array(whole_sr), np.array(slope)
-
-
-def _gradient_of(array: wp.array) -> np.ndarray:
-    assert array.grad is not None
-    return array.grad.numpy().astype(np.float64)
+    def _renderers_for(self, view_count: int) -> list[Renderer]:
+        """New renderers of so many views, one for each thread of the CPU."""
+        is_cuda = wp.get_device(self.mount.device).is_cuda
+        return [
+            Renderer(
+                [self.mount.camera] * view_count,
+                supersampling=self.supersampling,
+                occlusion=self.occlusion,
+                device=self.mount.device,
+                thread_count=1,
+            )
+            for _ in range(1 if is_cuda else self.thread_count or available_cores())
+        ]
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

@@ -56,7 +56,7 @@ class UprightBoxes:
     along: wp.array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DeviceScene:
     """A traffic scene on a device.
 

@@ -1,0 +1,338 @@
+"""How what single cameras detect changes as they move: one render in each scene, one backward pass for all of them.
+
+A camera's probability to detect an object depends on the camera's pose alone, so the Jacobian of all probabilities is
+what a tape gives for one rig, pair by pair. On a GPU the launches of every scene are recorded and replayed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from queue import SimpleQueue
+from weakref import WeakKeyDictionary, ref
+
+import numpy as np
+import warp as wp
+
+from warpav.detection.probability import whole_solid_angle
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation.recording import Recording
+from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
+from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene, UprightBoxes
+
+_MEASURED = ("value", "jac_translation", "jac_rotation", "jac_log_focal")
+_VECTORS = ("jac_translation", "jac_rotation")
+
+
+class CameraJacobians:
+    """Probabilities of single cameras and their Jacobians, as `SingleCameras.with_jacobian` gives them."""
+
+    def __init__(
+        self, mount: CameraMount, probability: CameraProbability, renderers_for: Callable[[int], list[Renderer]]
+    ) -> None:
+        """Prepare nothing yet.
+
+        Args:
+            mount: Where the cameras stand.
+            probability: How likely a camera is to detect.
+            renderers_for: Makes renderers of so many views, one for each thread.
+        """
+        self.mount, self.probability = mount, probability
+        self._renderers_for = renderers_for
+        self._rounds: dict[int, _Views] = {}
+
+    def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
+        """See `SingleCameras.with_jacobian`."""
+        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+        peopled = [scene for scene in scenes if scene.vehicle_count > 0]
+        if not peopled or not len(pose):
+            count = sum(scene.vehicle_count for scene in peopled)
+            return np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
+        slope = _placing_slope(self.mount, pose)
+        views = self._views_of(len(pose))
+        shown = views.shown(pose, peopled)
+        return self._differentiated(shown, views.placed.position_ego_m.numpy(), slope)
+
+    def _views_of(self, count: int) -> _Views:
+        """The views of so many cameras. A GPU keeps them, for what it has recorded, a CPU only the last ones."""
+        if count not in self._rounds:
+            if not wp.get_device(self.mount.device).is_cuda:
+                self._rounds.clear()
+            self._rounds[count] = _Views(self.mount, self._renderers_for(count))
+        return self._rounds[count]
+
+    def _differentiated(
+        self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities and Jacobian of what cameras at some places [camera, 3] are shown."""
+        device = self.mount.device
+        whole_sr, whole_slope = _whole_and_slope(position_ego_m, shown.box, device)
+        # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
+        values = (shown.measures["value"], shown.in_frame["value"], whole_sr)
+        leaves = [wp.array(each, dtype=float, device=device, requires_grad=True) for each in values]
+        with wp.Tape() as tape:
+            seen = self.probability.model.of_measures(
+                leaves[0],
+                leaves[1],
+                leaves[2],
+                wp.array(shown.contrast, dtype=float, device=device),
+                width_px=self.mount.camera.width_px,
+                height_px=self.mount.camera.height_px,
+            )
+            found = self.probability.share_of_box(seen) or seen.probability
+        tape.backward(grads={found: wp.ones_like(found)})
+        by_measure, by_in_frame, by_whole = (_gradient_of(each) for each in leaves)
+
+        def chained(name: str) -> np.ndarray:
+            """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
+            return np.einsum("vkm,vkm...->vk...", by_measure, shown.measures[name]) + np.einsum(
+                "vkm,vkm...->vk...", by_in_frame, shown.in_frame[name]
+            )
+
+        by_position = chained("jac_translation") + by_whole[..., None] * whole_slope
+        jacobian = (
+            np.einsum("vki,vij->vkj", by_position, slope.position)
+            + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
+            + chained("jac_log_focal")[..., None] * slope.log_zoom[:, None]
+        )
+        return found.numpy().astype(np.float64), jacobian
+
+
+class _Views:
+    """So many views that are rendered in one scene after another.
+
+    Attributes:
+        placed: Their poses, always in the same arrays.
+    """
+
+    def __init__(self, mount: CameraMount, renderers: list[Renderer]) -> None:
+        self._mount = mount
+        self._renderers = renderers
+        self._pose = wp.zeros((renderers[0].view_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
+        self.placed = PlacedViews.zeros(self._pose, 1)
+        self._recorded: WeakKeyDictionary[DeviceScene, tuple[_Room, Recording]] = WeakKeyDictionary()
+
+    def shown(self, pose: np.ndarray, scenes: Sequence[DeviceScene]) -> _Shown:
+        """What cameras [camera, 7] are shown in some scenes, none of them empty."""
+        self._pose.assign(pose)
+        self._mount.place(self._pose, 1, into=self.placed)
+        if self._renderers[0].device.is_cuda:
+            return self._replayed(scenes)
+        free: SimpleQueue[Renderer] = SimpleQueue()
+        for renderer in self._renderers:
+            free.put(renderer)
+
+        def drawn(scene: DeviceScene) -> _Shown:
+            renderer = free.get()
+            try:
+                room = _Room(renderer, scene)
+                self._draw(renderer, scene, room)
+                return room.shown()
+            finally:
+                free.put(renderer)
+
+        if len(self._renderers) == 1:
+            return _Shown.together([drawn(scene) for scene in scenes])
+        with ThreadPoolExecutor(len(self._renderers)) as threads:
+            return _Shown.together(list(threads.map(drawn, scenes)))
+
+    def _replayed(self, scenes: Sequence[DeviceScene]) -> _Shown:
+        """The same from recorded launches, which wait for nothing; again if one had too little room."""
+        renderer = self._renderers[0]
+        while True:
+            rooms = []
+            for scene in scenes:
+                if scene not in self._recorded:
+                    room = _Room(renderer, scene)
+                    self._recorded[scene] = room, Recording(self._drawing(scene, room), renderer)
+                room, recording = self._recorded[scene]
+                recording()
+                rooms.append(room)
+            shown = [room.shown() for room in rooms]
+            if not renderer.grew():
+                return _Shown.together(shown)
+
+    def _drawing(self, scene: DeviceScene, room: _Room) -> Callable[[], None]:
+        """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it."""
+        weak = ref(scene)
+
+        def draw() -> None:
+            held = weak()
+            assert held is not None
+            self._draw(self._renderers[0], held, room)
+
+        return draw
+
+    def _draw(self, renderer: Renderer, scene: DeviceScene, room: _Room) -> None:
+        """Render a scene and measure it, nothing taped."""
+        placed = self.placed
+        frame = renderer.render(scene.raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
+        measures = frame.measure(into=room.measures)
+        frame.window_area(visible=False, into=room.in_frame)
+        wp.copy(room.contrast, frame.contrast(measures.value))
+
+
+class _Room:
+    """Where a render's measures of a scene stand: arrays on the device that share one piece of memory."""
+
+    def __init__(self, renderer: Renderer, scene: DeviceScene) -> None:
+        pairs = (renderer.view_count, scene.vehicle_count)
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        for kind, count in (("measures", MEASURE_COUNT), ("in_frame", 1)):
+            for name in _MEASURED:
+                self._shapes[f"{kind} {name}"] = (*pairs, count, *((3,) if name in _VECTORS else ()))
+        self._shapes["contrast"] = pairs
+        ends = np.cumsum([math.prod(shape) for shape in self._shapes.values()])
+        self._firsts = dict(zip(self._shapes, [0, *ends[:-1]], strict=True))
+        device = renderer.device
+        self._memory = wp.zeros(int(ends[-1]), dtype=float, device=device)
+        assert self._memory.ptr is not None
+        self._pointer = self._memory.ptr
+        poses = {
+            "position_world_m": wp.zeros(pairs[0], dtype=wp.vec3, device=device),
+            "camera_from_world": wp.zeros(pairs[0], dtype=wp.mat33, device=device),
+            "log_focal": wp.zeros(pairs[0], dtype=float, device=device),
+        }
+        self.measures = Measures(**{name: self._array(f"measures {name}") for name in _MEASURED}, **poses)
+        self.in_frame = WindowMeasures(
+            **{name: self._array(f"in_frame {name}") for name in _MEASURED},
+            **poses,
+            jac_window=wp.zeros(pairs, dtype=wp.vec4, device=device),
+            window_rad=wp.zeros(pairs[0], dtype=wp.vec4, device=device),
+        )
+        self.contrast = self._array("contrast")
+        box = scene.upright_box
+        count = pairs[1]
+        self._box = (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count])
+
+    def _array(self, name: str) -> wp.array:
+        """A part of the memory by its name, of vectors where the last axis is one."""
+        shape = self._shapes[name]
+        return wp.array(
+            ptr=self._pointer + 4 * int(self._firsts[name]),
+            dtype=wp.vec3 if len(shape) == 4 else float,
+            shape=shape[:3],
+            device=self._memory.device,
+        )
+
+    def shown(self) -> _Shown:
+        """What stands there, copied to the host."""
+        memory = self._memory.numpy()
+        found = {
+            name: memory[first : first + math.prod(self._shapes[name])].reshape(self._shapes[name])
+            for name, first in self._firsts.items()
+        }
+        return _Shown(
+            {name: found[f"measures {name}"] for name in _MEASURED},
+            {name: found[f"in_frame {name}"] for name in _MEASURED},
+            found["contrast"],
+            self._box,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _PlacingSlope:
+    """How the views of cameras move with their mount poses, float64.
+
+    Attributes:
+        position: Of the centres [m], [camera, 3, 7].
+        rotation: Of the small rotation about the camera's axes [rad], [camera, 3, 7].
+        log_zoom: Of the log zoom, [camera, 7].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    log_zoom: np.ndarray
+
+
+def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
+    """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""
+    pose = wp.array(mount_pose, dtype=float, device=mount.device, requires_grad=True)
+    with wp.Tape() as tape:
+        views = mount.place(pose, 1)
+    rows = []
+    for array, size in ((views.position_ego_m, 3), (views.camera_from_ego, 9), (views.log_zoom, 1)):
+        for number in range(size):
+            seed = np.zeros((len(mount_pose), size), np.float32)
+            seed[:, number] = 1.0
+            shaped = seed.reshape(array.numpy().shape)
+            tape.zero()
+            tape.backward(grads={array: wp.array(shaped, dtype=array.dtype, device=mount.device)})
+            rows.append(_gradient_of(pose))
+    slope = np.stack(rows, axis=1)
+    # with the vector s the rotation R becomes R + [s]x R
+    turned = slope[:, 3:12].reshape(-1, 3, 3, MOUNT_POSE_SIZE)
+    skew = np.einsum("vijn,vkj->vikn", turned, views.camera_from_ego.numpy().astype(np.float64))
+    spin = 0.5 * np.stack(
+        [skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1
+    )
+    return _PlacingSlope(slope[:, :3], spin, slope[:, 12])
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What cameras are shown of the objects of one or more scenes, on the host.
+
+    Attributes:
+        measures: Measures and their Jacobians by name, float32 [camera, object, measure, ...].
+        in_frame: Likewise of the solid angle in the image [sr].
+        contrast: Of colours, float32 [camera, object].
+        box: Centre, half size [m] and direction of every object's upright box, float32 [object, 3], [object, 3] and
+            [object, 2].
+    """
+
+    measures: dict[str, np.ndarray]
+    in_frame: dict[str, np.ndarray]
+    contrast: np.ndarray
+    box: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def together(cls, shown: Sequence[_Shown]) -> _Shown:
+        """Those of several scenes, the objects scene by scene."""
+        return cls(
+            {name: np.concatenate([each.measures[name] for each in shown], axis=1) for name in _MEASURED},
+            {name: np.concatenate([each.in_frame[name] for each in shown], axis=1) for name in _MEASURED},
+            np.concatenate([each.contrast for each in shown], axis=1),
+            (
+                np.concatenate([each.box[0] for each in shown]),
+                np.concatenate([each.box[1] for each in shown]),
+                np.concatenate([each.box[2] for each in shown]),
+            ),
+        )
+
+
+def _whole_and_slope(
+    position_ego_m: np.ndarray, box: tuple[np.ndarray, np.ndarray, np.ndarray], device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solid angle of every object's box [sr], and how it changes with a camera's centre [sr/m].
+
+    It depends on centre less place alone, so its gradient to the centre is that to the place with the other sign; and a
+    centre has a gradient of its own for every object.
+
+    Returns:
+        float32 [camera, object] and float64 [camera, object, 3].
+    """
+    count = len(box[0])
+    centre = wp.array(box[0], dtype=wp.vec3, device=device, requires_grad=True)
+    boxes = UprightBoxes(
+        centre, wp.array(box[1], dtype=wp.vec3, device=device), wp.array(box[2], dtype=wp.vec2, device=device)
+    )
+    whole_sr, slope = [], []
+    for place_m in position_ego_m:
+        place = wp.array(place_m[None], dtype=wp.vec3, device=device)
+        with wp.Tape() as tape:
+            found = whole_solid_angle(place, boxes, vehicle_count=count)
+        tape.backward(grads={found: wp.ones_like(found)})
+        whole_sr.append(found.numpy()[0])
+        slope.append(-_gradient_of(centre))
+        tape.zero()
+    return np.array(whole_sr), np.array(slope)
+
+
+def _gradient_of(array: wp.array) -> np.ndarray:
+    assert array.grad is not None
+    return array.grad.numpy().astype(np.float64)
