@@ -10,7 +10,7 @@ polished ones join the pool, and the selection has the next word.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -36,8 +36,8 @@ POOL_SHARE = 0.45
 """Of a budget, the share of the first pool at most, so that enough is left for polish and pricing."""
 PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-FIRST_POLISH, FURTHER_POLISH = (20, 0.4), (10, 0.2)
-"""Steps and first radius of a polish: of the first selected rig, and of those that are mostly polished already."""
+FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (20, 0.4), (10, 0.4), (6, 0.2)
+"""Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
 _SAME = 1e-6  # the polish and the pool round differently
@@ -136,10 +136,13 @@ def pool_search(
 
     Raises:
         InputError: The pool sees nothing, or the cameras do not fit.
+        KeyboardInterrupt: Ctrl-C during a selection, after the state that it has come to.
     """
     settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
+    if not settings.selection_time_s > 0.0:  # before anything is drawn
+        raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
     search = _Search(cameras, scenes, constraints, camera_count, settings, seed)
     yield from search.states(start, executor, cache, progress)
     yield search.found("settled")
@@ -215,19 +218,19 @@ class _Search:
             yield self.found("start")
         if self.settings.polishes:
             yield from self._improved()
-        self._select(self.settings.gap)
-        yield self.found("selection")
+        yield from self._select(self.settings.gap)
 
     def _improved(self) -> Iterator[Found]:
-        """Select and polish; then price, select and polish until a round brings nothing."""
-        yield from self._select_and_polish()
+        """Select and polish; then price, select and polish until a round brings nothing; then what all that led to."""
+        yield from self._select_and_polish(FIRST_POLISH)
         while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
             self.round += 1
             before = self.objective
             yield from self._price()
-            yield from self._select_and_polish()
+            yield from self._select_and_polish(FURTHER_POLISH)
             if self.objective > before - _SAME:
-                return
+                break
+        yield from self._select_and_polish(LAST_POLISH)
 
     @property
     def camera_renders(self) -> int:
@@ -251,7 +254,7 @@ class _Search:
             return True
         return False
 
-    def _select(self, gap: float) -> tuple[np.ndarray, bool]:
+    def _select(self, gap: float) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
         pool, known = self.pool, None
         if self.best is not None:
@@ -267,15 +270,19 @@ class _Search:
             seed=self.seed,
         )
         chosen = self.assembly.rig(pool.mount_pose[selection.cameras], like=self.best)
-        return chosen, self._is_better(chosen, selection.objective)
-
-    def _select_and_polish(self) -> Iterator[Found]:
-        chosen, is_better = self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        is_better = self._is_better(chosen, selection.objective)
         yield self.found("selection")
-        if is_better or self.round == 0:
-            yield from self._polish(chosen)
+        if selection.ended == "interrupted":  # what it has found is kept, the search ends
+            raise KeyboardInterrupt
+        return chosen, is_better
 
-    def _polish(self, rig: np.ndarray) -> Iterator[Found]:
+    def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
+        is_first = self.selection is None
+        chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        if is_better or is_first:
+            yield from self._polish(chosen, *schedule)
+
+    def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
         drawn: list[tuple[np.ndarray, np.ndarray]] = []
 
         def detect(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +292,6 @@ class _Search:
 
         if self._affordable(self.camera_count) < self.camera_count:
             return
-        step_count, radius = FURTHER_POLISH if self.round else FIRST_POLISH
         steps = polish(
             rig,
             detect,

@@ -94,6 +94,12 @@ class LossSettings(LossWeights):
         return {name: getattr(self, name) for name in LOSSES}
 
     @property
+    def suits_pool(self) -> bool:
+        """Whether a pool of single cameras knows the objective; of its objects `single_cameras_of` says the same."""
+        taking_part = [name for name, weight in self.weights.items() if weight]
+        return taking_part == ["expected_miss_rate"] and self.combine == "any" and self.detector_share == 0.0
+
+    @property
     def one_field(self) -> list[str]:
         """Names of the losses that take part and take one field of view for all cameras."""
         return [name for name, weight in self.weights.items() if weight and LOSSES[name].one_field]
