@@ -33,10 +33,10 @@ from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
 POOL_SHARE = 0.45
-"""Of a budget, the share of the first pool at most, so that enough is left for polish and pricing."""
+"""Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (20, 0.4), (10, 0.4), (6, 0.2)
+FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
@@ -55,7 +55,7 @@ class PoolSearchSettings:
             polished, end at `GAP_ON_THE_WAY`, where that is more.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
-            those with a Jacobian among them; the first pool has its share of that at most. None: as many as it takes.
+            those with a Jacobian among them; the first pool leaves a share for what follows. None: as many as it takes.
         polishes: Whether selected rigs are polished.
     """
 
@@ -201,8 +201,7 @@ class _Search:
             first = self.assembly.in_order(start)
         limit = self.settings.camera_renders_max
         if limit is not None:
-            share = POOL_SHARE if self.settings.polishes else 1.0
-            most = max(int(share * limit) // len(self.scenes), self.camera_count)
+            most = max(self._first_share(limit) // len(self.scenes), self.camera_count)
             spread_count = min(spread_count, most - len(first))
         if len(first) + spread_count < self.camera_count:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
@@ -219,6 +218,14 @@ class _Search:
         if self.settings.polishes:
             yield from self._improved()
         yield from self._select(self.settings.gap)
+
+    def _first_share(self, limit: int) -> int:
+        """Camera renders that the first pool may take of so many."""
+        if not self.settings.polishes:
+            return limit
+        steps = sum(1 + count for count, _ in (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH))
+        of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
+        return max(int(POOL_SHARE * limit), limit - of_a_round * len(self.scenes))
 
     def _improved(self) -> Iterator[Found]:
         """Select and polish; then price, select and polish until a round brings nothing; then what all that led to."""
