@@ -42,7 +42,7 @@ os.chdir(folder.name)
 #
 # It builds 70 street scenes and searches in 60 of them:
 #
-# 1. It renders a *pool* of 80 single cameras, spread over roof, bonnet and directions, once in every scene.
+# 1. It renders a *pool* of 112 single cameras, spread over roof, bonnet and directions, once in every scene.
 # 2. It *selects* the four of them that miss least together, and proves a bound that no four of the pool can beat.
 # 3. It *polishes* these four: the gradient moves and turns all of them at once.
 # 4. It looks for cameras that the pool lacks (*pricing*), adds them, and selects and polishes again.

@@ -71,6 +71,10 @@ BAD_INPUT = [
     (["render", "3", "--rig", "highest", "--out", "o", "device=cuda:99"], "command line (device=cuda:99): device: "),
     (["optimise", "run.iterations=0"], "command line (run.iterations=0): run.iterations: expected a whole number from"),
     (
+        ["optimise", "optimiser.selection_time_s=0"],
+        "command line (optimiser.selection_time_s=0): optimiser.selection_time_s: expected a number above 0, got 0",
+    ),
+    (
         ["optimise", "detector.model=no.onnx"],
         "command line (detector.model=no.onnx): detector.model: expected builtin or",
     ),

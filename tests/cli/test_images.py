@@ -137,7 +137,10 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert "--show" in complaint(capsys, "inspect", "highest", "--show", "blind")
     for source in (str(run_folder.path), "highest"):  # a descent, and no run at all
         told = complaint(capsys, "inspect", source, "--show", "further", "--out", "further.png")
-        assert "--show): expected the folder of a finished run with optimiser.search=pool for 'further'" in told
+        assert (
+            "--show): expected the folder of a run with optimiser.search=pool that has drawn its pool for 'further'"
+            in told
+        )
 
 
 def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):

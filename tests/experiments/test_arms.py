@@ -233,6 +233,11 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
             find_arm(name, {}).check(settings, None)
     with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
         find_arm("thesis_as_printed", {}).check(settings, None)  # it prints batches of four
+    larger = changed_config(settings, ["optimiser.search=pool", "run.batch_size=4"])
+    find_arm("start", {}).check(larger, None)
+    assert found_by("start", problem.with_config(larger), None).camera_renders == 0
+    with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
+        find_arm("random_batches", {}).check(larger, None)
     for arm, least in (("descent", 12), ("random_batches", 4), ("greedy_cover", 20), ("default", 8), ("random", 4)):
         with pytest.raises(
             InputError, match=f"arm {arm}: `budget`: expected at least {least} camera renders, got {least - 1}"

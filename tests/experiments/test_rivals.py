@@ -11,7 +11,8 @@ from tests.experiments.small_experiment import complaint, overrides
 from warpav.cli.app import main
 from warpav.experiments import arms as arms_module
 from warpav.experiments import rival_settings
-from warpav.experiments.experiment import objective_on_tests, overrides_of
+from warpav.experiments.experiment import overrides_of
+from warpav.experiments.result_folder import objective_on_tests
 from warpav.experiments.rival_settings import RIVAL_ARMS, SETTINGS
 from warpav.experiments.rival_table import rival_table
 from warpav.rig.rig import read_rig

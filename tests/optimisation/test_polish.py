@@ -64,8 +64,9 @@ def test_the_jacobian_adds_up_to_the_gradient_on_the_tape(kind):
     assert worst < 2e-4, worst
 
 
-def zone_of(mount, camera_count=3, frozen=None):
-    return ZoneAndSpacing(mount.surface, camera_count=camera_count, min_spacing_m=0.3, margin_m=0.05, frozen=frozen)
+def zone_of(mount, camera_count=3, frozen=None, min_spacing_m=0.3):
+    spacing = {"min_spacing_m": min_spacing_m, "margin_m": 0.05}
+    return ZoneAndSpacing(mount.surface, camera_count=camera_count, frozen=frozen, **spacing)
 
 
 def polished(cameras, pose, constraints, **options):

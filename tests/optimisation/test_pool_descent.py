@@ -11,6 +11,7 @@ from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.settings import LossSettings
 
 
@@ -60,6 +61,21 @@ def test_objectives_are_those_of_the_objective():
     constraints, mount = objective.constraints, objective.mount
     np.testing.assert_allclose(first.mount_pose[:, :2], constraints.project(poses_of(3)[:, :2], np.zeros(3)), atol=1e-5)
     assert constraints.violation_m(mount.rig(first.mount_pose)) == 0.0
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        LossSettings(expected_miss_rate=0.5),
+        LossSettings(expected_miss_rate=1.0, probability="visible_share"),
+        LossSettings(expected_miss_rate=1.0, object_visibility=1.0),
+        LossSettings(expected_miss_rate=1.0, combine="best"),
+        LossSettings(expected_miss_rate=1.0, detector_share=0.5),
+        thesis_losses(),
+    ],
+)
+def test_settings_know_which_objectives_suit_a_pool(settings):
+    assert settings.suits_pool == (single_cameras_of(objective_of(settings)) is not None)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The search by a pool: rigs never get worse, bounds hold, budgets and frozen cameras are kept."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,14 +11,14 @@ from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.optimisation.polish import expected_miss_rate
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search
 
 SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
 
 
-def searched(mount=None, count=3, *, settings=SMALL, frozen=None, **options):
+def searched(mount=None, count=3, *, settings=SMALL, frozen=None, min_spacing_m=0.3, **options):
     mount = mount or mount_of(free=None)
-    constraints = zone_of(mount, count, frozen=frozen)
+    constraints = zone_of(mount, count, frozen, min_spacing_m)
     return list(pool_search(cameras_of(mount=mount), streets(), constraints, count, settings=settings, **options))
 
 
@@ -109,3 +110,16 @@ def test_of_a_budget_enough_is_left_for_the_polish():
 def test_a_pool_that_is_too_small_is_refused():
     with pytest.raises(InputError, match="pool_cameras: expected at least the rig's 3, got 2"):
         searched(settings=PoolSearchSettings(pool_cameras=2))
+
+
+def test_a_time_limit_of_nothing_is_refused_before_anything_is_drawn(monkeypatch):
+    monkeypatch.setattr(CameraPool, "draw", None)
+    with pytest.raises(InputError, match=r"^selection_time_s: expected more than 0 s, got 0$"):
+        searched(settings=replace(SMALL, selection_time_s=0.0))
+
+
+def test_constraints_that_no_rig_of_the_pool_satisfies_are_named():
+    with pytest.raises(
+        InputError, match=r"^no rig of the pool satisfies count = 3 and conflict; loosen one of them, .*$"
+    ):
+        searched(min_spacing_m=1.5)

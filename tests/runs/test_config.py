@@ -282,7 +282,10 @@ FILE_MISTAKES = [
         "losses: {in_frame_rotation: 0, expected_miss_rate: 0}\n",
         "mine.yaml:1: losses.expected_miss_rate: expected at least one weight above 0, got only zeros",
     ),
-    ("run: {batch_size: 61}\n", "mine.yaml:1: run.batch_size: expected at most the 60 training scene(s), got 61"),
+    (
+        "run: {batch_size: 61}\noptimiser: {search: descent}\n",
+        "mine.yaml:1: run.batch_size: expected at most the 60 training scene(s), got 61",
+    ),
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
     (
         "rig:\n  free:\n    fov_deg: [110, 60]\n",
@@ -350,10 +353,6 @@ OVERRIDE_MISTAKES = [
     ("rig.=3", "command line (rig.=3): expected key=value, got 'rig.=3'"),
     ("rig.cameras=[1", "command line (rig.cameras=[1): expected valid YAML, got a syntax error: "),
     (
-        "scenes.train_seeds=[1, 2]",
-        "command line (scenes.train_seeds=[1, 2]): run.batch_size: expected at most the 2 training scene(s), got 4",
-    ),
-    (
         "scenes.train_seeds=[5000, 1, 2, 3]",
         "command line (scenes.train_seeds=[5000, 1, 2, 3]): scenes.test_seeds: expected test scenes that are not",
     ),
@@ -365,6 +364,30 @@ def test_a_mistake_in_an_override_is_named_with_the_override(yaml_file, override
     found = _message(yaml_file("rig: {cameras: 3}\n"), override)
     assert found.startswith(message)
     assert "\n" not in found
+
+
+@pytest.mark.parametrize(
+    ("options", "descends"),
+    [
+        ([], False),
+        (["optimiser.search=pool"], False),
+        (["optimiser.search=pool", "losses.combine=best"], False),
+        (["optimiser.search=descent"], True),
+        (["losses.combine=best"], True),
+        (["losses.detector_share=0.5"], True),
+        (["losses.object_visibility=1"], True),
+        (["losses={expected_miss_rate: 0, in_frame_rotation: 1}"], True),
+    ],
+)
+def test_batches_may_exceed_the_training_scenes_where_no_descent_takes_any(yaml_file, options, descends):
+    file, scenes = yaml_file("run: {batch_size: 4}\n"), "scenes.train_seeds=[1, 2]"
+    assert load_config(file, options).descends == descends
+    if descends:
+        found = _message(file, *options, scenes)
+        place = f"command line ({scenes}): run.batch_size"
+        assert found == f"{place}: expected at most the 2 training scene(s), got 4; set run.batch_size=2 or lower"
+    else:
+        assert load_config(file, [*options, scenes]).run.batch_size == 4
 
 
 def test_all_mistakes_are_reported_at_once(yaml_file):

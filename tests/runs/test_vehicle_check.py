@@ -14,6 +14,7 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.experiments import experiment as experiments
+from warpav.experiments.result_folder import unseeded
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config, with_absolute_paths
 from warpav.runs.mounts import mount_surface
@@ -264,16 +265,16 @@ def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
     own = load_config("quick", ["scenes.ego=car.glb"])
     assert detector_use(plain).settings.get("scenes.ego") is None
     assert "ego" not in detector_use(plain).settings["scenes"]  # fits from before there was the option stay good
-    first = detector_use(own).identity, experiments.unseeded(own)
+    first = detector_use(own).identity, unseeded(own)
     assert first[0] != detector_use(plain).identity
-    assert first[1] != experiments.unseeded(plain)
+    assert first[1] != unseeded(plain)
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "car.glb").rename(tmp_path / "elsewhere" / "car.glb")
     moved = load_config("quick", ["scenes.ego=elsewhere/car.glb"])
-    assert (detector_use(moved).identity, experiments.unseeded(moved)) == first
+    assert (detector_use(moved).identity, unseeded(moved)) == first
     write_vehicle(moved_van(), tmp_path / "elsewhere" / "car.glb")
     assert detector_use(moved).identity != first[0]
-    assert experiments.unseeded(moved) != first[1]
+    assert unseeded(moved) != first[1]
     assert with_absolute_paths(moved).scenes.ego == tmp_path / "elsewhere" / "car.glb"
 
 

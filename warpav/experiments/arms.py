@@ -151,6 +151,8 @@ class Arm:
             )
         if self.method in _STARTING or config.rig.freeze:
             read_start(config)
+        if self.method in _BATCHED:
+            changed_config(config, ("optimiser.search=descent",))
         least = self._least_camera_renders(config)
         if camera_renders_max is not None and camera_renders_max < least:
             raise InputError(
@@ -319,9 +321,11 @@ def _within(placement: Placement, camera_renders_max: int | None) -> Placement:
     return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
 
 
-def _from_one_start(placement: Placement) -> Placement:
-    """The same placement, whose search is a descent that tries no other starts."""
+def _from_one_start(placement: Placement, *, takes_batches: bool = True) -> Placement:
+    """The same placement, whose search is a descent that tries no other starts; some take none of its steps."""
     one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1"]
+    if not takes_batches:
+        one.append("run.batch_size=1")
     return placement.with_config(changed_config(placement.config, one))
 
 
@@ -332,6 +336,8 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     """
     placement = placement.with_config(changed_config(placement.config, ["optimiser.search=pool"]))
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
+    if camera_renders_max is not None:  # rounds until it is spent, or until one brings nothing
+        settings = replace(settings, rounds=camera_renders_max)
     if only:
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)
@@ -396,7 +402,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
 
 def _descent_only(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The polish alone, from the configuration's one start, until nothing improves or the budget is spent."""
-    begun = Optimisation.begin(_from_one_start(placement))
+    begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
     values, mount = _single_values(placement), placement.objective.mount
     steps = polish(
         begun.descent.start,
@@ -442,7 +448,7 @@ def _single_values(placement: Placement) -> SingleCameraValues:
 def _start(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that the configuration's search starts from, without trying others."""
     del camera_renders_max
-    begun = Optimisation.begin(_from_one_start(placement))
+    begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
     return FoundRig(begun.start, begun.began_as, 0, {}, mount_pose=begun.descent.start)
 
 
@@ -662,5 +668,8 @@ _HOLDING = (
     *("cma", "differential_evolution", "cma_then_gradient"),
 )
 """Ways that keep the cameras of ``rig.freeze`` where they are."""
+
+_BATCHED = ("random_batches", "cma_then_gradient")
+"""Ways that take batches of scenes whatever the configuration searches by."""
 
 _PACKAGES = {"cma": "cma", "cma_then_gradient": "cma"}

@@ -1,13 +1,12 @@
 """An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
 
-``<folder>/experiment.json`` holds the options of the results, ``<folder>/results/<arm>_<seed>.json`` holds one
-result, ``<folder>/results/<arm>_<seed>.yaml`` its rig. The same command again does what is missing, and nothing else.
+`warpav.experiments.result_folder` says what the folder holds. The same command again does what is missing, and nothing
+else.
 """
 
 from __future__ import annotations
 
 import gc
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -17,7 +16,6 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Outcome, run_tasks
 from warpav.core.files import write_json
@@ -26,6 +24,16 @@ from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
+from warpav.experiments.result_folder import (
+    RESULTS,
+    SCHEMA,
+    is_there,
+    objective_on_tests,
+    open_folder,
+    read_json,
+    results_in,
+    unseeded,
+)
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.polish import expected_miss_rate
@@ -37,12 +45,9 @@ from warpav.runs.commit import running_commit
 from warpav.runs.config import (
     Config,
     changed_config,
-    dump_config,
-    option_values,
     overridden_option,
     with_absolute_paths,
 )
-from warpav.runs.environment import environment
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import Placement, needed_fit, placement_on
@@ -58,12 +63,8 @@ from warpav.runs.scene_set import (
 
 Task = TypeVar("Task")
 
-SCHEMA = 2
 GRADIENTS = "gradients"
 """Method of an arm that finds no rig but measures gradients (tables I and V)."""
-
-DESCRIPTION = "experiment.json"
-RESULTS = "results"
 
 
 @dataclass(frozen=True)
@@ -272,8 +273,8 @@ def run_experiment(
     folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
     runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
     tasks = _tasks(experiment, arms, config, runs_of, camera_renders_max, folder / RESULTS)
-    _open_folder(folder, experiment, config, camera_renders_max)
-    waiting = [task for task in tasks if not _is_there(task)]
+    open_folder(folder, experiment.name, config, camera_renders_max)
+    waiting = [task for task in tasks if not is_there(task.file, task.made_with)]
     if len(waiting) < len(tasks):
         progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
     failed = []
@@ -304,18 +305,6 @@ def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
     return results
 
 
-def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
-    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
-
-    Raises:
-        InputError: A file cannot be read, or is no result.
-    """
-    found = [_read_result(file) for file in sorted((folder / RESULTS).glob("*.json"))]
-    there = {run["arm"] for run in found}
-    arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
-    return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
-
-
 def merged_results(done: Finished, experiment: Experiment) -> Finished:
     """The same with what the folder holds of earlier commands, arms in order; those without a result have none.
 
@@ -331,21 +320,6 @@ def say_failures(done: Finished, progress: Progress) -> None:
     """Why tasks failed, a line each."""
     for failure in done.failed:
         progress.say(f"failed: {failure}")
-
-
-def _read_result(file: Path) -> dict[str, Any]:
-    """A result.
-
-    Raises:
-        InputError: It cannot be read, or is none of this version's.
-    """
-    result = read_json(file)
-    if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
-        found = result.get("schema") if isinstance(result, dict) else None
-        raise InputError(
-            f"{file}: schema: expected a result of schema {SCHEMA} with an arm and a seed, got {found!r}; delete it"
-        )
-    return result
 
 
 def run_arm(task: ArmTask) -> dict[str, Any]:
@@ -487,121 +461,6 @@ def _tasks(
     return tasks
 
 
-def unseeded(config: Config) -> str:
-    """All options on which a result depends, but the seed."""
-    return json.dumps(_options(config))
-
-
-def _options(config: Config) -> dict[str, Any]:
-    """The options on which a result depends, all but the seed, in JSON's own types."""
-    values = {
-        name: value
-        for name, value in option_values(config).items()
-        if name not in ("run.seed", "run.out") and not name.startswith("executor.")
-    }
-    if config.scenes.ego is not None:  # what it holds, wherever it lies
-        values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
-    return json.loads(json.dumps(values))
-
-
-def _open_folder(folder: Path, experiment: Experiment, config: Config, camera_renders_max: int | None) -> None:
-    """Make the folder of the experiment, or see that the one that is there belongs to it.
-
-    Raises:
-        InputError: It does not, or no folder can be made.
-    """
-    file = folder / DESCRIPTION
-    description = {
-        "schema": SCHEMA,
-        "experiment": experiment.name,
-        "camera_renders_max": camera_renders_max,
-        "options": _options(config),
-    }
-    if file.is_file():
-        if any((folder / RESULTS).glob("*.json")):
-            _check_same(file, read_description(folder), description)
-            return
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ArgumentError(
-            place=folder,
-            option="out",
-            text="expected a folder of this experiment or one that does not exist yet, got something "
-            "else; choose another with `out`",
-        )
-    try:
-        (folder / RESULTS).mkdir(parents=True, exist_ok=True)
-        (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
-    except OSError as error:
-        raise ArgumentError(
-            place=folder, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
-        ) from None
-    write_json(folder / "env.json", environment(config, device_name(config.device)))
-    write_json(file, description)
-
-
-def read_description(folder: Path) -> dict[str, Any]:
-    """What the results in the folder of an experiment were made with.
-
-    Raises:
-        InputError: It cannot be read, or is of another version.
-    """
-    file = folder / DESCRIPTION
-    there = read_json(file)
-    if not isinstance(there, dict) or there.get("schema") != SCHEMA or "experiment" not in there:
-        found = there.get("schema") if isinstance(there, dict) else None
-        raise InputError(
-            f"{file}: schema: expected {SCHEMA}, got {found!r}, of another version of warpav; choose another folder "
-            "with `out`, and run the experiment again"
-        )
-    return there
-
-
-def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """See that the results of a folder are of this experiment.
-
-    Raises:
-        InputError: They are not.
-    """
-    fix = "choose another folder with `out`"
-    if there.get("experiment") != wanted["experiment"]:
-        raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
-    budget, wanted_budget = there.get("camera_renders_max"), wanted["camera_renders_max"]
-    if budget != wanted_budget:
-        raise InputError(
-            f"{file}: camera_renders_max: expected {wanted_budget}, got {budget!r}; {fix}, or give the same `budget`"
-        )
-    options = there.get("options")
-    options = options if isinstance(options, dict) else {}
-    different = [
-        f"{name} is {options.get(name)!r} there and {value!r} here"
-        for name, value in wanted["options"].items()
-        if options.get(name) != value
-    ]
-    if different:
-        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
-        raise InputError(
-            f"{file}: options: expected the configuration of its results, got another: "
-            f"{', '.join(different[:3])}{more}; {fix}, or give the same options"
-        )
-
-
-def _is_there(task: ArmTask) -> bool:
-    """Whether a task's result is there already.
-
-    Raises:
-        InputError: The path is taken by something else.
-    """
-    if not task.file.is_file():
-        return False
-    result = read_json(task.file)
-    if not isinstance(result, dict) or (result.get("schema"), result.get("made_with")) != (SCHEMA, task.made_with):
-        raise InputError(
-            f"{task.file}: expected a result of schema {SCHEMA} made with this configuration and budget, got another; "
-            "delete it, or choose another folder with `out`"
-        )
-    return True
-
-
 def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> None:
     """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
 
@@ -691,31 +550,3 @@ def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
     )
     shown = "  ".join(f"{label} {value:.4f}" for label, value in numbers if value is not None)
     return f"{name}: {shown}  {result['camera_renders']} camera renders  {took}"
-
-
-def objective_on_tests(result: Mapping[str, Any]) -> float | None:
-    """The objective of a result's rig on the test scenes, the mean over all their objects; None for other lenses."""
-    of_scene = objective_of_tests(result)
-    pairs = [(value, count) for value, count in zip(of_scene, result["objects_of_scene"], strict=True) if count]
-    if not pairs or any(value is None for value, _ in pairs):
-        return None
-    return sum(value * count for value, count in pairs) / sum(count for _, count in pairs)
-
-
-def objective_of_tests(result: Mapping[str, Any]) -> list[Any]:
-    """The objective of a result's rig in every test scene; None where it has none."""
-    if "metrics" in result:
-        return result["metrics"]["per_scene"]["objective"]
-    return result["test_objective_of_scene"]
-
-
-def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
-    """The content of a result.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: expected a readable JSON file, got: {error}; delete it") from None

@@ -12,14 +12,14 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.evaluation.statistics import RESAMPLES, holm, paired_difference
-from warpav.experiments.experiment import (
+from warpav.experiments.protocol import Hypothesis, protocol, seal_of
+from warpav.experiments.result_folder import (
     DESCRIPTION,
     objective_of_tests,
     objective_on_tests,
     read_description,
     results_in,
 )
-from warpav.experiments.protocol import Hypothesis, protocol, seal_of
 from warpav.experiments.tables import Results
 from warpav.runs.config import read_seeds
 

@@ -24,19 +24,16 @@ from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.evaluation.statistics import RESAMPLES, rank_correlation
-from warpav.experiments.experiment import (
+from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, traffic_of_process
+from warpav.experiments.goals import RIVALS, Goal
+from warpav.experiments.result_folder import (
     DESCRIPTION,
     RESULTS,
-    Finished,
-    make_scenes_ready,
-    outcomes,
     read_description,
     read_json,
     results_in,
-    traffic_of_process,
     unseeded,
 )
-from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.losses.registry import LOSSES

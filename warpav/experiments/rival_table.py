@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms
-from warpav.experiments.experiment import objective_of_tests, objective_on_tests
 from warpav.experiments.goals import TOLERANCE, Goal
+from warpav.experiments.result_folder import objective_of_tests, objective_on_tests
 from warpav.experiments.tables import Results
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
-from warpav.experiments.experiment import RESULTS, outcomes, read_json, traffic_of_process
+from warpav.experiments.experiment import outcomes, traffic_of_process
+from warpav.experiments.result_folder import RESULTS, read_json
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.polish import expected_miss_rate

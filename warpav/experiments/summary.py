@@ -15,9 +15,9 @@ from typing import Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
-from warpav.experiments.experiment import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.goals import Goal
 from warpav.experiments.protocol import code_since_seal, seal_of
+from warpav.experiments.result_folder import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.tables import COMPARED, Results
 from warpav.runs.commit import commit_of_code, history
 from warpav.runs.environment import command_line

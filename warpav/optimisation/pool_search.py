@@ -10,7 +10,7 @@ polished ones join the pool, and the selection has the next word.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -33,11 +33,11 @@ from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
 POOL_SHARE = 0.45
-"""Of a budget, the share of the first pool at most, so that enough is left for polish and pricing."""
+"""Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-FIRST_POLISH, FURTHER_POLISH = (20, 0.4), (10, 0.2)
-"""Steps and first radius of a polish: of the first selected rig, and of those that are mostly polished already."""
+FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
+"""Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
 _SAME = 1e-6  # the polish and the pool round differently
@@ -55,7 +55,7 @@ class PoolSearchSettings:
             polished, end at `GAP_ON_THE_WAY`, where that is more.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
-            those with a Jacobian among them; the first pool has its share of that at most. None: as many as it takes.
+            those with a Jacobian among them; the first pool leaves a share for what follows. None: as many as it takes.
         polishes: Whether selected rigs are polished.
     """
 
@@ -136,10 +136,13 @@ def pool_search(
 
     Raises:
         InputError: The pool sees nothing, or the cameras do not fit.
+        KeyboardInterrupt: Ctrl-C during a selection, after the state that it has come to.
     """
     settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
+    if not settings.selection_time_s > 0.0:  # before anything is drawn
+        raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
     search = _Search(cameras, scenes, constraints, camera_count, settings, seed)
     yield from search.states(start, executor, cache, progress)
     yield search.found("settled")
@@ -198,8 +201,7 @@ class _Search:
             first = self.assembly.in_order(start)
         limit = self.settings.camera_renders_max
         if limit is not None:
-            share = POOL_SHARE if self.settings.polishes else 1.0
-            most = max(int(share * limit) // len(self.scenes), self.camera_count)
+            most = max(self._first_share(limit) // len(self.scenes), self.camera_count)
             spread_count = min(spread_count, most - len(first))
         if len(first) + spread_count < self.camera_count:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
@@ -215,19 +217,27 @@ class _Search:
             yield self.found("start")
         if self.settings.polishes:
             yield from self._improved()
-        self._select(self.settings.gap)
-        yield self.found("selection")
+        yield from self._select(self.settings.gap)
+
+    def _first_share(self, limit: int) -> int:
+        """Camera renders that the first pool may take of so many."""
+        if not self.settings.polishes:
+            return limit
+        steps = sum(1 + count for count, _ in (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH))
+        of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
+        return max(int(POOL_SHARE * limit), limit - of_a_round * len(self.scenes))
 
     def _improved(self) -> Iterator[Found]:
-        """Select and polish; then price, select and polish until a round brings nothing."""
-        yield from self._select_and_polish()
+        """Select and polish; then price, select and polish until a round brings nothing; then what all that led to."""
+        yield from self._select_and_polish(FIRST_POLISH)
         while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
             self.round += 1
             before = self.objective
             yield from self._price()
-            yield from self._select_and_polish()
+            yield from self._select_and_polish(FURTHER_POLISH)
             if self.objective > before - _SAME:
-                return
+                break
+        yield from self._select_and_polish(LAST_POLISH)
 
     @property
     def camera_renders(self) -> int:
@@ -251,7 +261,7 @@ class _Search:
             return True
         return False
 
-    def _select(self, gap: float) -> tuple[np.ndarray, bool]:
+    def _select(self, gap: float) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
         pool, known = self.pool, None
         if self.best is not None:
@@ -267,15 +277,19 @@ class _Search:
             seed=self.seed,
         )
         chosen = self.assembly.rig(pool.mount_pose[selection.cameras], like=self.best)
-        return chosen, self._is_better(chosen, selection.objective)
-
-    def _select_and_polish(self) -> Iterator[Found]:
-        chosen, is_better = self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        is_better = self._is_better(chosen, selection.objective)
         yield self.found("selection")
-        if is_better or self.round == 0:
-            yield from self._polish(chosen)
+        if selection.ended == "interrupted":  # what it has found is kept, the search ends
+            raise KeyboardInterrupt
+        return chosen, is_better
 
-    def _polish(self, rig: np.ndarray) -> Iterator[Found]:
+    def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
+        is_first = self.selection is None
+        chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        if is_better or is_first:
+            yield from self._polish(chosen, *schedule)
+
+    def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
         drawn: list[tuple[np.ndarray, np.ndarray]] = []
 
         def detect(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +299,6 @@ class _Search:
 
         if self._affordable(self.camera_count) < self.camera_count:
             return
-        step_count, radius = FURTHER_POLISH if self.round else FIRST_POLISH
         steps = polish(
             rig,
             detect,

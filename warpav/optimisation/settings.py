@@ -94,6 +94,12 @@ class LossSettings(LossWeights):
         return {name: getattr(self, name) for name in LOSSES}
 
     @property
+    def suits_pool(self) -> bool:
+        """Whether a pool of single cameras knows the objective; of its objects `single_cameras_of` says the same."""
+        taking_part = [name for name, weight in self.weights.items() if weight]
+        return taking_part == ["expected_miss_rate"] and self.combine == "any" and self.detector_share == 0.0
+
+    @property
     def one_field(self) -> list[str]:
         """Names of the losses that take part and take one field of view for all cameras."""
         return [name for name, weight in self.weights.items() if weight and LOSSES[name].one_field]
@@ -161,7 +167,7 @@ class OptimiserSettings(Section):
         "gradient steps on batches from the best of some starts; auto: pool where expected_miss_rate is the only loss, "
         "else descent",
     )
-    pool_cameras: int = Field(default=80, ge=16, le=1_000_000, description="search=pool: single cameras at first")
+    pool_cameras: int = Field(default=112, ge=16, le=1_000_000, description="search=pool: single cameras at first")
     pool_rounds: int = Field(default=1, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")
     pool_gap: float = Field(
         default=5e-4, ge=0.0, le=1.0, description="search=pool: expected miss rate to which a selection is proven"

@@ -136,7 +136,8 @@ def _further(source: str) -> FurtherCameras:
     if found is None:
         raise ArgumentError(
             "show",
-            f"expected the folder of a finished run with optimiser.search=pool for 'further', got {source!r}",
+            "expected the folder of a run with optimiser.search=pool that has drawn its pool for 'further', got "
+            f"{source!r}",
         )
     return found
 

@@ -10,8 +10,10 @@ from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.executor import Executor
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
+from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
+from warpav.optimisation.pool_descent import PoolDescent
 from warpav.rig.rig import write_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
@@ -57,7 +59,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         timer.end("descent")
         evaluation = write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
     except KeyboardInterrupt:
-        folder.write_checkpoint(optimisation.descent.state())
+        _keep_reached(folder, optimisation.descent)
         progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
         raise
     return folder, evaluation
@@ -77,6 +79,14 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
     if record.training_objective is not None:
         write_rig(mount.rig(descent.best.mount_pose), folder.rig_path("best"))
         folder.write_checkpoint(descent.state())
+
+
+def _keep_reached(folder: RunFolder, descent: Descent | PoolDescent) -> None:
+    """Write what a run that is stopped has beside its rigs."""
+    folder.write_checkpoint(descent.state())
+    further = descent.further_cameras() if isinstance(descent, PoolDescent) else None
+    if further is not None:
+        folder.write_further_cameras(further)
 
 
 def measure_rig(source: str, config: Config, *, json_file: Path | None, progress: Progress) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from warpav.optimisation.selection.problem import Row
 from warpav.optimisation.selection.select import select
 
 ROUNDING = 1e-12
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 
 @st.composite

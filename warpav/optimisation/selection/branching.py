@@ -168,7 +168,7 @@ class Search:
         self._offer(np.argsort(-(relaxed.fraction + node.required), kind="stable")[: problem.count])
         node, _ = _without_useless(node, relaxed, self.objective)
         closed = self.objective  # of what went out
-        if np.count_nonzero(node.allowed) < problem.count or np.count_nonzero(node.required) > problem.count:
+        if node.is_empty(problem.count):
             return [], closed
         branches = tree.branches(node, relaxed.fraction, relaxation, enough)
         return [_child(node, branch, tree, self._problem.count) for branch in branches], closed

@@ -63,6 +63,11 @@ class Node:
     branch: Mapping[int, tuple[float, float]]
     bound: float
 
+    def is_empty(self, count: int) -> bool:
+        """Whether it has no rig of so many cameras, whatever the other constraints; branches can ask for too many."""
+        required, allowed = np.count_nonzero(self.required), np.count_nonzero(self.allowed)
+        return bool(required > count or allowed < count or (self.required & ~self.allowed).any())
+
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
@@ -180,6 +185,8 @@ class Relaxation:
             enough: The bound is not raised beyond this, nor once the fractional choice is so near to it that a small
                 part of the way to here is left at most.
         """
+        if node.is_empty(self.problem.count):  # the model may lack the cameras that would show it
+            return Relaxed(math.inf)
         self._drop_idle_cuts()
         self._enter(node)
         best = Relaxed(node.bound)

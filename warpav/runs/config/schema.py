@@ -164,7 +164,7 @@ class RunConfig(Section):
         default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
     )
     iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
-    batch_size: int = Field(default=4, ge=1, description="scenes per step")
+    batch_size: int = Field(default=4, ge=1, description="scenes per step of a descent")
 
 
 class SceneConfig(Section):
@@ -569,10 +569,16 @@ class ConfigTree(Section):
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
 
+    @property
+    def descends(self) -> bool:
+        """Whether the search is a descent, whose steps take batches, and not one by a pool."""
+        search = self.optimiser.search
+        return search == "descent" or (search == "auto" and not self.losses.suits_pool)
+
     @model_validator(mode="after")
     def _check(self) -> ConfigTree:
         scene_count = len(self.scenes.train_seeds)
-        if self.run.batch_size > scene_count:
+        if self.descends and self.run.batch_size > scene_count:
             mistake(
                 f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
                 f"set run.batch_size={scene_count} or lower",

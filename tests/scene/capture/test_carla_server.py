@@ -1,0 +1,328 @@
+"""The CARLA server: its world is prepared and restored, and a server that is missing or another one is reported."""
+
+import contextlib
+import math
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tests.scene.capture import carla_double
+from tests.scene.capture.carla_double import Server, install
+from tests.scene.capture.carla_situation import first_vehicle, view_above
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.scene.capture.carla_server import VERSION_REQUEST, unreachable
+from warpav.scene.capture.carla_simulator import CarlaSimulator
+from warpav.scene.capture.folder import check_capture, read_capture, record_capture
+from warpav.scene.capture.plan import PlanSettings
+
+
+class TestWorld:
+    def test_prepared_inside_and_restored_outside(self, server):
+        before = server.state()
+        with CarlaSimulator() as simulator:
+            simulator.begin(0)
+            first_vehicle(simulator)
+            inside = server.state()
+            assert inside["settings"]["synchronous_mode"]
+            assert inside["settings"]["fixed_delta_seconds"] == 0.05
+            assert not inside["settings"]["no_rendering_mode"]
+            assert inside["weather"]["sun_altitude_angle"] == 90.0
+            assert inside["weather"]["wind_intensity"] == inside["weather"]["fog_density"] == 0.0
+            assert not any(inside["plants"].values())
+            assert not inside["layers"]
+            assert not inside["lights"]
+            assert inside["traffic lights"]
+            assert not server.sees_through_glass
+            vehicles = server.made("vehicle.*")
+            assert [one._lamps for one in vehicles] == [carla_double.VehicleLightState.NONE] * 2
+            assert not any(one._physics for one in vehicles)
+            assert sorted(one.attributes["role_name"] for one in vehicles) == ["hero", "warpav"]
+        assert server.state() == before
+        assert not server.faults
+
+    def test_map_without_layers(self, monkeypatch):
+        server = Server(map_name="Carla/Maps/Town04")
+        install(monkeypatch, server)
+        before = server.state()
+        with CarlaSimulator() as simulator:
+            simulator.begin(0)
+            assert simulator.name == "carla_Town04_0000"
+            assert server.layers  # left alone
+        assert server.state() == before
+
+    def test_map_is_loaded(self, server):
+        with CarlaSimulator(map_name="Town04") as simulator:
+            simulator.begin(0)
+            assert simulator.source == "CARLA Town04 seed 0"
+        assert server.calls.count("Client.load_world") == 1
+        assert not server.settings.synchronous_mode
+
+    def test_begin_again_leaves_one_ego(self, server):
+        with CarlaSimulator() as simulator:
+            for seed in range(3):
+                simulator.begin(seed)
+                first_vehicle(simulator)
+            simulator.begin(0)
+            assert len(server.made("vehicle.*")) == 1
+
+    def test_simulator_serves_twice(self, server):
+        simulator = CarlaSimulator()
+        for _ in range(2):
+            with simulator:
+                simulator.begin(0)
+        assert not server.made("vehicle.*")
+
+    def test_recorded_to_a_folder(self, server, tmp_path):
+        settings = PlanSettings(
+            vehicle_count=2, width_px=64, height_px=48, scene_heights_m=(14.0,), rotation_count=2, ego_side_count=0
+        )
+        with CarlaSimulator(warm_up_ticks=0) as simulator:
+            folder = record_capture(simulator, 1, tmp_path / "capture", settings)
+        assert list(check_capture(folder)) == []
+        capture = read_capture(folder)
+        assert capture.name == "carla_Town10HD_Opt_0001"
+        assert len(capture.vehicles) == 2
+        assert len(capture.images) == 1 + 2 + 2 + 1 + 2
+
+    def test_rear_axle_may_be_stated(self, server):
+        with CarlaSimulator(rear_axle_m=(-1.0, 0.0, 0.1)) as simulator:
+            np.testing.assert_allclose(simulator.begin(0).center_m, [1.05, 0.0, 0.65], atol=1e-4)
+
+    def test_ego_may_be_chosen(self, server):
+        with CarlaSimulator(ego_blueprint="vehicle.audi.tt") as simulator:
+            np.testing.assert_allclose(simulator.begin(0).size_m, [4.2, 1.96, 1.38], atol=1e-4)
+
+
+def use(simulator, then):
+    with simulator:
+        simulator.begin(0)
+        then()
+
+
+def situation(**options):
+    """All that a recording does, once."""
+    with CarlaSimulator(warm_up_ticks=0, **options) as simulator:
+        box = simulator.begin(3)
+        vehicle = first_vehicle(simulator)
+        simulator.capture(view_above(box, model=CameraModel(16, 16)))
+        simulator.remove(vehicle)
+        first_vehicle(simulator)
+
+
+class TestCleanup:
+    @pytest.mark.parametrize("is_before", [True, False], ids=["before", "after"])
+    @pytest.mark.parametrize(
+        "error", [RuntimeError("time-out of 60000ms"), KeyboardInterrupt()], ids=["error", "ctrl-c"]
+    )
+    def test_nothing_is_left_wherever_a_call_fails(self, monkeypatch, error, is_before):
+        """Every kind of call, the first and the last time it is made, the cleanup's own included."""
+        server = Server()
+        install(monkeypatch, server)
+        situation()
+        names = server.calls
+        chosen = sorted({names.index(name) for name in names} | {len(names) - 1 - names[::-1].index(n) for n in names})
+        assert len(chosen) > 35
+        for index in chosen:
+            server = Server()
+            install(monkeypatch, server)
+            before = server.state()
+            server.failures[index] = (error, is_before)
+            with contextlib.suppress(InputError, RuntimeError, KeyboardInterrupt):
+                situation()
+            assert len(server.calls) > index
+            assert server.state() == before, f"after {names[index]}, call {index}"
+
+    def test_error_of_the_user_passes_through(self, server):
+        before = server.state()
+        with pytest.raises(ZeroDivisionError):
+            use(CarlaSimulator(), lambda: 1 / 0)
+        assert server.state() == before
+
+    def test_ctrl_c_while_leaving_is_passed_on_afterwards(self, server):
+        before = server.state()
+        with pytest.raises(KeyboardInterrupt):
+            use(CarlaSimulator(), lambda: server.failures.update({len(server.calls): (KeyboardInterrupt(), True)}))
+        assert server.state() == before
+
+    def test_what_cannot_be_restored_is_named(self, server):
+        set_weather = carla_double.World.set_weather
+
+        def refuse(world, weather):
+            if weather._values["sun_altitude_angle"] < 0.0:
+                raise RuntimeError("no such weather")
+            set_weather(world, weather)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(carla_double.World, "set_weather", refuse)
+            with pytest.raises(RuntimeError, match=r"was left changed: weather \(no such weather\)"), CarlaSimulator():
+                pass
+        assert not server.settings.synchronous_mode  # the rest is restored all the same
+
+    def test_dead_server_is_not_waited_for_at_every_step(self, server):
+        calls = []
+
+        def die():
+            server.is_mute = True
+            calls.append(len(server.calls))
+            server.failures |= {calls[0] + index: (RuntimeError("time-out"), True) for index in range(100)}
+            raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError) as caught:
+            use(CarlaSimulator(), die)
+        assert len(server.calls) - calls[0] == 2  # one that times out, and one that asks whether there is anybody
+        (note,) = caught.value.__notes__
+        assert "was left changed: actors (time-out); " in note
+        assert note.endswith("lights; settings; restart the server")
+
+    def test_used_outside_a_with_statement(self, server):
+        simulator = CarlaSimulator()
+        with pytest.raises(RuntimeError, match="with statement"):
+            simulator.begin(0)
+        with simulator, pytest.raises(RuntimeError, match=r"begin\(seed\) comes first"):
+            simulator.spawn_points(10.0)
+        with pytest.raises(RuntimeError, match="with statement"):
+            simulator.begin(0)
+
+
+class TestMistakes:
+    def told(self, match, simulator):
+        with pytest.raises(InputError, match=match) as caught, simulator:
+            simulator.begin(0)
+        assert "\n" not in str(caught.value)
+
+    @pytest.fixture
+    def closed_port(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            return probe.getsockname()[1]
+
+    def test_missing_server(self, monkeypatch, closed_port):
+        monkeypatch.setitem(sys.modules, "carla", Server().module())
+        begun_s = time.monotonic()
+        self.told(
+            rf"expected a server at 127.0.0.1:{closed_port}, got: connection refused; start it with .*CarlaUE4",
+            CarlaSimulator(port=closed_port),
+        )
+        assert time.monotonic() - begun_s < 5.0
+
+    def test_unknown_host(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "carla", Server().module())
+        self.told("the host's name is not known", CarlaSimulator(host="no host"))
+
+    def test_server_that_speaks_is_reached(self):
+        with listener(b"\x94\x01\x01\xc0\x92\x00") as port:
+            assert unreachable("127.0.0.1", port) is None
+
+    def test_answer_of_no_use(self, server):
+        server.is_mute = True
+        self.told(r"expected a CARLA server at 127.0.0.1:2000, got no answer \(time-out", CarlaSimulator())
+
+    def test_missing_package(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "carla", None)
+        self.told(r'pip install "warpav\[carla\]"', CarlaSimulator())
+
+    def test_other_version(self, server):
+        server.version = "0.9.15"
+        self.told(r"client's version 0\.9\.16, got 0\.9\.15;.*pip install carla==0\.9\.15", CarlaSimulator())
+
+    def test_build_from_source_is_of_its_release(self, server):
+        server.version = "0.9.16-12-gabcdef0"
+        with CarlaSimulator() as simulator:
+            simulator.begin(0)
+
+    def test_unknown_map(self, server):
+        before = server.state()
+        self.told(r"got 'Town10HD'; did you mean Town10HD_Opt", CarlaSimulator(map_name="Town10HD"))
+        assert server.state() == before
+
+    def test_unknown_ego(self, server):
+        self.told("did you mean vehicle.lincoln.mkz_2020", CarlaSimulator(ego_blueprint="vehicle.lincoln.mkz_2021"))
+
+    def test_traffic_of_others(self, server):
+        server.spawn(server.library().find("vehicle.audi.tt"), carla_double.Transform(carla_double.Location(z=9.0)))
+        server.listed = set(server.actors)
+        before = server.state()
+        self.told("expected a world without vehicles and walkers.*got 1 of them", CarlaSimulator())
+        assert server.state() == before
+        server.settings.synchronous_mode = server.was_synchronous = True  # as a program that was killed leaves it
+        self.told("got 1 of them", CarlaSimulator())
+        assert server.settings.synchronous_mode
+
+    def test_wheels_nowhere(self, server):
+        before = server.state()
+        server.wheels_of = lambda wheels: [wheels[0]] * 4
+        self.told("state rear_axle_m", CarlaSimulator())
+        assert server.state() == before
+
+    def test_no_place_for_the_ego(self, server):
+        server.spawn = lambda _blueprint, _at: None
+        self.told("expected a free spawn point for vehicle.lincoln.mkz_2020 on the map Town10HD_Opt", CarlaSimulator())
+
+    def test_numbers(self, server):
+        for options, match in (
+            ({"port": 0}, "port must lie"),
+            ({"rear_axle_m": (1.0, 2.0)}, "rear_axle_m must be three"),
+            ({"waypoint_spacing_m": 0.0}, "waypoint_spacing_m must be positive"),
+            ({"exposure": -1.0}, "exposure must be positive"),
+            ({"timeout_s": math.inf}, "timeout_s must be positive"),
+            ({"warm_up_ticks": -1}, "warm_up_ticks must not be negative"),
+        ):
+            with pytest.raises(ValueError, match=match):
+                CarlaSimulator(**options)
+        with CarlaSimulator() as simulator, pytest.raises(ValueError, match="seed must not be negative"):
+            simulator.begin(-1)
+
+
+class TestConnection:
+    """The installed client, and what is no server."""
+
+    def test_something_that_is_no_server(self, carla):
+        """The real client would wait for the silent one, and end the process at the talkative one."""
+        for answer, match in (
+            (None, "no answer within 2.5 s"),
+            (b"HTTP/1.1 400 \r\n", "an answer that is not CARLA's"),
+        ):
+            with listener(answer) as port:
+                begun_s = time.monotonic()
+                with pytest.raises(InputError, match=rf"a server at 127.0.0.1:{port}, got: {match}") as caught:
+                    CarlaSimulator(port=port).__enter__()
+                assert time.monotonic() - begun_s < 5.0
+                assert "\n" not in str(caught.value)
+
+    def test_server_is_asked_as_the_client_asks(self, carla):
+        heard = []
+        with listener(None, heard) as port:
+            client = carla.Client("127.0.0.1", port)
+            client.set_timeout(0.5)
+            with pytest.raises(RuntimeError, match="time-out"):
+                client.get_server_version()
+        assert heard == [VERSION_REQUEST]
+
+
+@contextlib.contextmanager
+def listener(answer, heard=None):
+    """A port behind which something says one thing, or nothing, to the first who asks."""
+    with socket.socket() as waiting:
+        waiting.bind(("127.0.0.1", 0))
+        waiting.listen()
+        is_over = threading.Event()
+
+        def serve():
+            with waiting.accept()[0] as connection:
+                question = connection.recv(4096)
+                if heard is not None:
+                    heard.append(question)
+                if answer is not None:
+                    connection.sendall(answer)
+                is_over.wait(10.0)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield waiting.getsockname()[1]
+        is_over.set()
+        thread.join(10.0)
