@@ -288,7 +288,7 @@ def behind_a_wall():
         _scene("wall", [wall], _body(surface), [van]),
         surface,
         (1.2, 0.685, -0.295),
-        (1.1504146, 0.7, 0.6509182),
+        (1.1504155, 0.6998618, 0.6509291),
         single,
     )
 
@@ -304,7 +304,7 @@ def square():
         blocks.append(_block(np.abs(turn @ [0.3, 0.9, 6.0]), turn @ [3.0, 0.2, 3.0]))
         vans.append(_vehicle(k, np.abs(turn @ [2.4, 5.0, 3.0]), turn @ [8.0, 0.0, 1.5]))
     scene = _scene("square", blocks, _body(surface), vans)
-    return World("square", scene, surface, (0.9, -0.9, 0.515), (0.7272, -0.9, -0.5223), turned, 4, 2)
+    return World("square", scene, surface, (0.9, -0.9, 0.515), (0.8863997, -0.9, -0.501848), turned, 4, 2)
 
 
 @functools.cache
@@ -323,6 +323,6 @@ def bump():
         _scene("bump", [fence], _body(surface, 2), [van]),
         surface,
         (0.525, -0.204, 0.458),
-        (0.4982, -0.2011, 0.4748),
+        (0.5410202, -0.2008734, 0.4767085),
         single,
     )
