@@ -47,8 +47,8 @@ def test_a_block_that_fails_stops_waiting(tmp_path):
         raise KeyError
     assert time.monotonic() - began < 15.0
     (tmp_path / "file").touch()
-    for process in multiprocessing.active_children():
-        process.join(30.0)
+    while multiprocessing.active_children() and time.monotonic() - began < 60.0:
+        time.sleep(0.01)  # the pool's own thread collects its process, so that joining it here may come too early
     assert multiprocessing.active_children() == []
 
 
