@@ -148,7 +148,9 @@ def test_regret_of_the_descent(make, starts, descents, iterations, most):
 
 def pool_regret(world, seed, *, camera_renders):
     """The regret of the search by a pool with a budget: rounds until one brings nothing or it is spent."""
-    settings = PoolSearchSettings(pool_cameras=camera_renders, rounds=camera_renders, camera_renders_max=camera_renders)
+    settings = PoolSearchSettings(
+        pool_cameras=camera_renders, rounds=1000, refinements=1000, camera_renders_max=camera_renders
+    )
     cameras, scenes = single_cameras_of(world.expected), [each.scene for each in world.scenes]
     *_, last = pool_search(
         cameras, scenes, world.expected.constraints, world.camera_count, settings=settings, seed=seed
