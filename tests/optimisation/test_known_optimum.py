@@ -148,7 +148,9 @@ def test_regret_of_the_descent(make, starts, descents, iterations, most):
 
 def pool_regret(world, seed, *, camera_renders):
     """The regret of the search by a pool with a budget: rounds until one brings nothing or it is spent."""
-    settings = PoolSearchSettings(pool_cameras=camera_renders, rounds=camera_renders, camera_renders_max=camera_renders)
+    settings = PoolSearchSettings(
+        pool_cameras=camera_renders, rounds=1000, refinements=1000, camera_renders_max=camera_renders
+    )
     cameras, scenes = single_cameras_of(world.expected), [each.scene for each in world.scenes]
     *_, last = pool_search(
         cameras, scenes, world.expected.constraints, world.camera_count, settings=settings, seed=seed
@@ -160,18 +162,18 @@ def pool_regret(world, seed, *, camera_renders):
 
 
 def test_regret_of_the_pool_search_is_small_on_a_bump():
-    assert -0.0005 <= pool_regret(bump(), 0, camera_renders=1400) <= 0.03  # seen .021
+    assert -0.0005 <= pool_regret(bump(), 0, camera_renders=1400) <= 0.01
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("make", "camera_renders", "most"), [(behind_a_wall, 1400, 0.07), (bump, 1400, 0.035), (square, 12000, 0.06)]
+    ("make", "camera_renders", "most"), [(behind_a_wall, 3000, 0.003), (bump, 3000, 0.005), (square, 12000, 0.01)]
 )
 def test_regret_of_the_pool_search(make, camera_renders, most):
-    """The goal is .003; its record in the design says what is in the way."""
+    """The goal is .003; on the bump two places 4 cm apart are that close to each other."""
     regrets = [round(pool_regret(make(), seed, camera_renders=camera_renders), 4) for seed in range(3)]
-    assert min(regrets) >= -0.0005, regrets
-    assert max(regrets) <= most, regrets  # seen .061 behind the wall, .030 on the bump, .056 in the square
+    assert min(regrets) >= -0.001, regrets  # seen -.0006 in the square, lower than all samples around the optimum
+    assert max(regrets) <= most, regrets  # seen .0038 on the bump, .0086 in the square
 
 
 def test_cameras_of_the_square_are_alone_with_their_vans():

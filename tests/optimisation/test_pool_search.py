@@ -107,6 +107,21 @@ def test_of_a_budget_enough_is_left_for_the_polish():
     assert searched(settings=only)[-1].camera_renders > 400 - len(streets())
 
 
+def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():
+    plain = mount_of(free=None)
+    mount = plain.freezing(plain.rig(poses_of(3, plain)), ["camera_1"])
+    settings = PoolSearchSettings(pool_cameras=24, rounds=1, priced_cameras=4, camera_renders_max=900)
+    *_, without = searched(mount, settings=settings, frozen=mount.frozen)
+    states = searched(mount, settings=replace(settings, refinements=20), frozen=mount.frozen)
+    objectives = [state.objective for state in states]
+    assert objectives == sorted(objectives, reverse=True)
+    assert without.camera_renders < 400
+    assert 800 < states[-1].camera_renders <= 900
+    assert objectives[-1] < without.objective
+    for state in states:
+        np.testing.assert_array_equal(state.mount_pose[1], mount.frozen.mount_pose[1])
+
+
 def test_a_pool_that_is_too_small_is_refused():
     with pytest.raises(InputError, match="pool_cameras: expected at least the rig's 3, got 2"):
         searched(settings=PoolSearchSettings(pool_cameras=2))

@@ -337,7 +337,7 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     placement = placement.with_config(changed_config(placement.config, ["optimiser.search=pool"]))
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
     if camera_renders_max is not None:  # rounds until it is spent, or until one brings nothing
-        settings = replace(settings, rounds=camera_renders_max)
+        settings = replace(settings, rounds=camera_renders_max, refinements=camera_renders_max)
     if only:
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)

@@ -216,6 +216,7 @@ def _run(task: _Search) -> dict[str, Any]:
         task.pool_cameras,
         optimiser.pool_rounds,
         gap=optimiser.pool_gap,
+        refinements=optimiser.pool_refinements,
         selection_time_s=optimiser.selection_time_s,
         camera_renders_max=task.render_budget if task.arm == SAME_RENDERS else None,
     )

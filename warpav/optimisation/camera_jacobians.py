@@ -44,7 +44,7 @@ class CameraJacobians:
         """
         self.mount, self.probability = mount, probability
         self._renderers_for = renderers_for
-        self._rounds: dict[int, _Views] = {}
+        self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
         """See `SingleCameras.with_jacobian`."""
@@ -60,11 +60,11 @@ class CameraJacobians:
 
     def _views_of(self, count: int) -> _Views:
         """The views of so many cameras. A GPU keeps them, for what it has recorded, a CPU only the last ones."""
-        if count not in self._rounds:
+        if count not in self._views:
             if not wp.get_device(self.mount.device).is_cuda:
-                self._rounds.clear()
-            self._rounds[count] = _Views(self.mount, self._renderers_for(count))
-        return self._rounds[count]
+                self._views.clear()
+            self._views[count] = _Views(self.mount, self._renderers_for(count))
+        return self._views[count]
 
     def _differentiated(
         self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope

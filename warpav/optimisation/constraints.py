@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from abc import ABC, abstractmethod
@@ -91,6 +92,13 @@ class Constraints(ABC):
         self.min_spacing_m = min_spacing_m
         self.margin_m = 0.0
         self.frozen = frozen
+
+    @property
+    def of_single_cameras(self) -> Constraints:
+        """The same for cameras none of which is frozen; projections and slacks alone, which take any number of them."""
+        constraints = copy.copy(self)
+        constraints.frozen = None
+        return constraints
 
     @property
     @abstractmethod

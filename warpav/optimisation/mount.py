@@ -201,6 +201,13 @@ class CameraMount:
         return mount
 
     @property
+    def of_single_cameras(self) -> CameraMount:
+        """The same mount for cameras none of which is frozen, however many."""
+        mount = copy.copy(self)
+        mount.frozen = None
+        return mount
+
+    @property
     def has_one_field(self) -> bool:
         """Whether all cameras have one field of view: none is free, and none that stays has another."""
         zooms = () if self.frozen is None else self.frozen.mount_pose[self.frozen.is_frozen, LOG_ZOOM]

@@ -1,10 +1,9 @@
 """Polish: move all cameras of a rig at once until the expected miss rate of all scenes settles.
 
 Every step renders each camera once in every scene, with the Jacobian of its probability to detect each object. The
-rig's expected miss rate is then known around the present poses, not as one slope but object by object: the model moves
-each probability's logit along its Jacobian and multiplies what the cameras miss, as the true objective does. So it
-knows that what another camera finds already is worth nothing, and that a sure object cannot become surer. The model is
-minimised under the constraints within a radius, and the rig that it finds is the next.
+rig's expected miss rate is then known around the present poses, not as one slope but object by object, and with the
+kinks that earlier steps have come across (`tangent_model`). This model is minimised under the constraints within a
+radius, and the rig that it finds is the next.
 
 The radius shrinks on a schedule, and a step is taken even where the objective rises, unless it rises by much. With
 images of some hundred pixels the objective is rough at the length of a step: a method that takes only what is better,
@@ -23,19 +22,17 @@ import numpy as np
 
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.tangent_model import REACH, SUREST, Rendered, TangentModel
 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
 
-SUREST = 0.9999
-"""Greatest probability that counts, as in the loss."""
 STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
 RADIUS_FIRST, RADIUS_LAST = 0.4, 0.03
 """Of the first and of the last step, in `STEP_UNIT`: 8 cm and 6 mm."""
 RISE_MAX = 0.15
 """How much higher than the best an objective may be, relatively, for the steps to go on from there."""
-_LOGIT_MAX = 12.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,35 +113,27 @@ def polish(
     moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
     if camera_renders_max is not None and moving:
         step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
-    best = here = _Here(pose, probability, jacobian, objective)
+    best = here = Rendered(pose, probability, jacobian, objective)
+    rendered = [here]
     for length in _radii(radius, step_count):
-        model = _Model(problem, here.pose, here.probability, here.jacobian, shares)
-        tried = problem.feasible(model.minimised(length))
-        promised = model.value(problem.free_of(tried) - problem.free_of(here.pose))
-        if promised > here.objective * (1.0 - tolerance):
+        model = TangentModel(here, shares, earlier=rendered, reach=REACH * length * step_unit(mount))
+        tried = problem.feasible(problem.minimised(model, here.mount_pose, length))
+        promised = model.value(tried.astype(np.float64) - here.mount_pose)
+        if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:
             here = best
             continue
-        moved = np.flatnonzero((tried != here.pose).any(axis=1))
+        moved = np.flatnonzero((tried != here.mount_pose).any(axis=1))
         probability, jacobian = here.probability.copy(), here.jacobian.copy()
         probability[moved], jacobian[moved] = detect(tried[moved])
         renders += len(moved) * scene_count
-        here = _Here(tried, probability, jacobian, expected_miss_rate(probability, shares))
+        here = Rendered(tried, probability, jacobian, expected_miss_rate(probability, shares))
+        rendered.append(here)
         tried_objective = here.objective
         if here.objective < best.objective:
             best = here
         elif here.objective > best.objective * (1.0 + RISE_MAX):
             here = best
-        yield PolishStep(best.pose, best.objective, tried_objective, promised, length, renders)
-
-
-@dataclass(frozen=True, eq=False)
-class _Here:
-    """A rig that was rendered."""
-
-    pose: np.ndarray
-    probability: np.ndarray
-    jacobian: np.ndarray
-    objective: float
+        yield PolishStep(best.mount_pose, best.objective, tried_objective, promised, length, renders)
 
 
 def _radii(first: float, count: int) -> np.ndarray:
@@ -207,62 +196,25 @@ class _Problem:
         slope[..., [X_M, Y_M, HEIGHT_DELTA_M]] = by_place
         return slope[:, self.is_free]
 
-
-class _Model:
-    """The expected miss rate around a rig, as a function of how far its free numbers have moved."""
-
-    def __init__(
-        self, problem: _Problem, pose: np.ndarray, probability: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
-    ) -> None:
-        self.problem, self.pose = problem, np.asarray(pose, np.float64)
-        found = np.clip(np.asarray(probability, np.float64), 0.0, SUREST)
-        # an object that no camera sees at all has no Jacobian; one that all see surely has no room
-        used = (found > 0.0).any(axis=0)
-        self._missed_anyway = float(weight[~used].sum())
-        self._weight, found = weight[used], found[:, used]
-        with np.errstate(divide="ignore"):
-            self._logit = np.clip(np.log(found) - np.log1p(-found), -_LOGIT_MAX, _LOGIT_MAX)
-        spread = np.maximum(found * (1.0 - found), 1e-9)
-        slope = np.asarray(jacobian, np.float64)[:, used] / spread[..., None]
-        self._slope = np.where((found > 0.0)[..., None], slope, 0.0)
-        self._is_seen = found > 0.0
-
-    def value(self, step: np.ndarray) -> float:
-        """The modelled objective after a step of the free numbers."""
-        return self._value_and_grad(step)[0]
-
-    def _value_and_grad(self, step: np.ndarray) -> tuple[float, np.ndarray]:
-        moved = np.zeros_like(self.pose)
-        moved[self.problem.is_free] = step
-        logit = np.clip(self._logit + np.einsum("cok,ck->co", self._slope, moved), -_LOGIT_MAX, _LOGIT_MAX)
-        probability = np.where(self._is_seen, 1.0 / (1.0 + np.exp(-logit)), 0.0)
-        missed = np.maximum(1.0 - probability, 1.0 - SUREST)
-        product = missed.prod(axis=0)
-        # d product / d logit of one camera: the others' product times -p (1 - p), and 1 - p is among the product
-        by_logit = -self._weight * product * probability
-        gradient = np.einsum("co,cok->ck", by_logit, self._slope)
-        return float(self._weight @ product) + self._missed_anyway, gradient[self.problem.is_free]
-
-    def minimised(self, radius: float) -> np.ndarray:
-        """The pose with the lowest modelled objective within the radius and the constraints, [camera, 7]."""
+    def minimised(self, model: TangentModel, pose: np.ndarray, radius: float) -> np.ndarray:
+        """The rig with the lowest modelled objective within a radius of a rig and the constraints, [camera, 7]."""
         from scipy.optimize import minimize
 
-        problem, here = self.problem, self.problem.free_of(self.pose)
-        unit = problem.unit
-        low = np.maximum(-radius, (problem.low - here) / unit)
-        high = np.minimum(radius, (problem.high - here) / unit)
+        here, unit = self.free_of(pose), self.unit
+        low = np.maximum(-radius, (self.low - here) / unit)
+        high = np.minimum(radius, (self.high - here) / unit)
 
         def objective(scaled: np.ndarray) -> tuple[float, np.ndarray]:
-            value, gradient = self._value_and_grad(scaled * unit)
-            return 100.0 * value, 100.0 * gradient * unit
+            value, gradient = model.value_and_gradient(self.pose_of(np.zeros(pose.shape), scaled * unit))
+            return 100.0 * value, 100.0 * self.free_of(gradient) * unit
 
         def moved(scaled: np.ndarray) -> np.ndarray:
-            return problem.pose_of(self.pose, here + scaled * unit)
+            return self.pose_of(pose, here + scaled * unit)
 
         slack = {
             "type": "ineq",
-            "fun": lambda scaled: problem.slack_m(moved(scaled)),
-            "jac": lambda scaled: problem.slack_slope(moved(scaled)) * unit,
+            "fun": lambda scaled: self.slack_m(moved(scaled)),
+            "jac": lambda scaled: self.slack_slope(moved(scaled)) * unit,
         }
         found = minimize(
             objective,
@@ -274,4 +226,4 @@ class _Model:
             options={"maxiter": 60, "ftol": 1e-8},
         )
         scaled = np.clip(np.nan_to_num(found.x), low, high)
-        return problem.pose_of(self.pose, here + scaled * unit)
+        return moved(scaled)

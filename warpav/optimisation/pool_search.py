@@ -4,7 +4,8 @@ The pool makes the choice global: a few hundred single cameras stand for every r
 integer programme finds the best one and proves how far off it can be. The gradient makes it exact: `polish` moves all
 cameras of the chosen rig at once, on all scenes, below what the pool itself can reach. Then the duals of the selection
 price cameras that the pool does not have: gradient ascent looks for those that would lower the bound most, they and the
-polished ones join the pool, and the selection has the next word.
+polished ones join the pool, and the selection has the next word. Where more may be spent, single cameras are polished
+from other places, and the pool is refined around the rig, as the objective is rougher than the steps of a gradient.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraM
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
+from warpav.optimisation.replacements import Replacements, joined
+from warpav.optimisation.selection.exchange import exchange
 from warpav.optimisation.selection.price import Price
+from warpav.optimisation.selection.problem import SelectionProblem
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
@@ -40,6 +44,12 @@ FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
+REPLACEMENTS, REPLACEMENT_POLISH, VAIN_REPLACEMENTS = 4, (12, 0.4), 2
+"""Single cameras that are polished from elsewhere at a time, their steps and first radius, and how often in vain."""
+NEAR_CAMERAS = 16
+"""Cameras that are drawn around each of the rig's at a time."""
+REFINED_FROM, REFINED_TO = 0.4, 0.01
+"""Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
 
 
@@ -53,6 +63,8 @@ class PoolSearchSettings:
         priced_cameras: Cameras that a round follows along their prices, each for a few steps.
         gap: Objective less bound at which the last selection ends, an expected miss rate; those before, whose rigs are
             polished, end at `GAP_ON_THE_WAY`, where that is more.
+        refinements: How often other places for single cameras and places near the best rig's are looked at when rounds
+            bring nothing more, at most.
         selection_time_s: When a selection ends at the latest [s].
         camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
             those with a Jacobian among them; the first pool leaves a share for what follows. None: as many as it takes.
@@ -63,6 +75,7 @@ class PoolSearchSettings:
     rounds: int = 4
     priced_cameras: int = 8
     gap: float = 5e-4
+    refinements: int = 0
     selection_time_s: float = 20.0
     camera_renders_max: int | None = None
     polishes: bool = True
@@ -225,10 +238,11 @@ class _Search:
             return limit
         steps = sum(1 + count for count, _ in (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH))
         of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
-        return max(int(POOL_SHARE * limit), limit - of_a_round * len(self.scenes))
+        rest = limit - of_a_round * len(self.scenes)
+        return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
 
     def _improved(self) -> Iterator[Found]:
-        """Select and polish; then price, select and polish until a round brings nothing; then what all that led to."""
+        """Select and polish; price, select and polish until a round brings nothing; what all that led to; refine it."""
         yield from self._select_and_polish(FIRST_POLISH)
         while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
             self.round += 1
@@ -238,6 +252,30 @@ class _Search:
             if self.objective > before - _SAME:
                 break
         yield from self._select_and_polish(LAST_POLISH)
+        yield from self._refined()
+
+    def _refined(self) -> Iterator[Found]:
+        """What steps along gradients have missed: other places for single cameras, and places near the rig's."""
+        rng = np.random.default_rng([self.seed, 1])
+        places: list[np.ndarray] = []
+        for _ in range(self.settings.refinements):
+            spent, vain = self.camera_renders, 0
+            while vain < VAIN_REPLACEMENTS and self._affordable(2) == 2:
+                before, renders = self.objective, self.camera_renders
+                yield from self._replace(places)
+                if self.camera_renders == renders:
+                    break
+                yield from self._select_and_polish(FURTHER_POLISH)
+                vain = 0 if self.objective < before - _SAME else vain + 1
+            radius = REFINED_FROM
+            count = NEAR_CAMERAS * (self.camera_count - len(self.assembly.frozen))
+            while radius > REFINED_TO and self._affordable(count) == count:
+                before = self.objective
+                yield from self._look_nearby(radius, rng)
+                if self.objective > before - _SAME:
+                    radius *= 0.5
+            if self.camera_renders == spent:
+                break
 
     @property
     def camera_renders(self) -> int:
@@ -265,7 +303,7 @@ class _Search:
         """The best rig of the pool, and whether it is better than what was known."""
         pool, known = self.pool, None
         if self.best is not None:
-            known = rows_of(self.assembly.in_order(self.best) + np.float32(0.0), pool.mount_pose)
+            known = self._rows_of_best()
         self.selection = selection = select(
             np.minimum(pool.detection_probability, SUREST),
             self.camera_count,
@@ -290,18 +328,11 @@ class _Search:
             yield from self._polish(chosen, *schedule)
 
     def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
-        drawn: list[tuple[np.ndarray, np.ndarray]] = []
-
-        def detect(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            probability, jacobian = self.cameras.with_jacobian(moved, self.scenes)
-            drawn.append((moved, probability))
-            return probability, jacobian
-
         if self._affordable(self.camera_count) < self.camera_count:
             return
         steps = polish(
             rig,
-            detect,
+            self._detect_and_keep,
             step_count=step_count,
             radius=radius,
             mount=self.cameras.mount,
@@ -311,13 +342,17 @@ class _Search:
         )
         is_better = True
         for step in steps:
-            while drawn:
-                self.pool = self.pool.joined(*drawn.pop())
             is_better = self._is_better(step.mount_pose, step.objective)
             if is_better:
                 yield self.found("polish")
         if not is_better:  # what the last steps have cost is the polish's too
             yield self.found("polish")
+
+    def _detect_and_keep(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What cameras detect in all scenes, with the Jacobian; they join the pool."""
+        probability, jacobian = self.cameras.with_jacobian(mount_pose, self.scenes)
+        self.pool = self.pool.joined(mount_pose, probability)
+        return probability, jacobian
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
@@ -332,8 +367,7 @@ class _Search:
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
         tried = pose
         for _ in range(PRICED_STEPS):
-            probability, jacobian = self.cameras.with_jacobian(tried, self.scenes)
-            self.pool = self.pool.joined(tried, probability)
+            probability, jacobian = self._detect_and_keep(tried)
             probability = np.minimum(probability, SUREST)
             cost = price.reduced_cost(probability)
             is_lower = cost < lowest
@@ -347,6 +381,65 @@ class _Search:
             tried[:, [X_M, Y_M]] = self.constraints.nearest_place(tried[:, [X_M, Y_M]])
             tried = tried.astype(np.float32)
         yield self.found("pricing")
+
+    @property
+    def _replacements(self) -> Replacements:
+        """What would come of the best rig with one camera replaced."""
+        pool = self.pool
+        rig = self._rows_of_best()
+        conflict = too_near(pool.mount_pose, self.constraints)
+        near = (conflict + conflict.T)[:, rig].toarray()
+        unit, held = step_unit(self.cameras.mount), len(self.assembly.frozen)
+        return Replacements(pool.mount_pose, pool.detection_probability, rig, near, unit, held=held)
+
+    def _rows_of_best(self) -> np.ndarray:
+        """The cameras of the best rig in the pool, the frozen ones first, int [camera]."""
+        assert self.best is not None
+        return rows_of(self.assembly.in_order(self.best) + np.float32(0.0), self.pool.mount_pose)
+
+    def _replace(self, places: list[np.ndarray]) -> Iterator[Found]:
+        """Polish single cameras from other places than were tried, each with the rest of the rig as it is."""
+        replacements, pose = self._replacements, self.pool.mount_pose
+        mount, constraints = self.cameras.mount.of_single_cameras, self.constraints.of_single_cameras
+        step_count, radius = REPLACEMENT_POLISH
+        for camera, slot in replacements.starts(REPLACEMENTS, joined(places)):
+            if self._affordable(2) < 2:
+                break
+            steps = polish(
+                pose[camera][None],
+                self._detect_and_keep,
+                step_count=step_count,
+                radius=radius,
+                mount=mount,
+                constraints=constraints,
+                scene_count=len(self.scenes),
+                weight=replacements.missed_by_others[slot],
+                camera_renders_max=self._left,
+            )
+            *_, last = steps
+            places += [pose[camera][None], last.mount_pose]
+        yield self.found("polish")
+
+    def _look_nearby(self, radius: float, rng: np.random.Generator) -> Iterator[Found]:
+        """Draw cameras around those of the best rig, and exchange its own for them."""
+        mount = self.cameras.mount
+        near = np.clip(self._replacements.near(radius, NEAR_CAMERAS, rng), mount.low, mount.high)
+        near[:, [X_M, Y_M]] = self.constraints.nearest_place(near[:, [X_M, Y_M]])
+        before = len(self.pool.mount_pose)
+        self.pool = pool = self.pool.extended(near.astype(np.float32))
+        rig = self._rows_of_best()
+        around = np.union1d(rig, np.arange(before, len(pool.mount_pose)))  # frozen cameras are the pool's first
+        problem = SelectionProblem.create(
+            np.minimum(pool.detection_probability[around], SUREST),
+            self.camera_count,
+            conflict=too_near(pool.mount_pose[around], self.constraints),
+            required=np.arange(len(self.assembly.frozen)),
+            rows=(),
+            weight=None,
+        )
+        rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])
+        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(miss_rate[0]))
+        yield self.found("polish")
 
 
 class _Assembly:

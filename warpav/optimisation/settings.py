@@ -169,6 +169,13 @@ class OptimiserSettings(Section):
     )
     pool_cameras: int = Field(default=112, ge=16, le=1_000_000, description="search=pool: single cameras at first")
     pool_rounds: int = Field(default=1, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")
+    pool_refinements: int = Field(
+        default=0,
+        ge=0,
+        le=1_000_000,
+        description="search=pool: how often other places for single cameras and places near the rig's are looked at, "
+        "once rounds bring nothing more",
+    )
     pool_gap: float = Field(
         default=5e-4, ge=0.0, le=1.0, description="search=pool: expected miss rate to which a selection is proven"
     )

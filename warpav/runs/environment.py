@@ -42,8 +42,9 @@ def environment(config: Config, device: str) -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """The command that runs, as it can be typed again."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    """The command that runs, as it can be typed again; that of the installed program where Python was given code."""
+    name = Path(sys.argv[0]).name
+    return shlex.join(["warpav" if name == "-c" else name, *sys.argv[1:]])
 
 
 def required_packages() -> list[str]:

@@ -79,6 +79,7 @@ def pool_search_settings(config: Config) -> PoolSearchSettings:
         optimiser.pool_cameras,
         optimiser.pool_rounds,
         gap=optimiser.pool_gap,
+        refinements=optimiser.pool_refinements,
         selection_time_s=optimiser.selection_time_s,
     )
 

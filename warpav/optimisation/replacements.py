@@ -1,0 +1,127 @@
+"""What a rig would miss with another camera in place of one of its own, for all cameras of a pool, without a render.
+
+The probabilities are those of single cameras, so a rig that differs in one camera is known as soon as that camera is. A
+search that is near its end asks two things of this: from which places a single camera could still be polished into a
+better one (`starts`), and where around the rig's own cameras to look next (`near`), when the objective is rougher than
+the steps of a gradient.
+
+Source: `near` is a cross-entropy method (Rubinstein and Kroese 2004), here with a distribution for each camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpav.optimisation.mount import YAW_RAD
+from warpav.optimisation.polish import SUREST
+
+ELITE = 12
+"""Cameras nearby that say in which directions to look, the best ones."""
+FLOOR = 0.1
+"""Standard deviation that is added in every direction, in radii."""
+
+
+class Replacements:
+    """A rig of a pool, and what would come of it with one camera replaced.
+
+    Attributes:
+        missed_by_others: Share that the other cameras miss, for each camera that may be replaced, float64 [slot,
+            object].
+        miss_rate: Expected miss rate with a camera of the pool instead, infinite where it stands too near to another,
+            float64 [camera, slot].
+    """
+
+    def __init__(
+        self,
+        mount_pose: np.ndarray,
+        detection_probability: np.ndarray,
+        rig: np.ndarray,
+        conflict: np.ndarray,
+        unit: np.ndarray,
+        *,
+        held: int = 0,
+    ) -> None:
+        """All replacements of a single camera.
+
+        Args:
+            mount_pose: Of the pool, float [camera, 7].
+            detection_probability: What its cameras detect, float [camera, object].
+            rig: The rig's cameras in the pool, int [rig camera].
+            conflict: Which cameras are too near to each of these, bool [camera, rig camera].
+            unit: Of each number, 0 where it is not free, float [7].
+            held: So many of the rig's cameras, the first ones, stay.
+        """
+        self._pose, self._unit = np.asarray(mount_pose, np.float64), unit
+        self._of_slot = rig[held:]
+        missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
+        others = [np.delete(np.arange(len(rig)), slot) for slot in range(held, len(rig))]
+        self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
+        too_near = np.stack([conflict[:, each].any(axis=1) for each in others], axis=1)
+        self.miss_rate = np.where(too_near, np.inf, missed @ self.missed_by_others.T / missed.shape[1])
+
+    def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:
+        """The best replacements that are a unit and more from each other, from the rig and from known places.
+
+        Args:
+            count: Of them, at most.
+            known: Places that are known already, float [place, 7].
+
+        Returns:
+            Camera of the pool, and whose slot it would take; the best first.
+        """
+        best = self.miss_rate.min(axis=1)
+        known = np.concatenate([self._pose[self._of_slot], known])
+        found: list[tuple[int, int]] = []
+        for camera in np.argsort(best, kind="stable"):
+            if len(found) == count or not np.isfinite(best[camera]):
+                break
+            pose = self._pose[camera]
+            if self._distance(known, pose).min() >= 1.0:
+                found.append((int(camera), int(self.miss_rate[camera].argmin())))
+                known = np.concatenate([known, pose[None]])
+        return found
+
+    def near(self, radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Poses around every camera that may be replaced, spread as the best of the pool nearby are.
+
+        Args:
+            radius: How far they spread, in units.
+            count: For each camera.
+            rng: Where the random numbers come from.
+
+        Returns:
+            The poses, float64 [slot times count, 7]; constraints and bounds are not kept.
+        """
+        free = np.flatnonzero(self._unit > 0.0)
+        poses = []
+        for slot, camera in enumerate(self._of_slot):
+            here = self._pose[camera]
+            nearby = np.flatnonzero(self._distance(self._pose, here) <= 2.0 * radius)
+            elite = nearby[np.argsort(self.miss_rate[nearby, slot], kind="stable")[:ELITE]]
+            offset = _turned(self._pose[elite] - here)[:, free] / self._unit[free]
+            spread = FLOOR if len(elite) >= ELITE else 1.0
+            covariance = offset.T @ offset / len(elite) + (spread * radius) ** 2 * np.eye(len(free))
+            step = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count)
+            pose = np.tile(here, (count, 1))
+            pose[:, free] += np.clip(step, -2.0 * radius, 2.0 * radius) * self._unit[free]
+            poses.append(pose)
+        return np.concatenate(poses)
+
+    def _distance(self, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """The greatest difference in a free number, in units, float64 [pose]."""
+        scale = np.where(self._unit > 0.0, self._unit, np.inf)
+        return np.abs(_turned(poses - pose) / scale).max(axis=1)
+
+
+def joined(places: Sequence[np.ndarray]) -> np.ndarray:
+    """Places of several calls as one array, float64 [place, 7]."""
+    return np.concatenate([np.zeros((0, 7)), *places])
+
+
+def _turned(difference: np.ndarray) -> np.ndarray:
+    """Differences of mount poses with the yaw's within half a turn, [pose, 7]."""
+    result = np.array(difference, np.float64)
+    result[:, YAW_RAD] = (result[:, YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+    return result

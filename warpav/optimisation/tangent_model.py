@@ -1,0 +1,132 @@
+"""What a rig is expected to miss near rigs that were rendered: a model of every probability, camera by camera.
+
+A render gives, with the Jacobian, the tangent of each probability's logit at a camera's pose. Where an object begins to
+leave the image or to come out from behind another, the logit has a kink, and the best pose is often right on it. The
+tangent of one pose knows one side only, so steps that follow it jump to and fro across. The model is therefore the
+least of the tangents at all near poses where the camera was rendered: it knows the kink as soon as both sides have been
+seen. What the cameras miss is multiplied as in the true objective; so it is known too that what another camera finds is
+worth nothing, and that a sure object cannot become surer.
+
+Source: composite bundle methods (Sagastizábal 2013, Mathematical Programming 140), here with a bundle for each camera
+and object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+SUREST = 0.9999
+"""Greatest probability that counts, as in the loss."""
+TANGENTS = 6
+"""Earlier poses of a camera whose tangents count, at most."""
+REACH = 3.0
+"""How far those may be in a number, in radii of the step to be taken."""
+CONTRADICTION = 0.3
+"""Logit by which a tangent may be below what was rendered; one that is lower by more has been proven wrong."""
+_SOFTNESS = 0.02  # logit within which the least of some tangents is rounded, so that it has a slope everywhere
+_LOGIT_MAX = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """A rig that was rendered.
+
+    Attributes:
+        mount_pose: Of its cameras, float [camera, 7].
+        probability: What each detects, float [camera, object].
+        jacobian: Its Jacobian to the mount poses, float [camera, object, 7].
+        objective: The expected miss rate.
+    """
+
+    mount_pose: np.ndarray
+    probability: np.ndarray
+    jacobian: np.ndarray
+    objective: float
+
+    @cached_property
+    def logit(self) -> np.ndarray:
+        """Of the probabilities, float64 [camera, object]."""
+        found = np.clip(np.asarray(self.probability, np.float64), 0.0, SUREST)
+        with np.errstate(divide="ignore"):
+            return np.clip(np.log(found) - np.log1p(-found), -_LOGIT_MAX, _LOGIT_MAX)
+
+    @cached_property
+    def slope(self) -> np.ndarray:
+        """Of the logits, float64 [camera, object, 7]; 0 of an object that the camera does not see at all."""
+        found = np.clip(np.asarray(self.probability, np.float64), 0.0, SUREST)
+        spread = np.maximum(found * (1.0 - found), 1e-9)
+        return np.where((found > 0.0)[..., None], np.asarray(self.jacobian, np.float64) / spread[..., None], 0.0)
+
+
+class TangentModel:
+    """The expected miss rate around a rig, as a function of how far its cameras have moved."""
+
+    def __init__(
+        self,
+        here: Rendered,
+        weight: np.ndarray,
+        *,
+        earlier: Sequence[Rendered] = (),
+        reach: np.ndarray | float = 0.0,
+    ) -> None:
+        """A model of what was rendered.
+
+        Args:
+            here: The rig.
+            weight: Of each object, float [object].
+            earlier: Rigs that were rendered before, the last one last.
+            reach: How far off in each number a camera of theirs may be to count, float [7].
+        """
+        is_seen = here.probability > 0.0
+        # an object that no camera sees at all has no Jacobian
+        used = is_seen.any(axis=0)
+        self._missed_anyway = float(weight[~used].sum())
+        self._weight, self._is_seen = weight[used], is_seen[:, used]
+        near = [_near(camera, here, earlier, reach) for camera in range(len(is_seen))]
+        count = 1 + max(map(len, near))
+        logit = np.full((len(near), count, len(self._weight)), np.inf)
+        slope = np.zeros((len(near), count, len(self._weight), here.slope.shape[-1]))
+        for camera, rigs in enumerate(near):
+            logit[camera, 0], slope[camera, 0] = here.logit[camera, used], here.slope[camera, used]
+            for k, rig in enumerate(rigs, 1):
+                moved = here.mount_pose[camera].astype(np.float64) - rig.mount_pose[camera]
+                slope[camera, k] = rig.slope[camera, used]
+                value = rig.logit[camera, used] + slope[camera, k] @ moved
+                holds = (rig.probability[camera, used] > 0.0) & (value >= logit[camera, 0] - CONTRADICTION)
+                logit[camera, k] = np.where(holds, np.maximum(value, logit[camera, 0]), np.inf)
+        self._logit, self._slope = logit, slope.reshape(len(near), -1, slope.shape[-1])
+
+    def value(self, moved: np.ndarray) -> float:
+        """The modelled objective after moves of the cameras [camera, 7]."""
+        return self.value_and_gradient(moved)[0]
+
+    def value_and_gradient(self, moved: np.ndarray) -> tuple[float, np.ndarray]:
+        """The modelled objective after moves of the cameras [camera, 7], and its gradient, float64 [camera, 7]."""
+        tangent = self._logit + (self._slope @ moved[..., None]).reshape(self._logit.shape)
+        least = tangent.min(axis=1)
+        share = np.exp((least[:, None] - tangent) / _SOFTNESS)
+        total = share.sum(axis=1)
+        logit = np.clip(least - _SOFTNESS * np.log(total), -_LOGIT_MAX, _LOGIT_MAX)
+        probability = np.where(self._is_seen, 1.0 / (1.0 + np.exp(-logit)), 0.0)
+        missed = np.maximum(1.0 - probability, 1.0 - SUREST)
+        product = missed.prod(axis=0)
+        # d product / d logit of one camera: the others' product times -p (1 - p), and 1 - p is among the product
+        by_logit = -self._weight * product * probability
+        by_tangent = (share * (by_logit / total)[:, None]).reshape(len(share), 1, -1)
+        return float(self._weight @ product) + self._missed_anyway, (by_tangent @ self._slope)[:, 0]
+
+
+def _near(camera: int, here: Rendered, earlier: Sequence[Rendered], reach: np.ndarray | float) -> list[Rendered]:
+    """The last rigs before whose camera was near to where it is now, and not just there; each of its poses once."""
+    pose, found = here.mount_pose[camera], []
+    known = {pose.tobytes()}
+    for rig in reversed(earlier):
+        other = rig.mount_pose[camera]
+        if len(found) < TANGENTS and other.tobytes() not in known and (np.abs(other - pose) <= reach).all():
+            known.add(other.tobytes())
+            found.append(rig)
+    return found
