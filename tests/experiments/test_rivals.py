@@ -83,7 +83,8 @@ def test_the_objective_on_unseen_scenes_is_that_of_the_objective(done, scenes):
     placement = Placement.from_config(load_config("default", overrides_of(experiment, options, quick=False)))
     pose = placement.mount.mount_pose_of_rig(read_rig(done / "results" / "default_0.yaml"), as_configured=True)
     expected = placement.objective.evaluate(pose, placement.test).objective
-    assert objective_on_tests(run) == pytest.approx(expected, abs=1e-5)  # the file rounds poses
+    # the file rounds poses, and a refined rig may stand where that moves a pixel
+    assert objective_on_tests(run) == pytest.approx(expected, abs=5e-4)
     assert len(set(run["test_objective_of_scene"])) == 2
 
 
