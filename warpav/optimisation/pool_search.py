@@ -27,7 +27,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraM
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.replacements import Replacements, joined
+from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
 from warpav.optimisation.selection.exchange import exchange
 from warpav.optimisation.selection.price import Price
 from warpav.optimisation.selection.problem import SelectionProblem
@@ -477,8 +477,7 @@ class _Assembly:
 
 def _distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """How far cameras [camera, 7] are from each other in place [m] and direction [rad], [one, other]."""
-    difference = one[:, None].astype(np.float64) - other[None]
-    difference[..., YAW_RAD] = (difference[..., YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+    difference = within_half_a_turn(one[:, None].astype(np.float64) - other[None])
     return np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)
 
 
@@ -489,8 +488,7 @@ def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
     for pose in mount_pose[1:]:
         if len(chosen) >= count:
             break
-        difference = chosen - pose
-        difference[:, YAW_RAD] = (difference[:, YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+        difference = within_half_a_turn(chosen - pose)
         if (np.abs(difference) / scale).max(axis=1).min() > 1.0:
             chosen = np.concatenate([chosen, pose[None]])
     return chosen

@@ -100,7 +100,7 @@ class Replacements:
             here = self._pose[camera]
             nearby = np.flatnonzero(self._distance(self._pose, here) <= 2.0 * radius)
             elite = nearby[np.argsort(self.miss_rate[nearby, slot], kind="stable")[:ELITE]]
-            offset = _turned(self._pose[elite] - here)[:, free] / self._unit[free]
+            offset = within_half_a_turn(self._pose[elite] - here)[:, free] / self._unit[free]
             spread = FLOOR if len(elite) >= ELITE else 1.0
             covariance = offset.T @ offset / len(elite) + (spread * radius) ** 2 * np.eye(len(free))
             step = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count)
@@ -112,7 +112,7 @@ class Replacements:
     def _distance(self, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """The greatest difference in a free number, in units, float64 [pose]."""
         scale = np.where(self._unit > 0.0, self._unit, np.inf)
-        return np.abs(_turned(poses - pose) / scale).max(axis=1)
+        return np.abs(within_half_a_turn(poses - pose) / scale).max(axis=1)
 
 
 def joined(places: Sequence[np.ndarray]) -> np.ndarray:
@@ -120,8 +120,8 @@ def joined(places: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate([np.zeros((0, 7)), *places])
 
 
-def _turned(difference: np.ndarray) -> np.ndarray:
-    """Differences of mount poses with the yaw's within half a turn, [pose, 7]."""
+def within_half_a_turn(difference: np.ndarray) -> np.ndarray:
+    """Differences of mount poses with the yaw's within half a turn, float64 [..., 7]."""
     result = np.array(difference, np.float64)
-    result[:, YAW_RAD] = (result[:, YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
+    result[..., YAW_RAD] = (result[..., YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
     return result
