@@ -15,9 +15,9 @@ import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.raster.lens import Lens
+from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import layers, lens, measure, outline, trace, view
+from warpav_kernels.raster import layers, lens, measure, outline, ray_space, trace, view
 
 LENS_KINDS = {
     Lens.PINHOLE: int(lens.PINHOLE),
@@ -107,8 +107,9 @@ class Buffers:
         strip_count: Their number, int32 [1].
         ones: A weight image of ones, float [1, row, column].
         all_directions: Windows that hold every direction, vec4 [view].
-        traced: Numbers of the views whose lenses are no pinholes.
-        traced_view: The same on the device.
+        bent: Numbers of the views whose lenses are no pinholes.
+        bent_view: The same on the device.
+        rays: Their rays (struct of the kernels), on the CPU.
         generation: Grows when arrays that recorded launches refer to have moved.
         state: What the last render has left; None before the first.
     """
@@ -149,7 +150,9 @@ class Buffers:
         self._models: list[CameraModel] = []
         self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
-        self.traced: list[int] = []
+        self.bent: list[int] = []
+        self.rays = ray_space.Rays()
+        self._rays_of: list[tuple[CameraModel, float]] = []
         self.generation = 0
         self.set_lenses(models)
         self.view = self.zeros(self.view_count, view.View)
@@ -231,11 +234,12 @@ class Buffers:
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
         wp.copy(self._lens, wp.array([_lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
-        traced = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
-        if traced != self.traced:
-            wp.load_module(trace, device=self.device)  # takes seconds to compile, so only where it is needed
-            self.traced = traced
-            self.traced_view = wp.array(traced, dtype=wp.int32, device=self.device)
+        bent = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
+        if bent != self.bent:
+            for module in (trace, ray_space) if self.device.is_cpu else (trace,):
+                wp.load_module(module, device=self.device)  # takes seconds to compile, so only where it is needed
+            self.bent = bent
+            self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
             self.generation += 1
 
     def place_views(self, position_world_m: wp.array, camera_from_world: wp.array, log_focal: wp.array | None) -> None:
@@ -265,6 +269,32 @@ class Buffers:
             ],
             outputs=[self.view],
         )  # fmt: skip
+        if self.bent and self.device.is_cpu:
+            self._place_rays()
+
+    def _place_rays(self) -> None:
+        """The rays of the views that are no pinholes, where they are not those of the last call."""
+        zoom = self.log_focal.numpy()[self.bent]
+        rays_of = [(self._models[v], float(each)) for v, each in zip(self.bent, zoom, strict=True)]
+        if rays_of == self._rays_of:
+            return
+        self._rays_of = rays_of
+        sets, shapes = list(dict.fromkeys(rays_of)), list(dict.fromkeys(model.shape for model, _ in rays_of))
+        set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
+        set_of_view[self.bent] = [sets.index(each) for each in rays_of]
+        table_of_view[self.bent] = [shapes.index(model.shape) for model, _ in rays_of]
+        view_of_set = [self.bent[rays_of.index(each)] for each in sets]
+        rays, count, block = self.rays, len(sets), int(ray_space.BLOCK)
+        rays.set_of_view = wp.array(set_of_view, dtype=wp.int32, device=self.device)
+        rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
+        rays.table = wp.array([image_table(shape) for shape in shapes], dtype=wp.vec2, device=self.device)
+        rays.ray = self.zeros((count, self.height, self.width), wp.vec3)
+        rays.block = self.zeros((count, -(-self.height // block), -(-self.width // block)), wp.vec4)
+        rays.widest_cosine = self.zeros(count, float)
+        of_set = wp.array(view_of_set, dtype=wp.int32, device=self.device)
+        self.launch(ray_space.place_rays_kernel, rays.ray.shape, inputs=[self.view, of_set], outputs=[rays.ray])
+        self.launch(ray_space.place_blocks_kernel, rays.block.shape, inputs=[rays.ray], outputs=[rays.block])
+        self.launch(ray_space.bound_rays_kernel, count, inputs=[rays.block], outputs=[rays.widest_cosine])
 
     def reserve_samples(self, sample_count: int) -> None:
         """Atlas with room for a number of samples, and a quarter more."""

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, Buffers, Content, RenderState
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import hide, rasterise, trace
+from warpav_kernels.raster import hide, rasterise, ray_space, trace
 
 
 class Occlusion(Enum):
@@ -88,50 +88,76 @@ def decide(
             ],
             outputs=[buffers.key, buffers.layers],
         )  # fmt: skip
-    if buffers.traced:
-        _trace(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
+    if buffers.bent:
+        if buffers.device.is_cpu:
+            _scatter_bent(buffers, scene, layer_count, has_key=has_key)
+        else:
+            _trace(buffers, scene, layer_count, has_key=has_key)
+        if layer_count and has_outlines:
+            _trace_crossings(buffers, scene, layer_count)
     if scene.object_count and content in (Content.ALL, Content.COVERAGE):
         _hide(buffers, scene, occlusion)
     return state
 
 
-def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
-    """Fill the buffers of the views whose lenses are no pinholes, by ray queries."""
-    mesh, traced, count = scene.mesh.id, buffers.traced_view, len(buffers.traced)
+def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+    """Fill the keys and layers of the views whose lenses are no pinholes, by rasterisation in the space of rays."""
+    buffers.over_views(
+        len(buffers.bent),
+        lambda first, count: buffers.launch(
+            ray_space.scatter_bent_triangles_kernel,
+            (count, scene.cluster_count, buffers.cluster_lanes),
+            inputs=[
+                buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
+                int(has_key), buffers.cluster_lanes,
+            ],
+            outputs=[buffers.key, buffers.layers],
+        ),
+    )  # fmt: skip
+
+
+def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+    """Fill the keys and layers of the views whose lenses are no pinholes, by ray queries."""
+    mesh, bent, count = scene.mesh.id, buffers.bent_view, len(buffers.bent)
+    rows, columns = buffers.lanes
     if has_key:
         buffers.over_views(
             count,
             lambda first, count: buffers.launch(
                 trace.trace_keys_kernel,
                 (count, buffers.height, buffers.width),
-                inputs=[buffers.view, mesh, traced, buffers.scissor, first],
+                inputs=[buffers.view, mesh, bent, buffers.scissor, first],
                 outputs=[buffers.key],
             ),
         )
-    if layer_count == 0:
-        return
-    rows, columns = buffers.lanes
-
-    def launch(first: int, count: int) -> None:
-        dim = (count, layer_count, rows * columns)
-        buffers.launch(
-            trace.trace_layers_kernel,
-            dim,
-            inputs=[
-                buffers.view, scene.triangles, mesh, scene.layer_body, traced, buffers.key, int(has_key), first,
-                rows, columns,
-            ],
-            outputs=[buffers.layers],
-        )  # fmt: skip
-        if has_outlines:
-            buffers.launch(
-                trace.trace_crossings_kernel,
-                dim,
-                inputs=[buffers.view, mesh, scene.layer_body, traced, first, rows, columns],
+    if layer_count:
+        buffers.over_views(
+            count,
+            lambda first, count: buffers.launch(
+                trace.trace_layers_kernel,
+                (count, layer_count, rows * columns),
+                inputs=[
+                    buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key, int(has_key), first,
+                    rows, columns,
+                ],
                 outputs=[buffers.layers],
-            )
+            ),
+        )  # fmt: skip
 
-    buffers.over_views(count, launch)
+
+def _trace_crossings(buffers: Buffers, scene: Scene, layer_count: int) -> None:
+    """Find the edge crossings of the layers in the views whose lenses are no pinholes, by ray queries."""
+    mesh = scene.mesh.id  # built here, not by several threads
+    rows, columns = buffers.lanes
+    buffers.over_views(
+        len(buffers.bent),
+        lambda first, count: buffers.launch(
+            trace.trace_crossings_kernel,
+            (count, layer_count, rows * columns),
+            inputs=[buffers.view, mesh, scene.layer_body, buffers.bent_view, first, rows, columns],
+            outputs=[buffers.layers],
+        ),
+    )
 
 
 def _hide(buffers: Buffers, scene: Scene, occlusion: Occlusion) -> None:

@@ -19,13 +19,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
 MAX_TANGENT = 100.0
 """A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
 
+TABLE_ENTRIES = 4096
+"""Entries of `image_table`."""
+
+NEARBY_RAD = 0.12
+"""How far from an entry of it a great circle may begin."""
+
+_LAST_RAD = math.radians(175.0)  # from the axis: beyond, a fisheye's image of a point is a circle
 _TURN_SHARE = 0.995  # of the place where the radius stops growing: just before it the image has no width
 _RADIUS_STEPS = 60  # halvings of a bracket end below float64's resolution
 _PLACE_STEPS = 12
@@ -236,3 +243,51 @@ def checked_distortion(lens: Lens, distortion: Sequence[float]) -> tuple[float, 
 
 def _polynomial(coefficient: Sequence[float] | np.ndarray) -> np.polynomial.Polynomial:
     return np.polynomial.Polynomial(np.asarray(coefficient, np.float64))
+
+
+@cache
+def image_table(shape: LensShape) -> np.ndarray:
+    """Where the image of a direction lies, roughly, and how a radial lens bends great circles, over the whole sphere.
+
+    Beyond the lens's limit the radius goes on growing as it did there, so that directions keep their order.
+
+    Returns:
+        Radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a
+        great circle that comes within `NEARBY_RAD` [focal lengths/rad^2], float32 [entry, 2]; the entries lie evenly
+        over ``(1 - cos t) / 2``, from 0 to 1. Of a panorama zeros.
+    """
+    if not shape.is_radial:
+        return np.zeros((TABLE_ENTRIES, 2), np.float32)
+    angle = np.arccos(np.clip(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES), -1.0, 1.0))
+    sine = np.maximum(np.sin(angle), 1e-3)
+    share = np.where(angle > 1e-4, _radius_beyond(shape, np.maximum(angle, 1e-4)) / np.maximum(sine, 1e-4), 1.0)
+    # second differences along great circles in several directions
+    at, step = np.linspace(0.0, math.pi, 721), 0.01
+    direction = np.stack([np.sin(at), np.zeros_like(at), np.cos(at)], axis=-1)
+    curvature = np.zeros_like(at)
+    for turn in np.linspace(0.0, 0.5 * math.pi, 10):
+        ahead = np.stack([math.cos(turn) * np.cos(at), np.full_like(at, math.sin(turn)), -math.cos(turn) * np.sin(at)])
+        place = [_place_beyond(shape, math.cos(s) * direction + math.sin(s) * ahead.T) for s in (-step, 0.0, step)]
+        second = np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2
+        curvature = np.maximum(curvature, second)
+    reach = math.ceil(NEARBY_RAD / (at[1] - at[0]))
+    padded = np.pad(curvature, reach, mode="edge")
+    greatest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
+    return np.stack([share, 1.1 * np.interp(angle, at, greatest)], axis=-1).astype(np.float32)
+
+
+def _radius_beyond(shape: LensShape, angle: np.ndarray) -> np.ndarray:
+    """Radius at an angle from the axis [rad], beyond the limit as well."""
+    limit_rad = min(shape.limit_rad, _LAST_RAD)
+    inside = np.minimum(angle, limit_rad)
+    tangent = inside if shape.lens is Lens.FISHEYE else np.tan(inside)
+    radius, growth = shape.radius(tangent)
+    if shape.lens is not Lens.FISHEYE:
+        growth = growth * (1.0 + tangent * tangent)
+    return radius + growth * (angle - inside)
+
+
+def _place_beyond(shape: LensShape, direction: np.ndarray) -> np.ndarray:
+    across = np.hypot(direction[..., 0], direction[..., 1])
+    radius = _radius_beyond(shape, np.arctan2(across, direction[..., 2]))
+    return direction[..., :2] * (radius / np.maximum(across, 1e-12))[..., None]

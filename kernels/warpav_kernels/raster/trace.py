@@ -1,4 +1,4 @@
-"""Decide, for lenses that are no pinholes: the buffers of `rasterise` by ray queries.
+"""Decide, for lenses that are no pinholes: the buffers of `rasterise` by ray queries, those that `ray_space` leaves.
 
 A straight edge is no straight line in such an image, so every sample sends a ray through the lens instead. The scene is
 one mesh whose triangles are grouped by object: a ray for a layer only asks that object's group.
@@ -73,19 +73,19 @@ def trace_keys_kernel(
     # in
     view: wp.array[View],
     mesh: wp.uint64,
-    traced_view: wp.array[wp.int32],
+    bent_view: wp.array[wp.int32],
     scissor: wp.array[wp.vec4i],
     first: int,
     # out
     key: wp.array3d[wp.int64],
 ):
-    """Nearest surface of every sample of the traced views inside their scissors, as `rasterise` keeps it.
+    """Nearest surface of every sample of these views inside their scissors, as `rasterise` keeps it.
 
-    Launch: ``dim=(traced views of this chunk, height, width)``; one thread per sample. Not taped.
+    Launch: ``dim=(bent views of this chunk, height, width)``; one thread per sample. Not taped.
     Writes: the keys of these views inside their scissors once.
     """
     i, row, column = wp.tid()
-    v = traced_view[first + i]
+    v = bent_view[first + i]
     frame = scissor[v]
     if column < frame[0] or row < frame[1] or column >= frame[2] or row >= frame[3]:
         return
@@ -104,7 +104,7 @@ def trace_layers_kernel(
     scene: Triangles,
     mesh: wp.uint64,
     layer_body: wp.array[wp.int32],
-    traced_view: wp.array[wp.int32],
+    bent_view: wp.array[wp.int32],
     key: wp.array3d[wp.int64],
     has_key: int,
     first: int,
@@ -117,12 +117,12 @@ def trace_layers_kernel(
 
     Where the key buffer (``has_key`` 1) holds the layer's own object, or nothing, no ray is needed.
 
-    Launch: ``dim=(traced views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
+    Launch: ``dim=(bent views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
     samples. Not taped.
     Writes: ``layers.inverse_depth_bits`` of these views where the layers cover them; the caller zeroes it.
     """
     i, layer, lane = wp.tid()
-    v = traced_view[first + i]
+    v = bent_view[first + i]
     camera = view[v]
     rectangle = layers.rectangle[v, layer]
     root = wp.mesh_get_group_root(mesh, layer_body[layer])
@@ -152,7 +152,7 @@ def trace_crossings_kernel(
     view: wp.array[View],
     mesh: wp.uint64,
     layer_body: wp.array[wp.int32],
-    traced_view: wp.array[wp.int32],
+    bent_view: wp.array[wp.int32],
     first: int,
     row_lanes: int,
     column_lanes: int,
@@ -161,12 +161,12 @@ def trace_crossings_kernel(
 ):
     """How far every layer's front goes on from its outermost samples towards the neighbours that it does not cover.
 
-    Launch: ``dim=(traced views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
+    Launch: ``dim=(bent views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
     samples. Not taped.
     Writes: ``layers.crossing_key`` of these views at outlines; the caller zeroes it.
     """
     i, layer, lane = wp.tid()
-    v = traced_view[first + i]
+    v = bent_view[first + i]
     camera = view[v]
     rectangle = layers.rectangle[v, layer]
     offset = layers.offset[v, layer]

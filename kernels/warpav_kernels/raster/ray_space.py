@@ -1,0 +1,549 @@
+"""Decide, for lenses that are no pinholes: the buffers of `rasterise`, by rasterisation in the space of rays.
+
+A straight edge is no straight line in such an image, but the rays through it still lie in a plane through the camera's
+centre. So a triangle covers a sample if the sample's ray lies on the inner side of three planes, and the inverse depth
+is linear in the ray. Nothing is inverted, cut or divided up: corners may be behind the camera. The rays of all samples
+are kept (`Rays`), and blocks of them are passed over whole.
+
+Where a triangle's image may be is bounded by the images of its corners, and by how much the lens bends what lies
+between.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.layers import Layers
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds
+from warpav_kernels.raster.rasterise import (
+    LARGE_SAMPLES,
+    LEAST_INVERSE_DEPTH,
+    Triangles,
+    line_after,
+    raise_bits,
+)
+from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
+
+wp.set_module_options({"enable_backward": False})
+
+BLOCK = wp.constant(8)  # rows and columns of samples of a block
+WIDE = wp.constant(0.1)  # chord of two directions; triangles that reach farther are bounded by a cone
+LEAST_VOLUME = wp.constant(1.0e-12)  # of three directions: a triangle that is seen from its side
+TABLE_ERROR = wp.constant(1.0e-4)  # of a place in the table [focal lengths]
+WHOLE = wp.constant(1.0e9)
+
+
+@wp.struct
+class Rays:
+    """Rays of the samples of all views that are no pinholes.
+
+    Attributes:
+        set_of_view: Which rays a view has; -1 for a pinhole, [view].
+        table_of_view: Which table a view's lens has, [view].
+        ray: Ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing is seen, [set,
+            row, column].
+        widest_cosine: Cosine of an angle from the axis beyond which no ray is, with room for a small triangle, [set].
+        block: Mean and greatest distance from it of the rays of every block of samples, [set, row, column].
+        table: Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle
+            [focal lengths], and the greatest curvature of the image of a great circle near there [focal
+            lengths/rad^2], [table, entry].
+    """
+
+    set_of_view: wp.array[wp.int32]
+    table_of_view: wp.array[wp.int32]
+    widest_cosine: wp.array[float]
+    ray: wp.array3d[wp.vec3]
+    block: wp.array3d[wp.vec4]
+    table: wp.array2d[wp.vec2]
+
+
+@wp.kernel(enable_backward=False)
+def place_rays_kernel(
+    # in
+    view: wp.array[View],
+    view_of_set: wp.array[wp.int32],
+    # out
+    ray: wp.array3d[wp.vec3],
+):
+    """The rays of every set, from one of its views.
+
+    Launch: ``dim=(set_count, height, width)``; one thread per sample. Not taped.
+    Writes: every element of ``ray`` once.
+    """
+    i, row, column = wp.tid()
+    ray[i, row, column] = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
+
+
+@wp.kernel(enable_backward=False)
+def place_blocks_kernel(
+    # in
+    ray: wp.array3d[wp.vec3],
+    # out
+    block: wp.array3d[wp.vec4],
+):
+    """Mean and spread of the rays of every block, of those that see something.
+
+    Launch: ``dim=(set_count, block rows, block columns)``; one thread per block. Not taped.
+    Writes: every element of ``block`` once.
+    """
+    i, block_row, block_column = wp.tid()
+    last_row = wp.min((block_row + 1) * BLOCK, ray.shape[1])
+    last_column = wp.min((block_column + 1) * BLOCK, ray.shape[2])
+    total = wp.vec3(0.0, 0.0, 0.0)
+    count = float(0.0)
+    for row in range(block_row * BLOCK, last_row):
+        for column in range(block_column * BLOCK, last_column):
+            each = ray[i, row, column]
+            if wp.length_sq(each) > 0.0:
+                total += each
+                count += 1.0
+    mean = total / wp.max(count, 1.0)
+    spread = float(0.0)
+    for row in range(block_row * BLOCK, last_row):
+        for column in range(block_column * BLOCK, last_column):
+            each = ray[i, row, column]
+            if wp.length_sq(each) > 0.0:
+                spread = wp.max(spread, wp.length(each - mean))
+    block[i, block_row, block_column] = wp.vec4(mean[0], mean[1], mean[2], spread)
+
+
+@wp.kernel(enable_backward=False)
+def bound_rays_kernel(
+    # in
+    block: wp.array3d[wp.vec4],
+    # out
+    widest_cosine: wp.array[float],
+):
+    """See `Rays.widest_cosine`.
+
+    Launch: ``dim=set_count``; one thread per set. Not taped.
+    Writes: every element of ``widest_cosine`` once.
+    """
+    i = wp.tid()
+    widest = float(0.0)
+    for row in range(block.shape[1]):
+        for column in range(block.shape[2]):
+            each = block[i, row, column]
+            mean = wp.vec3(each[0], each[1], each[2])
+            if wp.length_sq(mean) > 0.0:
+                angle = wp.atan2(wp.sqrt(mean[0] * mean[0] + mean[1] * mean[1]), mean[2])
+                widest = wp.max(widest, angle + 2.0 * wp.asin(wp.min(each[3] / wp.length(mean), 1.0)))
+    widest_cosine[i] = wp.cos(wp.min(widest + 1.2 * WIDE, wp.pi))
+
+
+@wp.func
+def edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
+    """Normal of the plane through the camera's centre and an edge from p to q; the triangle is on its positive side.
+
+    It is computed from the same end whichever way the edge runs, so two triangles that share it share every bit of it.
+    """
+    is_turned = p[0] > q[0] or (p[0] == q[0] and (p[1] > q[1] or (p[1] == q[1] and p[2] > q[2])))
+    low = p
+    high = q
+    sign = side
+    if is_turned:
+        low = q
+        high = p
+        sign = -side
+    return sign * wp.cross(low, high - low)
+
+
+@wp.struct
+class RayTriangle:
+    """A triangle in the space of rays: a ray d meets it where no product with an edge's normal is negative.
+
+    Attributes:
+        edge0: Normal of the plane of its first edge [m^2].
+        edge1: That of the second.
+        edge2: That of the third.
+        inverse_depth: Its product with a ray of depth 1 is the inverse depth [1/m].
+        first_column: First column of samples that it may cover.
+        last_column: Last such column; below the first where there is none.
+        first_row: First such row.
+        last_row: Last such row.
+    """
+
+    edge0: wp.vec3
+    edge1: wp.vec3
+    edge2: wp.vec3
+    inverse_depth: wp.vec3
+    first_column: int
+    last_column: int
+    first_row: int
+    last_row: int
+
+
+@wp.func
+def table_entry(rays: Rays, table: int, cosine: float) -> wp.vec2:
+    """Radius over sine, and curvature, of a lens at a cosine of the angle from its axis."""
+    place = 0.5 * (1.0 - cosine) * float(rays.table.shape[1] - 1)
+    entry = wp.clamp(int(place), 0, rays.table.shape[1] - 2)
+    share = wp.clamp(place - float(entry), 0.0, 1.0)
+    low = rays.table[table, entry]
+    high = rays.table[table, entry + 1]
+    return wp.vec2(low[0] + share * (high[0] - low[0]), wp.max(low[1], high[1]))
+
+
+@wp.func
+def half_angle_of(axis: wp.vec3, direction: wp.vec3) -> float:
+    """Angle between two directions of unit length [rad], a little more for rounding."""
+    return 2.0 * wp.asin(wp.min(0.5 * wp.length(direction - axis), 1.0)) + 1.0e-5
+
+
+@wp.func(inline=False)
+def wide_bounds(camera: View, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the images of three directions and all between them."""
+    axis = a + b + c
+    length = wp.length(axis)
+    if length < 1.0e-3:
+        return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
+    axis /= length
+    half = wp.max(half_angle_of(axis, a), wp.max(half_angle_of(axis, b), half_angle_of(axis, c)))
+    if half >= 0.5 * wp.pi:
+        return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
+    return cone_bounds(camera.lens, axis, half)
+
+
+@wp.func
+def directions_bounds(
+    camera: View, rays: Rays, table: int, widest_cosine: float, a: wp.vec3, b: wp.vec3, c: wp.vec3
+) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the image of a triangle of three directions.
+
+    Columns of a panorama may lie a turn or two beside its image.
+    """
+    chord = wp.max(wp.length_sq(b - a), wp.max(wp.length_sq(c - b), wp.length_sq(a - c)))
+    if camera.lens.kind == PANORAMA:
+        steep = wp.max(wp.abs(a[1]), wp.max(wp.abs(b[1]), wp.abs(c[1])))
+        if chord > WIDE * WIDE or steep > 0.98:
+            return wide_bounds(camera, a, b, c)
+        level = wp.sqrt(1.0 - steep * steep)
+        # of y and x over the level distance; both bend by less than this
+        bulge = 0.5 * chord / (level * level * level)
+        u0 = wp.atan2(a[0], a[2])
+        u1 = wp.atan2(b[0], b[2])
+        u2 = wp.atan2(c[0], c[2])
+        u1 -= 2.0 * wp.pi * wp.round((u1 - u0) / (2.0 * wp.pi))
+        u2 -= 2.0 * wp.pi * wp.round((u2 - u0) / (2.0 * wp.pi))
+        v0 = a[1] / wp.sqrt(a[0] * a[0] + a[2] * a[2])
+        v1 = b[1] / wp.sqrt(b[0] * b[0] + b[2] * b[2])
+        v2 = c[1] / wp.sqrt(c[0] * c[0] + c[2] * c[2])
+        return wp.vec4(
+            wp.min(u0, wp.min(u1, u2)) - bulge,
+            wp.min(v0, wp.min(v1, v2)) - bulge,
+            wp.max(u0, wp.max(u1, u2)) + bulge,
+            wp.max(v0, wp.max(v1, v2)) + bulge,
+        )
+    if chord > WIDE * WIDE:
+        return wide_bounds(camera, a, b, c)
+    if wp.max(a[2], wp.max(b[2], c[2])) < widest_cosine:
+        return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
+    at_a = table_entry(rays, table, a[2])
+    at_b = table_entry(rays, table, b[2])
+    at_c = table_entry(rays, table, c[2])
+    # an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
+    bulge = 0.14 * chord * wp.max(at_a[1], wp.max(at_b[1], at_c[1])) + TABLE_ERROR
+    left = wp.min(at_a[0] * a[0], wp.min(at_b[0] * b[0], at_c[0] * c[0]))
+    right = wp.max(at_a[0] * a[0], wp.max(at_b[0] * b[0], at_c[0] * c[0]))
+    top = wp.min(at_a[0] * a[1], wp.min(at_b[0] * b[1], at_c[0] * c[1]))
+    bottom = wp.max(at_a[0] * a[1], wp.max(at_b[0] * b[1], at_c[0] * c[1]))
+    if camera.lens.kind == BROWN_CONRADY:
+        # the table knows the radius alone; what moves sideways grows with the square of the angle's tangent
+        cosine = wp.max(wp.min(a[2], wp.min(b[2], c[2])), 1.0e-3)
+        squared = wp.min(1.0 / (cosine * cosine) - 1.0, camera.lens.limit * camera.lens.limit)
+        bulge += 4.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3])) * squared
+    return wp.vec4(left - bulge, top - bulge, right + bulge, bottom + bulge)
+
+
+@wp.func
+def ray_triangle(
+    camera: View, scene: Triangles, rays: Rays, table: int, widest_cosine: float, triangle: int, scissor: wp.vec4i
+) -> RayTriangle:
+    """A triangle of the scene in the space of a view's rays, its rows and columns cut to a scissor.
+
+    A panorama's columns are those of one of its turns, and may lie beside the scissor.
+    """
+    found = RayTriangle()
+    found.first_row = 0
+    found.last_row = -1
+    corner = scene.triangle[triangle]
+    p = point_in_camera(camera, scene.vertex_world_m[corner[0]])
+    q = point_in_camera(camera, scene.vertex_world_m[corner[1]])
+    r = point_in_camera(camera, scene.vertex_world_m[corner[2]])
+    depth = wp.vec3(wp.length(p), wp.length(q), wp.length(r))
+    farthest = wp.max(depth[0], wp.max(depth[1], depth[2]))
+    if camera.lens.kind == BROWN_CONRADY:
+        farthest = wp.max(p[2], wp.max(q[2], r[2]))
+    if farthest < camera.near_m or wp.min(depth[0], wp.min(depth[1], depth[2])) < 1.0e-9:
+        return found
+    place = directions_bounds(camera, rays, table, widest_cosine, p / depth[0], q / depth[1], r / depth[2])
+    low = -WHOLE
+    high = WHOLE
+    if camera.lens.kind != PANORAMA:
+        low = float(scissor[0])
+        high = float(scissor[2])
+    found.first_row = line_after(camera.centre[1] + camera.focal[1] * place[1], scissor[1], scissor[3])
+    found.last_row = line_after(camera.centre[1] + camera.focal[1] * place[3], scissor[1], scissor[3]) - 1
+    if found.first_row > found.last_row:
+        return found
+    left = wp.clamp(camera.centre[0] + camera.focal[0] * place[0], low, high)
+    right = wp.clamp(camera.centre[0] + camera.focal[0] * place[2], low, high)
+    if camera.lens.kind == PANORAMA and right - left >= 2.0 * wp.pi * camera.focal[0]:
+        left = float(scissor[0])
+        right = float(scissor[2])
+    found.first_column = int(wp.floor(left + 0.5))
+    found.last_column = int(wp.floor(right + 0.5)) - 1
+    if found.first_column > found.last_column:
+        found.last_row = found.first_row - 1
+        return found
+    normal = wp.cross(q - p, r - p)
+    volume = wp.dot(p, normal)
+    if wp.abs(volume) < LEAST_VOLUME * depth[0] * depth[1] * depth[2]:
+        found.last_row = found.first_row - 1
+        return found
+    side = wp.sign(volume)
+    found.edge0 = edge_plane(p, q, side)
+    found.edge1 = edge_plane(q, r, side)
+    found.edge2 = edge_plane(r, p, side)
+    found.inverse_depth = normal / volume
+    return found
+
+
+@wp.func
+def fill_sample(
+    image: RayTriangle,
+    ray: wp.vec3,
+    farthest: float,
+    v: int,
+    row: int,
+    column: int,
+    triangle: int,
+    has_key: bool,
+    place: int,
+    layers: Layers,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter a triangle into a sample that its edges leave inside; ``farthest`` is the near plane's inverse depth."""
+    w = wp.dot(image.inverse_depth, ray)
+    if w <= 0.0 or w > farthest:
+        return
+    bits = wp.cast(wp.max(w, LEAST_INVERSE_DEPTH), wp.int32)
+    if has_key:
+        value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
+        if key[v, row, column] < value:
+            wp.atomic_max(key, v, row, column, value)
+    if place >= 0:
+        raise_bits(layers.inverse_depth_bits, place, bits)
+
+
+@wp.func
+def block_side(edge: wp.vec3, mean: wp.vec3, spread: float) -> int:
+    """Where a block of rays lies to a plane: 1 wholly inside, -1 wholly outside, 0 across."""
+    product = wp.dot(edge, mean)
+    reach = wp.length(edge) * spread * 1.0001
+    if product > reach:
+        return 1
+    if product < -reach:
+        return -1
+    return 0
+
+
+@wp.func
+def fill_samples(
+    image: RayTriangle,
+    camera: View,
+    rays: Rays,
+    ray_set: int,
+    first_row: int,
+    last_row: int,
+    first_column: int,
+    last_column: int,
+    lane: int,
+    lane_count: int,
+    v: int,
+    triangle: int,
+    has_key: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter some rows and columns of a triangle; lane k of n takes the columns k, k + n, ... of each row."""
+    farthest = 1.0 / camera.near_m
+    for row in range(first_row, last_row + 1):
+        has_layer = offset >= 0 and row >= rectangle[1] and row < rectangle[1] + rectangle[3]
+        # the place of column 0 of this row in the layer
+        layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
+        for column in range(first_column + lane, last_column + 1, lane_count):
+            ray = rays.ray[ray_set, row, column]
+            if wp.dot(image.edge0, ray) >= 0.0 and wp.dot(image.edge1, ray) >= 0.0 and wp.dot(image.edge2, ray) >= 0.0:
+                place = int(-1)
+                if has_layer and column >= rectangle[0] and column < rectangle[0] + rectangle[2]:
+                    place = layer_row + column
+                fill_sample(image, ray, farthest, v, row, column, triangle, has_key, place, layers, key)
+
+
+@wp.func
+def fill_blocks(
+    image: RayTriangle,
+    camera: View,
+    rays: Rays,
+    ray_set: int,
+    first_column: int,
+    last_column: int,
+    v: int,
+    triangle: int,
+    has_key: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter a large triangle block by block; blocks that it does not reach are passed over."""
+    for block_row in range(image.first_row / BLOCK, image.last_row / BLOCK + 1):
+        for block_column in range(first_column / BLOCK, last_column / BLOCK + 1):
+            block = rays.block[ray_set, block_row, block_column]
+            mean = wp.vec3(block[0], block[1], block[2])
+            side0 = block_side(image.edge0, mean, block[3])
+            side1 = block_side(image.edge1, mean, block[3])
+            side2 = block_side(image.edge2, mean, block[3])
+            if side0 >= 0 and side1 >= 0 and side2 >= 0:
+                fill_samples(
+                    image,
+                    camera,
+                    rays,
+                    ray_set,
+                    wp.max(image.first_row, block_row * BLOCK),
+                    wp.min(image.last_row, block_row * BLOCK + BLOCK - 1),
+                    wp.max(first_column, block_column * BLOCK),
+                    wp.min(last_column, block_column * BLOCK + BLOCK - 1),
+                    0,
+                    1,
+                    v,
+                    triangle,
+                    has_key,
+                    rectangle,
+                    offset,
+                    layers,
+                    key,
+                )
+
+
+@wp.func(inline=False)
+def misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp.vec4i) -> bool:
+    """Whether a sphere (camera coordinates) surely has no image inside a view's scissor."""
+    distance = wp.length(centre_m)
+    if distance + radius_m < camera.near_m:
+        return True
+    if distance <= 1.01 * radius_m:
+        return False
+    half = wp.asin(radius_m / distance) + 1.0e-5
+    place = cone_bounds(camera.lens, centre_m / distance, half)
+    top = camera.centre[1] + camera.focal[1] * place[1]
+    bottom = camera.centre[1] + camera.focal[1] * place[3]
+    if top > float(scissor[3]) or bottom < float(scissor[1]) or place[2] < place[0]:
+        return True
+    if camera.lens.kind == PANORAMA:
+        return False
+    left = camera.centre[0] + camera.focal[0] * place[0]
+    right = camera.centre[0] + camera.focal[0] * place[2]
+    return left > float(scissor[2]) or right < float(scissor[0])
+
+
+@wp.kernel(enable_backward=False)
+def scatter_bent_triangles_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    rays: Rays,
+    bent_view: wp.array[wp.int32],
+    layer_count: int,
+    scissor: wp.array[wp.vec4i],
+    first: int,
+    has_key: int,
+    lane_count: int,
+    # out
+    key: wp.array3d[wp.int64],
+    layers: Layers,
+):
+    """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
+
+    As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes, and without edge crossings.
+
+    Launch: ``dim=(such views of this chunk, cluster_count, lane_count)``; the lanes share the triangles of a cluster.
+    Not taped.
+    Writes: ``key`` and ``layers`` by atomic maximum; the caller zeroes them.
+    """
+    i, cluster, lane = wp.tid()
+    v = bent_view[first + i]
+    layer = scene.cluster_layer[cluster]
+    if layer >= layer_count:
+        layer = -1
+    if has_key == 0 and layer < 0:
+        return
+    camera = view[v]
+    frame = scissor[v]
+    if frame[0] >= frame[2]:
+        return
+    sphere = scene.cluster_sphere_world_m[cluster]
+    centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
+    if misses_scissor(camera, centre_m, sphere[3], frame):
+        return
+    rectangle = wp.vec4i(0, 0, 0, 0)
+    offset = int(-1)
+    if layer >= 0:
+        rectangle = layers.rectangle[v, layer]
+        offset = layers.offset[v, layer]
+        if rectangle[2] == 0:
+            offset = -1
+    table = rays.table_of_view[v]
+    ray_set = rays.set_of_view[v]
+    widest_cosine = rays.widest_cosine[ray_set]
+    first_triangle = scene.cluster_first[cluster]
+    turn = int(0)
+    if camera.lens.kind == PANORAMA:
+        turn = 1
+    for k in range(lane, scene.cluster_count[cluster], lane_count):
+        triangle = first_triangle + k
+        image = ray_triangle(camera, scene, rays, table, widest_cosine, triangle, frame)
+        if image.first_row <= image.last_row:
+            for n in range(-turn, turn + 1):
+                # the other turns of a panorama, whose images may be cut by the seam
+                shift = int(wp.round(2.0 * wp.pi * camera.focal[0] * float(n)))
+                first_column = wp.max(image.first_column + shift - turn, frame[0])
+                last_column = wp.min(image.last_column + shift + turn, frame[2] - 1)
+                if first_column <= last_column:
+                    if (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > LARGE_SAMPLES:
+                        fill_blocks(
+                            image,
+                            camera,
+                            rays,
+                            ray_set,
+                            first_column,
+                            last_column,
+                            v,
+                            triangle,
+                            has_key == 1,
+                            rectangle,
+                            offset,
+                            layers,
+                            key,
+                        )
+                    else:
+                        fill_samples(
+                            image,
+                            camera,
+                            rays,
+                            ray_set,
+                            image.first_row,
+                            image.last_row,
+                            first_column,
+                            last_column,
+                            0,
+                            1,
+                            v,
+                            triangle,
+                            has_key == 1,
+                            rectangle,
+                            offset,
+                            layers,
+                            key,
+                        )

@@ -1,0 +1,148 @@
+"""Rasterisation in the space of rays against every ray with every triangle, and the bounds that it skips samples by."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.driving_scene import camera_pose, on_device
+from tests.raster.test_lenses import MODELS
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import NEARBY_RAD, TABLE_ENTRIES, Lens, image_table
+from warpav.raster.mesh import Mesh
+from warpav.raster.renderer import Renderer
+from warpav.raster.scene import Scene
+
+NEAR_M = 0.1
+POSE = camera_pose([0.3, -0.2, 0.1], 0.4, 0.2, -0.3)
+WIDE = CameraModel(96, 96, math.radians(359.0), lens="fisheye")
+LENSES = {**MODELS, "nearly all round": WIDE}
+
+
+def soup(seed, count, size_m, distance_m):
+    """Triangles all round, some about the camera: [triangle, 3, 3]."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(count, 1, 3))
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    middle = direction * rng.uniform(*distance_m, size=(count, 1, 1))
+    size = np.exp(rng.uniform(*np.log(size_m), size=(count, 1, 1)))
+    return (middle + size * rng.normal(size=(count, 3, 3))).astype(np.float32)
+
+
+SOUPS = {
+    "small": functools.partial(soup, 1, 400, (0.01, 0.3), (1.0, 8.0)),
+    "large": functools.partial(soup, 2, 60, (0.5, 20.0), (0.5, 10.0)),
+    "through the camera": functools.partial(soup, 3, 8, (1.0, 30.0), (0.0, 0.3)),
+}
+
+
+def nearest(corner_m, model):
+    """What every ray of an image meets first, by trying all: inverse depth, and triangle or -1, [row, column]."""
+    row, column = np.indices((model.height_px, model.width_px)) + 0.5
+    ray = model.rays(np.stack([column, row], axis=-1)).reshape(-1, 3)
+    world_from_camera, centre_m = POSE[:3, :3], POSE[:3, 3]
+    a, b, c = np.moveaxis((corner_m.astype(np.float64) - centre_m) @ world_from_camera, 1, 0)
+    edge, other = b - a, c - a
+    across = np.cross(ray[:, None], other)  # Moeller and Trumbore
+    scale = np.einsum("rtk,tk->rt", across, edge)
+    with np.errstate(all="ignore"):
+        first = np.einsum("rtk,tk->rt", across, -a) / scale
+        turned = np.cross(-a, edge)
+        second = np.einsum("rk,tk->rt", ray, turned) / scale
+        depth = np.einsum("tk,tk->t", turned, other) / scale
+        inside = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0) & (depth >= NEAR_M)
+        inverse = np.where(inside & np.isfinite(depth), 1.0 / depth, 0.0)
+    shape = row.shape
+    return inverse.max(axis=1).reshape(shape), np.where(inverse.any(axis=1), inverse.argmax(axis=1), -1).reshape(shape)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("name", SOUPS)
+def test_every_sample_has_the_nearest_triangle(device, name, lens):
+    corner_m, model = SOUPS[name](), LENSES[lens]
+    meshes = {
+        f"triangle {k}": Mesh.create(each, np.array([[0, 1, 2]]), [200, 200, 200]) for k, each in enumerate(corner_m)
+    }
+    scene = Scene(meshes, device=device)
+    renderer = Renderer([model], device=device)
+    frame = renderer.render(scene, *on_device([POSE], device))
+    found_m, found = frame.depth_m.numpy()[0], frame.object_id.numpy()[0]
+    inverse, triangle = nearest(corner_m, model)
+    assert (triangle >= 0).any()
+    wrong = found != triangle
+    # an outline or an intersection within rounding of a sample's centre
+    assert wrong.mean() <= 2e-4, f"{wrong.sum()} of {wrong.size} samples"
+    hit = ~wrong & (triangle >= 0)
+    np.testing.assert_allclose(1.0 / found_m[hit], inverse[hit], rtol=2e-3)
+    assert np.median(np.abs(found_m[hit] * inverse[hit] - 1.0)) < 1e-5
+
+
+@pytest.mark.parametrize("name", [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA])
+def test_the_table_knows_the_image_of_a_direction(name):
+    """Up to what a lens moves sideways, and beyond its limit it goes on growing."""
+    shape = MODELS[name].shape
+    table = image_table(shape).astype(np.float64)
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(4000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    entry = 0.5 * (1.0 - direction[:, 2]) * (TABLE_ENTRIES - 1)
+    share = np.interp(entry, np.arange(TABLE_ENTRIES), table[:, 0])
+    place = share[:, None] * direction[:, :2]
+    truth = shape.place(direction)
+    seen = np.isfinite(truth[:, 0]) & (np.arccos(direction[:, 2]) < math.radians(85.0))
+    aside = 3.0 * np.abs(shape.coefficients[2:4]).sum() if shape.lens is Lens.BROWN_CONRADY else 0.0
+    far = np.linalg.norm(direction[seen, :2], axis=1) / np.maximum(direction[seen, 2], 1e-3)
+    error = np.linalg.norm(place[seen] - truth[seen], axis=1)
+    assert seen.sum() > 500
+    assert (error <= 1e-4 + math.sqrt(2.0) * aside * far * far).all()
+    radius = table[:, 0] * np.sin(np.arccos(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES)))
+    assert (np.diff(radius[:-20]) > 0.0).all()
+
+
+@pytest.mark.parametrize("name", [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA])
+def test_arcs_bend_less_than_the_table_says(name):
+    """An arc of a great circle leaves its chord in the image by an eighth of its square times the curvature at most."""
+    shape = MODELS[name].shape
+    table = image_table(shape).astype(np.float64)
+    rng = np.random.default_rng(1)
+    start = rng.normal(size=(3000, 3))
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    end = start + 0.5 * NEARBY_RAD * rng.uniform(-1.0, 1.0, size=(3000, 3))
+    end /= np.linalg.norm(end, axis=1, keepdims=True)
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    between = (1.0 - share) * start + share * end
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    place = shape.place(between)
+    seen = np.isfinite(place).all(axis=(0, 2))
+    aside = 3.0 * np.abs(shape.coefficients[2:4]).sum() if shape.lens is Lens.BROWN_CONRADY else 0.0
+    low, high = np.minimum(place[0], place[-1]), np.maximum(place[0], place[-1])
+    beyond = np.maximum(low - place.min(axis=0), place.max(axis=0) - high).max(axis=1)
+    entry = np.stack([0.5 * (1.0 - each[:, 2]) * (TABLE_ENTRIES - 1) for each in (start, end)])
+    curvature = np.interp(entry, np.arange(TABLE_ENTRIES), table[:, 1]).max(axis=0)
+    chord = ((end - start) ** 2).sum(axis=1)
+    reach = np.abs(place).max(axis=(0, 2))
+    assert seen.sum() > 500
+    assert (beyond[seen] <= (0.14 * chord * curvature + aside * reach**2 + 1e-6)[seen]).all()
+
+
+def test_rays_follow_the_zoom(device):
+    """Views that share a lens share its rays, unless they are zoomed."""
+    model = MODELS["fisheye"]
+    corner_m = SOUPS["small"]()
+    scene = Scene(
+        {"soup": Mesh.create(corner_m.reshape(-1, 3), np.arange(corner_m.size // 3).reshape(-1, 3), [9, 9, 9])},
+        device=device,
+    )
+    renderer = Renderer([model, model], device=device)
+    poses = on_device([POSE, POSE], device)
+    plain = renderer.render(scene, *poses).depth_m.numpy().copy()
+    np.testing.assert_array_equal(plain[0], plain[1])
+    zoom = wp.array([0.0, 0.2], dtype=float, device=device)
+    zoomed = renderer.render(scene, *poses, log_focal=zoom).depth_m.numpy().copy()
+    np.testing.assert_array_equal(zoomed[0], plain[0])
+    alone = Renderer([model.zoomed(0.2)], device=device).render(scene, *on_device([POSE], device)).depth_m.numpy()
+    same = np.isclose(zoomed[1], alone[0], rtol=1e-3)
+    assert (same | (np.isinf(zoomed[1]) & np.isinf(alone[0]))).mean() > 0.999
+    np.testing.assert_array_equal(renderer.render(scene, *poses).depth_m.numpy(), plain)
