@@ -79,33 +79,44 @@ def test_every_sample_has_the_nearest_triangle(device, name, lens):
     assert np.median(np.abs(found_m[hit] * inverse[hit] - 1.0)) < 1e-5
 
 
-@pytest.mark.parametrize("name", [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA])
+RADIAL = [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA]
+
+
+def in_table(shape, direction, column):
+    """A column of a lens's table at directions of unit length."""
+    entry = 0.5 * (1.0 - direction[..., 2]) * (TABLE_ENTRIES - 1)
+    return np.interp(entry, np.arange(TABLE_ENTRIES), image_table(shape)[:, column].astype(np.float64))
+
+
+def moves_aside(shape):
+    """How far a lens moves a place sideways at most, over the squared tangent of the angle from the axis."""
+    return 3.0 * np.abs(shape.coefficients[2:4]).sum() if shape.lens is Lens.BROWN_CONRADY else 0.0
+
+
+@pytest.mark.parametrize("name", RADIAL)
 def test_the_table_knows_the_image_of_a_direction(name):
     """Up to what a lens moves sideways, and beyond its limit it goes on growing."""
     shape = MODELS[name].shape
-    table = image_table(shape).astype(np.float64)
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(4000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    entry = 0.5 * (1.0 - direction[:, 2]) * (TABLE_ENTRIES - 1)
-    share = np.interp(entry, np.arange(TABLE_ENTRIES), table[:, 0])
-    place = share[:, None] * direction[:, :2]
+    place = in_table(shape, direction, 0)[:, None] * direction[:, :2]
     truth = shape.place(direction)
     seen = np.isfinite(truth[:, 0]) & (np.arccos(direction[:, 2]) < math.radians(85.0))
-    aside = 3.0 * np.abs(shape.coefficients[2:4]).sum() if shape.lens is Lens.BROWN_CONRADY else 0.0
     far = np.linalg.norm(direction[seen, :2], axis=1) / np.maximum(direction[seen, 2], 1e-3)
     error = np.linalg.norm(place[seen] - truth[seen], axis=1)
     assert seen.sum() > 500
-    assert (error <= 1e-4 + math.sqrt(2.0) * aside * far * far).all()
-    radius = table[:, 0] * np.sin(np.arccos(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES)))
+    assert (error <= 1e-4 + math.sqrt(2.0) * moves_aside(shape) * far * far).all()
+    radius = image_table(shape)[:, 0].astype(np.float64) * np.sin(
+        np.arccos(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES))
+    )
     assert (np.diff(radius[:-20]) > 0.0).all()
 
 
-@pytest.mark.parametrize("name", [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA])
+@pytest.mark.parametrize("name", RADIAL)
 def test_arcs_bend_less_than_the_table_says(name):
     """An arc of a great circle leaves its chord in the image by an eighth of its square times the curvature at most."""
     shape = MODELS[name].shape
-    table = image_table(shape).astype(np.float64)
     rng = np.random.default_rng(1)
     start = rng.normal(size=(3000, 3))
     start /= np.linalg.norm(start, axis=1, keepdims=True)
@@ -116,15 +127,13 @@ def test_arcs_bend_less_than_the_table_says(name):
     between /= np.linalg.norm(between, axis=-1, keepdims=True)
     place = shape.place(between)
     seen = np.isfinite(place).all(axis=(0, 2))
-    aside = 3.0 * np.abs(shape.coefficients[2:4]).sum() if shape.lens is Lens.BROWN_CONRADY else 0.0
     low, high = np.minimum(place[0], place[-1]), np.maximum(place[0], place[-1])
     beyond = np.maximum(low - place.min(axis=0), place.max(axis=0) - high).max(axis=1)
-    entry = np.stack([0.5 * (1.0 - each[:, 2]) * (TABLE_ENTRIES - 1) for each in (start, end)])
-    curvature = np.interp(entry, np.arange(TABLE_ENTRIES), table[:, 1]).max(axis=0)
+    curvature = in_table(shape, np.stack([start, end]), 1).max(axis=0)
     chord = ((end - start) ** 2).sum(axis=1)
     reach = np.abs(place).max(axis=(0, 2))
     assert seen.sum() > 500
-    assert (beyond[seen] <= (0.14 * chord * curvature + aside * reach**2 + 1e-6)[seen]).all()
+    assert (beyond[seen] <= (0.14 * chord * curvature + moves_aside(shape) * reach**2 + 1e-6)[seen]).all()
 
 
 def test_rays_follow_the_zoom(device):

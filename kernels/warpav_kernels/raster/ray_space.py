@@ -308,56 +308,20 @@ def ray_triangle(
 
 
 @wp.func
-def fill_sample(
-    image: RayTriangle,
-    ray: wp.vec3,
-    farthest: float,
-    v: int,
-    row: int,
-    column: int,
-    triangle: int,
-    has_key: bool,
-    place: int,
-    layers: Layers,
-    key: wp.array3d[wp.int64],
-):
-    """Scatter a triangle into a sample that its edges leave inside; ``farthest`` is the near plane's inverse depth."""
-    w = wp.dot(image.inverse_depth, ray)
-    if w <= 0.0 or w > farthest:
-        return
-    bits = wp.cast(wp.max(w, LEAST_INVERSE_DEPTH), wp.int32)
-    if has_key:
-        value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
-        if key[v, row, column] < value:
-            wp.atomic_max(key, v, row, column, value)
-    if place >= 0:
-        raise_bits(layers.inverse_depth_bits, place, bits)
+def is_beyond(edge: wp.vec3, block: wp.vec4) -> bool:
+    """Whether a block of rays lies wholly on the outer side of the plane of an edge."""
+    mean = wp.vec3(block[0], block[1], block[2])
+    return wp.dot(edge, mean) < -1.0001 * block[3] * wp.length(edge)
 
 
 @wp.func
-def block_side(edge: wp.vec3, mean: wp.vec3, spread: float) -> int:
-    """Where a block of rays lies to a plane: 1 wholly inside, -1 wholly outside, 0 across."""
-    product = wp.dot(edge, mean)
-    reach = wp.length(edge) * spread * 1.0001
-    if product > reach:
-        return 1
-    if product < -reach:
-        return -1
-    return 0
-
-
-@wp.func
-def fill_samples(
+def fill_triangle(
     image: RayTriangle,
     camera: View,
     rays: Rays,
     ray_set: int,
-    first_row: int,
-    last_row: int,
     first_column: int,
     last_column: int,
-    lane: int,
-    lane_count: int,
     v: int,
     triangle: int,
     has_key: bool,
@@ -366,65 +330,46 @@ def fill_samples(
     layers: Layers,
     key: wp.array3d[wp.int64],
 ):
-    """Scatter some rows and columns of a triangle; lane k of n takes the columns k, k + n, ... of each row."""
+    """Scatter a triangle between two columns into the key buffer and, where ``offset`` is not negative, its layer.
+
+    A large one goes block by block, and those that it does not reach are passed over.
+    """
     farthest = 1.0 / camera.near_m
-    for row in range(first_row, last_row + 1):
-        has_layer = offset >= 0 and row >= rectangle[1] and row < rectangle[1] + rectangle[3]
-        # the place of column 0 of this row in the layer
-        layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
-        for column in range(first_column + lane, last_column + 1, lane_count):
-            ray = rays.ray[ray_set, row, column]
-            if wp.dot(image.edge0, ray) >= 0.0 and wp.dot(image.edge1, ray) >= 0.0 and wp.dot(image.edge2, ray) >= 0.0:
-                place = int(-1)
-                if has_layer and column >= rectangle[0] and column < rectangle[0] + rectangle[2]:
-                    place = layer_row + column
-                fill_sample(image, ray, farthest, v, row, column, triangle, has_key, place, layers, key)
-
-
-@wp.func
-def fill_blocks(
-    image: RayTriangle,
-    camera: View,
-    rays: Rays,
-    ray_set: int,
-    first_column: int,
-    last_column: int,
-    v: int,
-    triangle: int,
-    has_key: bool,
-    rectangle: wp.vec4i,
-    offset: int,
-    layers: Layers,
-    key: wp.array3d[wp.int64],
-):
-    """Scatter a large triangle block by block; blocks that it does not reach are passed over."""
-    for block_row in range(image.first_row / BLOCK, image.last_row / BLOCK + 1):
-        for block_column in range(first_column / BLOCK, last_column / BLOCK + 1):
-            block = rays.block[ray_set, block_row, block_column]
-            mean = wp.vec3(block[0], block[1], block[2])
-            side0 = block_side(image.edge0, mean, block[3])
-            side1 = block_side(image.edge1, mean, block[3])
-            side2 = block_side(image.edge2, mean, block[3])
-            if side0 >= 0 and side1 >= 0 and side2 >= 0:
-                fill_samples(
-                    image,
-                    camera,
-                    rays,
-                    ray_set,
-                    wp.max(image.first_row, block_row * BLOCK),
-                    wp.min(image.last_row, block_row * BLOCK + BLOCK - 1),
-                    wp.max(first_column, block_column * BLOCK),
-                    wp.min(last_column, block_column * BLOCK + BLOCK - 1),
-                    0,
-                    1,
-                    v,
-                    triangle,
-                    has_key,
-                    rectangle,
-                    offset,
-                    layers,
-                    key,
+    is_large = (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > LARGE_SAMPLES
+    size = wp.max(rays.ray.shape[1], rays.ray.shape[2])
+    if is_large:
+        size = BLOCK
+    for block_row in range(image.first_row / size, image.last_row / size + 1):
+        for block_column in range(first_column / size, last_column / size + 1):
+            is_passed = False
+            if is_large:
+                block = rays.block[ray_set, block_row, block_column]
+                is_passed = (
+                    is_beyond(image.edge0, block) or is_beyond(image.edge1, block) or is_beyond(image.edge2, block)
                 )
+            if not is_passed:
+                block_end_row = wp.min(image.last_row, block_row * size + size - 1)
+                block_end_column = wp.min(last_column, block_column * size + size - 1)
+                for row in range(wp.max(image.first_row, block_row * size), block_end_row + 1):
+                    has_layer = offset >= 0 and row >= rectangle[1] and row < rectangle[1] + rectangle[3]
+                    # the place of column 0 of this row in the layer
+                    layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
+                    for column in range(wp.max(first_column, block_column * size), block_end_column + 1):
+                        ray = rays.ray[ray_set, row, column]
+                        if (
+                            wp.dot(image.edge0, ray) >= 0.0
+                            and wp.dot(image.edge1, ray) >= 0.0
+                            and wp.dot(image.edge2, ray) >= 0.0
+                        ):
+                            w = wp.dot(image.inverse_depth, ray)
+                            if w > 0.0 and w <= farthest:
+                                bits = wp.cast(wp.max(w, LEAST_INVERSE_DEPTH), wp.int32)
+                                if has_key:
+                                    value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
+                                    if key[v, row, column] < value:
+                                        wp.atomic_max(key, v, row, column, value)
+                                if has_layer and column >= rectangle[0] and column < rectangle[0] + rectangle[2]:
+                                    raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
 
 
 @wp.func(inline=False)
@@ -511,39 +456,18 @@ def scatter_bent_triangles_kernel(
                 first_column = wp.max(image.first_column + shift - turn, frame[0])
                 last_column = wp.min(image.last_column + shift + turn, frame[2] - 1)
                 if first_column <= last_column:
-                    if (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > LARGE_SAMPLES:
-                        fill_blocks(
-                            image,
-                            camera,
-                            rays,
-                            ray_set,
-                            first_column,
-                            last_column,
-                            v,
-                            triangle,
-                            has_key == 1,
-                            rectangle,
-                            offset,
-                            layers,
-                            key,
-                        )
-                    else:
-                        fill_samples(
-                            image,
-                            camera,
-                            rays,
-                            ray_set,
-                            image.first_row,
-                            image.last_row,
-                            first_column,
-                            last_column,
-                            0,
-                            1,
-                            v,
-                            triangle,
-                            has_key == 1,
-                            rectangle,
-                            offset,
-                            layers,
-                            key,
-                        )
+                    fill_triangle(
+                        image,
+                        camera,
+                        rays,
+                        ray_set,
+                        first_column,
+                        last_column,
+                        v,
+                        triangle,
+                        has_key == 1,
+                        rectangle,
+                        offset,
+                        layers,
+                        key,
+                    )
