@@ -106,10 +106,10 @@ def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: 
         len(buffers.bent),
         lambda first, count: buffers.launch(
             ray_space.scatter_bent_triangles_kernel,
-            (count, scene.cluster_count, buffers.cluster_lanes),
+            (count, scene.cluster_count),
             inputs=[
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
-                int(has_key), buffers.cluster_lanes,
+                int(has_key),
             ],
             outputs=[buffers.key, buffers.layers],
         ),

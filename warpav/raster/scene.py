@@ -7,12 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
 import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
 from warpav.raster.mesh import Mesh, merge
-from warpav_kernels.raster.rasterise import Triangles
+from warpav_kernels.raster.triangles import Triangles
 
 CLUSTER_SIZE = 64
 
@@ -27,6 +29,7 @@ _TYPES: dict[str, object] = {
     "cluster_count": wp.int32,
     "cluster_layer": wp.int32,
     "cluster_sphere_world_m": wp.vec4,
+    "cluster_closed_world_m": wp.vec3,
     "layer_body": wp.int32,
     "layer_bounds_world_m": wp.vec3,
     "vertex_rgb": wp.vec3,
@@ -66,19 +69,15 @@ def planes(corner_m: np.ndarray) -> np.ndarray:
     return np.c_[normal, np.einsum("ij,ij->i", normal, corner_m[:, 0])].astype(np.float32)
 
 
-def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Triangles across the sides (0, 1), (1, 2) and (2, 0) of the wanted ones, int32 [triangle, 3].
+def neighbours(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Triangles across the sides (0, 1), (1, 2) and (2, 0), int32 [triangle, 3].
 
-    -1 where a triangle is not wanted, and where a side has no neighbour, several, or one of the other winding.
-    Vertices at one place count as one.
+    -1 where a side has no neighbour, several, or one of the other winding. Vertices at one place count as one.
     """
     result = np.full((len(triangle), 3), -1, np.int32)
-    row = np.flatnonzero(wanted)
-    if len(row) == 0:
-        return result
     coordinates = np.ascontiguousarray(vertex_m, np.float32) + np.float32(0.0)  # no negative zeros
     _, place = np.unique(coordinates.view(np.dtype((np.void, 12))).ravel(), return_inverse=True)
-    start = place[triangle[row]].astype(np.int64)
+    start = place[triangle].astype(np.int64)
     end = np.roll(start, -1, axis=1)
     side = (np.minimum(start, end) * len(vertex_m) + np.maximum(start, end)).ravel()
     order = np.argsort(side, kind="stable")
@@ -87,9 +86,31 @@ def neighbours(vertex_m: np.ndarray, triangle: np.ndarray, wanted: np.ndarray) -
     a, b = order[first], order[first + 1]
     is_one_winding = start.ravel()[a] == end.ravel()[b]
     a, b = a[is_one_winding], b[is_one_winding]
-    result[row[a // 3], a % 3] = row[b // 3]
-    result[row[b // 3], b % 3] = row[a // 3]
+    result[a // 3, a % 3] = b // 3
+    result[b // 3, b % 3] = a // 3
     return result
+
+
+def closed_bounds(corner_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the surface of every triangle [m], infinite if that is open; [triangle, axis].
+
+    A surface is what hangs together across sides. It is closed if no triangle lacks a neighbour and it holds a positive
+    volume, so that its triangles face outwards. ``corner_m`` is [triangle, corner, axis].
+    """
+    row = np.arange(len(neighbour), dtype=np.int32)
+    side = (np.repeat(row, 3), np.where(neighbour >= 0, neighbour, row[:, None]).ravel())
+    hangs = scipy.sparse.coo_array((np.ones(3 * len(row), bool), side), shape=(len(row), len(row)))
+    count, surface = scipy.sparse.csgraph.connected_components(hangs, directed=False)
+    order = np.argsort(surface, kind="stable")
+    first = np.searchsorted(surface[order], np.arange(count))
+    corner_m = corner_m[order].astype(np.float64)
+    low = np.minimum.reduceat(corner_m.min(axis=1), first, axis=0)
+    high = np.maximum.reduceat(corner_m.max(axis=1), first, axis=0)
+    local = corner_m - 0.5 * (low + high)[surface[order], None]
+    volume = np.add.reduceat(np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])), first)
+    is_open = np.logical_or.reduceat((neighbour[order] < 0).any(axis=1), first) | (volume <= 0.0)
+    low[is_open], high[is_open] = -np.inf, np.inf
+    return low[surface], high[surface]
 
 
 class Scene:
@@ -223,17 +244,23 @@ class Scene:
         layer_of_body[layer_body] = np.arange(len(layer_body))
         bounds_m = np.array([meshes[i].bounds_m() for i in layer_body], np.float32).reshape(-1, 2, 3)
 
+        neighbour = neighbours(whole.vertex_m, triangle)
+        closed_low, closed_high = closed_bounds(corner_m.reshape(-1, 3, 3), neighbour)
+        closed = np.stack(
+            [np.minimum.reduceat(closed_low, first, axis=0), np.maximum.reduceat(closed_high, first, axis=0)], axis=1
+        )
         return {
             "vertex_world_m": whole.vertex_m,
             "triangle": triangle,
             "triangle_body": body,
             "triangle_plane": planes(corner_m.reshape(-1, 3, 3)),
-            "neighbour": neighbours(whole.vertex_m, triangle, layer_of_body[body] >= 0),
+            "neighbour": neighbour,
             "body_layer": layer_of_body,
             "cluster_first": first.astype(np.int32),
             "cluster_count": count.astype(np.int32),
             "cluster_layer": layer_of_body[body[first]],
             "cluster_sphere_world_m": np.c_[centre, radius].astype(np.float32),
+            "cluster_closed_world_m": closed.astype(np.float32),
             "layer_body": layer_body,
             "layer_bounds_world_m": bounds_m,
             "vertex_rgb": whole.vertex_rgb.astype(np.float32) / 255.0,

@@ -20,8 +20,8 @@ Perturbations, Jacobians and sums in a fixed order are those of `measure`.
 import warp as wp
 
 from warpav_kernels.raster.measure import BoundaryDerivative, derivative_of_lanes
-from warpav_kernels.raster.rasterise import Triangles
 from warpav_kernels.raster.shade import Patch, patch_under, rgb_along
+from warpav_kernels.raster.triangles import Triangles
 from warpav_kernels.raster.view import (
     GUARD,
     View,

@@ -32,7 +32,7 @@ from warpav_kernels.raster.outline import (
     segment_cuts,
     unhidden_corners,
 )
-from warpav_kernels.raster.rasterise import Triangles
+from warpav_kernels.raster.triangles import Triangles
 from warpav_kernels.raster.view import GUARD, View, column_gradient, depth_gradient, ray_in_camera, row_gradient
 
 wp.set_module_options({"enable_backward": False})

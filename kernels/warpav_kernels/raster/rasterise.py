@@ -15,6 +15,7 @@ import warp as wp
 
 from warpav_kernels.raster.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
 from warpav_kernels.raster.lens import PINHOLE
+from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -25,38 +26,6 @@ STRIP_ROWS = wp.constant(8)
 
 LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
 LEAST_OFFSET = wp.constant(1.0e-6)  # 0 means unknown
-
-
-@wp.struct
-class Triangles:
-    """The scene's triangles, sorted by body and by place, in clusters of one body each.
-
-    A body is one mesh of the scene: the occluders in order, then the objects in order.
-
-    Attributes:
-        vertex_world_m: Vertex positions in the world frame [m], [vertex].
-        triangle: Vertex indices, [triangle].
-        triangle_body: Body of every triangle, [triangle].
-        triangle_plane: Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle].
-        neighbour: Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of
-            the other winding, [triangle].
-        body_layer: Layer of every body; -1 where it has none, [body].
-        cluster_first: First triangle of each cluster, [cluster].
-        cluster_count: Number of triangles of each cluster, [cluster].
-        cluster_layer: Layer of each cluster's body; -1 where it has none, [cluster].
-        cluster_sphere_world_m: Bounding sphere, centre and radius [m], [cluster].
-    """
-
-    vertex_world_m: wp.array[wp.vec3]
-    triangle: wp.array[wp.vec3i]
-    triangle_body: wp.array[wp.int32]
-    triangle_plane: wp.array[wp.vec4]
-    neighbour: wp.array[wp.vec3i]
-    body_layer: wp.array[wp.int32]
-    cluster_first: wp.array[wp.int32]
-    cluster_count: wp.array[wp.int32]
-    cluster_layer: wp.array[wp.int32]
-    cluster_sphere_world_m: wp.array[wp.vec4]
 
 
 @wp.struct
@@ -350,21 +319,6 @@ def fill_rows(
 
 
 @wp.func
-def faces(camera: View, plane: wp.vec4) -> bool:
-    """Whether the camera is in front of a plane."""
-    position_world_m = camera.position_world_m
-    return plane[0] * position_world_m[0] + plane[1] * position_world_m[1] + plane[2] * position_world_m[2] > plane[3]
-
-
-@wp.func
-def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: int) -> bool:
-    """Whether an outline can run between a triangle and its neighbour: one faces the camera and the other does not."""
-    if neighbour < 0:
-        return True
-    return faces(camera, scene.triangle_plane[neighbour]) != is_facing
-
-
-@wp.func
 def cross_edge(
     start: wp.vec3, end: wp.vec3, side: float, cut_triangle: int, rectangle: wp.vec4i, offset: int, layers: Layers
 ):
@@ -470,12 +424,12 @@ def scatter_triangles_kernel(
 ):
     """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
-    Views whose lens is no pinhole are left to `trace`. A cluster whose bounding sphere misses the view's ``scissor``
-    (first column, first row, and those after the last) is skipped whole; a triangle that crosses the near plane is cut
-    to one or two. Without a key buffer (``has_key`` 0) clusters without a layer are left out; with ``has_outlines`` 0
-    layers get no edge crossings. Large triangles go to the queue ``strip`` instead, as (view, triangle, part of the
-    fan, first row), as long as it has room; a queue of length 0 is for devices where one thread fills them as well as
-    many.
+    Views whose lens is no pinhole are left to `ray_space` and `trace`. A cluster whose bounding sphere misses the
+    view's ``scissor`` (first column, first row, and those after the last) is skipped whole, and so are backs that
+    fronts hide; a triangle that crosses the near plane is cut to one or two. Without a key buffer (``has_key`` 0)
+    clusters without a layer are left out; with ``has_outlines`` 0 layers get no edge crossings. Large triangles go to
+    the queue ``strip`` instead, as (view, triangle, part of the fan, first row), as long as it has room; a queue of
+    length 0 is for devices where one thread fills them as well as many.
 
     Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
     the cluster's triangles lane, lane + lane_count, ... Not taped.
@@ -504,9 +458,12 @@ def scatter_triangles_kernel(
         if rectangle[2] == 0:
             offset = -1
     has_outline = offset >= 0 and has_outlines == 1
+    is_front_only = shows_no_back(camera, scene, cluster, frame)
     first = scene.cluster_first[cluster]
     for k in range(lane, scene.cluster_count[cluster], lane_count):
         triangle = first + k
+        if is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
+            continue
         part = front_part(camera, scene, triangle)
         for index in range(part.part_count):
             image = image_triangle(camera, part, index, has_outline, frame)

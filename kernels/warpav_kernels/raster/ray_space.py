@@ -16,10 +16,10 @@ from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds
 from warpav_kernels.raster.rasterise import (
     LARGE_SAMPLES,
     LEAST_INVERSE_DEPTH,
-    Triangles,
     line_after,
     raise_bits,
 )
+from warpav_kernels.raster.triangles import Triangles, is_behind, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -404,7 +404,6 @@ def scatter_bent_triangles_kernel(
     scissor: wp.array[wp.vec4i],
     first: int,
     has_key: int,
-    lane_count: int,
     # out
     key: wp.array3d[wp.int64],
     layers: Layers,
@@ -413,11 +412,10 @@ def scatter_bent_triangles_kernel(
 
     As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes, and without edge crossings.
 
-    Launch: ``dim=(such views of this chunk, cluster_count, lane_count)``; the lanes share the triangles of a cluster.
-    Not taped.
+    Launch: ``dim=(such views of this chunk, cluster_count)``; one thread per cluster of a view. Not taped.
     Writes: ``key`` and ``layers`` by atomic maximum; the caller zeroes them.
     """
-    i, cluster, lane = wp.tid()
+    i, cluster = wp.tid()
     v = bent_view[first + i]
     layer = scene.cluster_layer[cluster]
     if layer >= layer_count:
@@ -442,12 +440,15 @@ def scatter_bent_triangles_kernel(
     table = rays.table_of_view[v]
     ray_set = rays.set_of_view[v]
     widest_cosine = rays.widest_cosine[ray_set]
+    is_front_only = shows_no_back(camera, scene, cluster, frame)
     first_triangle = scene.cluster_first[cluster]
     turn = int(0)
     if camera.lens.kind == PANORAMA:
         turn = 1
-    for k in range(lane, scene.cluster_count[cluster], lane_count):
+    for k in range(scene.cluster_count[cluster]):
         triangle = first_triangle + k
+        if is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
+            continue
         image = ray_triangle(camera, scene, rays, table, widest_cosine, triangle, frame)
         if image.first_row <= image.last_row:
             for n in range(-turn, turn + 1):

@@ -5,7 +5,7 @@ import warp as wp
 from warpav_kernels.raster.layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, Layers
 from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
-from warpav_kernels.raster.rasterise import Triangles
+from warpav_kernels.raster.triangles import Triangles
 from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
