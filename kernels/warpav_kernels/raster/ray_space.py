@@ -17,7 +17,6 @@ from warpav_kernels.raster.rasterise import (
     LARGE_SAMPLES,
     LEAST_INVERSE_DEPTH,
     line_after,
-    raise_bits,
 )
 from warpav_kernels.raster.triangles import Triangles, is_behind, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
@@ -38,8 +37,8 @@ class Rays:
     Attributes:
         set_of_view: Which rays a view has; -1 for a pinhole, [view].
         table_of_view: Which table a view's lens has, [view].
-        ray: Ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing is seen, [set,
-            row, column].
+        ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
+            is seen, [set, axis, row, column].
         widest_cosine: Cosine of an angle from the axis beyond which no ray is, with room for a small triangle, [set].
         block: Mean and greatest distance from it of the rays of every block of samples, [set, row, column].
         table: Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle
@@ -50,7 +49,7 @@ class Rays:
     set_of_view: wp.array[wp.int32]
     table_of_view: wp.array[wp.int32]
     widest_cosine: wp.array[float]
-    ray: wp.array3d[wp.vec3]
+    ray: wp.array4d[float]
     block: wp.array3d[wp.vec4]
     table: wp.array2d[wp.vec2]
 
@@ -61,7 +60,7 @@ def place_rays_kernel(
     view: wp.array[View],
     view_of_set: wp.array[wp.int32],
     # out
-    ray: wp.array3d[wp.vec3],
+    ray: wp.array4d[float],
 ):
     """The rays of every set, from one of its views.
 
@@ -69,13 +68,21 @@ def place_rays_kernel(
     Writes: every element of ``ray`` once.
     """
     i, row, column = wp.tid()
-    ray[i, row, column] = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
+    each = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
+    for axis in range(3):
+        ray[i, axis, row, column] = each[axis]
+
+
+@wp.func
+def ray_at(ray: wp.array4d[float], ray_set: int, row: int, column: int) -> wp.vec3:
+    """Ray of depth 1 through a sample's centre; see `Rays`."""
+    return wp.vec3(ray[ray_set, 0, row, column], ray[ray_set, 1, row, column], ray[ray_set, 2, row, column])
 
 
 @wp.kernel(enable_backward=False)
 def place_blocks_kernel(
     # in
-    ray: wp.array3d[wp.vec3],
+    ray: wp.array4d[float],
     # out
     block: wp.array3d[wp.vec4],
 ):
@@ -85,13 +92,13 @@ def place_blocks_kernel(
     Writes: every element of ``block`` once.
     """
     i, block_row, block_column = wp.tid()
-    last_row = wp.min((block_row + 1) * BLOCK, ray.shape[1])
-    last_column = wp.min((block_column + 1) * BLOCK, ray.shape[2])
+    last_row = wp.min((block_row + 1) * BLOCK, ray.shape[2])
+    last_column = wp.min((block_column + 1) * BLOCK, ray.shape[3])
     total = wp.vec3(0.0, 0.0, 0.0)
     count = float(0.0)
     for row in range(block_row * BLOCK, last_row):
         for column in range(block_column * BLOCK, last_column):
-            each = ray[i, row, column]
+            each = ray_at(ray, i, row, column)
             if wp.length_sq(each) > 0.0:
                 total += each
                 count += 1.0
@@ -99,7 +106,7 @@ def place_blocks_kernel(
     spread = float(0.0)
     for row in range(block_row * BLOCK, last_row):
         for column in range(block_column * BLOCK, last_column):
-            each = ray[i, row, column]
+            each = ray_at(ray, i, row, column)
             if wp.length_sq(each) > 0.0:
                 spread = wp.max(spread, wp.length(each - mean))
     block[i, block_row, block_column] = wp.vec4(mean[0], mean[1], mean[2], spread)
@@ -314,6 +321,75 @@ def is_beyond(edge: wp.vec3, block: wp.vec4) -> bool:
     return wp.dot(edge, mean) < -1.0001 * block[3] * wp.length(edge)
 
 
+# Eight samples of a row are tested at once. Warp's arrays may have any strides; that these rows lie in one piece is what
+# lets a compiler use its vectors.
+_FILL_SAMPLES = """
+    const float a0 = image.edge0[0], b0 = image.edge0[1], c0 = image.edge0[2];
+    const float a1 = image.edge1[0], b1 = image.edge1[1], c1 = image.edge1[2];
+    const float a2 = image.edge2[0], b2 = image.edge2[1], c2 = image.edge2[2];
+    const float aw = image.inverse_depth[0], bw = image.inverse_depth[1], cw = image.inverse_depth[2];
+    const int width = ray.shape[3];
+    const size_t axis = size_t(ray.shape[2]) * width;
+    for (int row = first_row; row <= last_row; ++row) {
+        const float* x = ray.data + 3 * axis * ray_set + size_t(row) * width;
+        wp::int64* nearest = key.data + (size_t(v) * key.shape[1] + row) * key.shape[2];
+        const bool has_layer = offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3];
+        wp::int32* front = layers.inverse_depth_bits.data + offset + (row - rectangle[1]) * rectangle[2] - rectangle[0];
+        for (int first = first_column; first <= last_column; first += 8) {
+            wp::int32 bits[8];
+            auto test = [&](int count) {
+                for (int i = 0; i < count; ++i) {
+                    const float dx = x[first + i], dy = x[first + i + axis], dz = x[first + i + 2 * axis];
+                    const float w = aw * dx + bw * dy + cw * dz;
+                    const float inner = wp::min(
+                        wp::min(a0 * dx + b0 * dy + c0 * dz, a1 * dx + b1 * dy + c1 * dz), a2 * dx + b2 * dy + c2 * dz
+                    );
+                    union { float number; wp::int32 bits; } kept;
+                    kept.number = wp::max(w, least_inverse_depth);
+                    bits[i] = (inner >= 0.0f) & (w > 0.0f) & (w <= farthest) ? kept.bits : 0;
+                }
+                if (has_key)
+                    for (int i = 0; i < count; ++i) {
+                        const wp::int64 value = wp::int64(bits[i]) << 32 | (bits[i] ? triangle : 0);
+                        nearest[first + i] = nearest[first + i] < value ? value : nearest[first + i];
+                    }
+            };
+            const int count = wp::min(8, width - first);
+            if (count == 8) test(8); else test(count);
+            if (has_layer) {
+                const int begin = wp::max(rectangle[0] - first, 0);
+                const int end = wp::min(rectangle[0] + rectangle[2] - first, count);
+                for (int i = begin; i < end; ++i)
+                    front[first + i] = wp::max(front[first + i], bits[i]);
+            }
+        }
+    }
+"""
+
+
+@wp.func_native(_FILL_SAMPLES)
+def fill_samples(
+    image: RayTriangle,
+    ray: wp.array4d[float],
+    ray_set: int,
+    first_row: int,
+    last_row: int,
+    first_column: int,
+    last_column: int,
+    least_inverse_depth: float,
+    farthest: float,
+    v: int,
+    triangle: int,
+    has_key: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+    key: wp.array3d[wp.int64],
+):
+    """Scatter a triangle into the samples of some rows and columns: keys and, from ``offset`` 0 on, its layer."""
+    ...
+
+
 @wp.func
 def fill_triangle(
     image: RayTriangle,
@@ -335,41 +411,23 @@ def fill_triangle(
     A large one goes block by block, and those that it does not reach are passed over.
     """
     farthest = 1.0 / camera.near_m
-    is_large = (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > LARGE_SAMPLES
-    size = wp.max(rays.ray.shape[1], rays.ray.shape[2])
-    if is_large:
-        size = BLOCK
-    for block_row in range(image.first_row / size, image.last_row / size + 1):
-        for block_column in range(first_column / size, last_column / size + 1):
-            is_passed = False
-            if is_large:
-                block = rays.block[ray_set, block_row, block_column]
-                is_passed = (
-                    is_beyond(image.edge0, block) or is_beyond(image.edge1, block) or is_beyond(image.edge2, block)
-                )
-            if not is_passed:
-                block_end_row = wp.min(image.last_row, block_row * size + size - 1)
-                block_end_column = wp.min(last_column, block_column * size + size - 1)
-                for row in range(wp.max(image.first_row, block_row * size), block_end_row + 1):
-                    has_layer = offset >= 0 and row >= rectangle[1] and row < rectangle[1] + rectangle[3]
-                    # the place of column 0 of this row in the layer
-                    layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0]
-                    for column in range(wp.max(first_column, block_column * size), block_end_column + 1):
-                        ray = rays.ray[ray_set, row, column]
-                        if (
-                            wp.dot(image.edge0, ray) >= 0.0
-                            and wp.dot(image.edge1, ray) >= 0.0
-                            and wp.dot(image.edge2, ray) >= 0.0
-                        ):
-                            w = wp.dot(image.inverse_depth, ray)
-                            if w > 0.0 and w <= farthest:
-                                bits = wp.cast(wp.max(w, LEAST_INVERSE_DEPTH), wp.int32)
-                                if has_key:
-                                    value = (wp.int64(bits) << wp.int64(32)) | wp.int64(triangle)
-                                    if key[v, row, column] < value:
-                                        wp.atomic_max(key, v, row, column, value)
-                                if has_layer and column >= rectangle[0] and column < rectangle[0] + rectangle[2]:
-                                    raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
+    rows = image.last_row - image.first_row + 1
+    if (last_column - first_column + 1) * rows <= LARGE_SAMPLES:
+        fill_samples(
+            image, rays.ray, ray_set, image.first_row, image.last_row, first_column, last_column, LEAST_INVERSE_DEPTH,
+            farthest, v, triangle, has_key, rectangle, offset, layers, key,
+        )  # fmt: skip
+        return
+    for block_row in range(image.first_row / BLOCK, image.last_row / BLOCK + 1):
+        for block_column in range(first_column / BLOCK, last_column / BLOCK + 1):
+            block = rays.block[ray_set, block_row, block_column]
+            if not (is_beyond(image.edge0, block) or is_beyond(image.edge1, block) or is_beyond(image.edge2, block)):
+                first = block_column * BLOCK
+                fill_samples(
+                    image, rays.ray, ray_set, wp.max(image.first_row, block_row * BLOCK),
+                    wp.min(image.last_row, block_row * BLOCK + BLOCK - 1), first, first, LEAST_INVERSE_DEPTH, farthest,
+                    v, triangle, has_key, rectangle, offset, layers, key,
+                )  # fmt: skip
 
 
 @wp.func(inline=False)
