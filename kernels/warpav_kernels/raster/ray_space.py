@@ -23,7 +23,7 @@ from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
-BLOCK = wp.constant(8)  # rows and columns of samples of a block
+BLOCK = wp.constant(8)  # rows and columns of samples of a block, and samples tested at once
 WIDE = wp.constant(0.1)  # chord of two directions; triangles that reach farther are bounded by a cone
 LEAST_VOLUME = wp.constant(1.0e-12)  # of three directions: a triangle that is seen from its side
 TABLE_ERROR = wp.constant(1.0e-4)  # of a place in the table [focal lengths]
@@ -40,7 +40,8 @@ class Rays:
         ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
             is seen, [set, axis, row, column].
         widest_cosine: Cosine of an angle from the axis beyond which no ray is, with room for a small triangle, [set].
-        block: Mean and greatest distance from it of the rays of every block of samples, [set, row, column].
+        block: x, y and z of the mean of the rays of every block of samples, and the greatest distance from it, [set,
+            part, row, column].
         table: Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle
             [focal lengths], and the greatest curvature of the image of a great circle near there [focal
             lengths/rad^2], [table, entry].
@@ -50,7 +51,7 @@ class Rays:
     table_of_view: wp.array[wp.int32]
     widest_cosine: wp.array[float]
     ray: wp.array4d[float]
-    block: wp.array3d[wp.vec4]
+    block: wp.array4d[float]
     table: wp.array2d[wp.vec2]
 
 
@@ -84,7 +85,7 @@ def place_blocks_kernel(
     # in
     ray: wp.array4d[float],
     # out
-    block: wp.array3d[wp.vec4],
+    block: wp.array4d[float],
 ):
     """Mean and spread of the rays of every block, of those that see something.
 
@@ -109,13 +110,15 @@ def place_blocks_kernel(
             each = ray_at(ray, i, row, column)
             if wp.length_sq(each) > 0.0:
                 spread = wp.max(spread, wp.length(each - mean))
-    block[i, block_row, block_column] = wp.vec4(mean[0], mean[1], mean[2], spread)
+    for axis in range(3):
+        block[i, axis, block_row, block_column] = mean[axis]
+    block[i, 3, block_row, block_column] = spread
 
 
 @wp.kernel(enable_backward=False)
 def bound_rays_kernel(
     # in
-    block: wp.array3d[wp.vec4],
+    block: wp.array4d[float],
     # out
     widest_cosine: wp.array[float],
 ):
@@ -126,13 +129,12 @@ def bound_rays_kernel(
     """
     i = wp.tid()
     widest = float(0.0)
-    for row in range(block.shape[1]):
-        for column in range(block.shape[2]):
-            each = block[i, row, column]
-            mean = wp.vec3(each[0], each[1], each[2])
+    for row in range(block.shape[2]):
+        for column in range(block.shape[3]):
+            mean = ray_at(block, i, row, column)
             if wp.length_sq(mean) > 0.0:
                 angle = wp.atan2(wp.sqrt(mean[0] * mean[0] + mean[1] * mean[1]), mean[2])
-                widest = wp.max(widest, angle + 2.0 * wp.asin(wp.min(each[3] / wp.length(mean), 1.0)))
+                widest = wp.max(widest, angle + 2.0 * wp.asin(wp.min(block[i, 3, row, column] / wp.length(mean), 1.0)))
     widest_cosine[i] = wp.cos(wp.min(widest + 1.2 * WIDE, wp.pi))
 
 
@@ -314,68 +316,90 @@ def ray_triangle(
     return found
 
 
-@wp.func
-def is_beyond(edge: wp.vec3, block: wp.vec4) -> bool:
-    """Whether a block of rays lies wholly on the outer side of the plane of an edge."""
-    mean = wp.vec3(block[0], block[1], block[2])
-    return wp.dot(edge, mean) < -1.0001 * block[3] * wp.length(edge)
-
-
-# Eight samples of a row are tested at once. Warp's arrays may have any strides; that these rows lie in one piece is what
-# lets a compiler use its vectors.
-_FILL_SAMPLES = """
+# Eight samples of a row, or blocks, are tested at once. Warp's arrays may have any strides; that these rows lie in one
+# piece is what lets a compiler use its vectors.
+_FILL_TRIANGLE = """
     const float a0 = image.edge0[0], b0 = image.edge0[1], c0 = image.edge0[2];
     const float a1 = image.edge1[0], b1 = image.edge1[1], c1 = image.edge1[2];
     const float a2 = image.edge2[0], b2 = image.edge2[1], c2 = image.edge2[2];
     const float aw = image.inverse_depth[0], bw = image.inverse_depth[1], cw = image.inverse_depth[2];
-    const int width = ray.shape[3];
-    const size_t axis = size_t(ray.shape[2]) * width;
-    for (int row = first_row; row <= last_row; ++row) {
-        const float* x = ray.data + 3 * axis * ray_set + size_t(row) * width;
-        wp::int64* nearest = key.data + (size_t(v) * key.shape[1] + row) * key.shape[2];
-        const bool has_layer = offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3];
-        wp::int32* front = layers.inverse_depth_bits.data + offset + (row - rectangle[1]) * rectangle[2] - rectangle[0];
-        for (int first = first_column; first <= last_column; first += 8) {
-            wp::int32 bits[8];
-            auto test = [&](int count) {
-                for (int i = 0; i < count; ++i) {
-                    const float dx = x[first + i], dy = x[first + i + axis], dz = x[first + i + 2 * axis];
-                    const float w = aw * dx + bw * dy + cw * dz;
-                    const float inner = wp::min(
-                        wp::min(a0 * dx + b0 * dy + c0 * dz, a1 * dx + b1 * dy + c1 * dz), a2 * dx + b2 * dy + c2 * dz
-                    );
-                    union { float number; wp::int32 bits; } kept;
-                    kept.number = wp::max(w, least_inverse_depth);
-                    bits[i] = (inner >= 0.0f) & (w > 0.0f) & (w <= farthest) ? kept.bits : 0;
-                }
-                if (has_key)
+    const float reach0 = -1.0001f * wp::length(image.edge0);
+    const float reach1 = -1.0001f * wp::length(image.edge1);
+    const float reach2 = -1.0001f * wp::length(image.edge2);
+    const int width = rays.ray.shape[3], blocks = rays.block.shape[3];
+    const size_t ray_axis = size_t(rays.ray.shape[2]) * width, block_axis = size_t(rays.block.shape[2]) * blocks;
+    const bool is_large = (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > large;
+    const int size = is_large ? 8 : 1 << 30;
+    for (int block_row = image.first_row / size; block_row <= image.last_row / size; ++block_row) {
+        const int first_row = is_large ? wp::max(image.first_row, block_row * 8) : image.first_row;
+        const int last_row = is_large ? wp::min(image.last_row, block_row * 8 + 7) : image.last_row;
+        for (int first_block = first_column / size; first_block <= last_column / size; first_block += 8) {
+            wp::int32 reaches[8] = {1, 1, 1, 1, 1, 1, 1, 1};
+            if (is_large) {
+                const float* x = rays.block.data + 4 * block_axis * ray_set + size_t(block_row) * blocks + first_block;
+                const auto reach = [&](int count) {
                     for (int i = 0; i < count; ++i) {
-                        const wp::int64 value = wp::int64(bits[i]) << 32 | (bits[i] ? triangle : 0);
-                        nearest[first + i] = nearest[first + i] < value ? value : nearest[first + i];
+                        const float dx = x[i], dy = x[i + block_axis], dz = x[i + 2 * block_axis];
+                        const float spread = x[i + 3 * block_axis];
+                        reaches[i] = (a0 * dx + b0 * dy + c0 * dz >= reach0 * spread)
+                            & (a1 * dx + b1 * dy + c1 * dz >= reach1 * spread)
+                            & (a2 * dx + b2 * dy + c2 * dz >= reach2 * spread);
                     }
-            };
-            const int count = wp::min(8, width - first);
-            if (count == 8) test(8); else test(count);
-            if (has_layer) {
-                const int begin = wp::max(rectangle[0] - first, 0);
-                const int end = wp::min(rectangle[0] + rectangle[2] - first, count);
-                for (int i = begin; i < end; ++i)
-                    front[first + i] = wp::max(front[first + i], bits[i]);
+                };
+                if (first_block + 8 <= blocks) reach(8); else reach(blocks - first_block);
+            }
+            const int last_block = wp::min(first_block + 7, last_column / size);
+            for (int block = first_block; block <= last_block; ++block) {
+                if (!reaches[block - first_block]) continue;
+                const int begin = is_large ? block * 8 : first_column;
+                const int end = is_large ? begin : last_column;
+                for (int row = first_row; row <= last_row; ++row) {
+                    wp::int64* nearest = key.data + (size_t(v) * key.shape[1] + row) * key.shape[2];
+                    const bool has_layer = offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3];
+                    const int layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0];
+                    for (int first = begin; first <= end; first += 8) {
+                        const float* x = rays.ray.data + 3 * ray_axis * ray_set + size_t(row) * width + first;
+                        wp::int32 bits[8];
+                        const auto fill = [&](int count) {
+                            for (int i = 0; i < count; ++i) {
+                                const float dx = x[i], dy = x[i + ray_axis], dz = x[i + 2 * ray_axis];
+                                const float w = aw * dx + bw * dy + cw * dz;
+                                const bool is_inside = (a0 * dx + b0 * dy + c0 * dz >= 0.0f)
+                                    & (a1 * dx + b1 * dy + c1 * dz >= 0.0f) & (a2 * dx + b2 * dy + c2 * dz >= 0.0f);
+                                union { float number; wp::int32 bits; } kept;
+                                kept.number = wp::max(w, least_inverse_depth);
+                                bits[i] = is_inside & (w > 0.0f) & (w <= farthest) ? kept.bits : 0;
+                            }
+                            if (has_key)
+                                for (int i = 0; i < count; ++i) {
+                                    const wp::int64 value = wp::int64(bits[i]) << 32 | (bits[i] ? triangle : 0);
+                                    nearest[first + i] = wp::max(nearest[first + i], value);
+                                }
+                        };
+                        const int count = wp::min(8, width - first);
+                        if (count == 8) fill(8); else fill(count);
+                        if (has_layer) {
+                            const int from = wp::max(rectangle[0] - first, 0);
+                            const int to = wp::min(rectangle[0] + rectangle[2] - first, count);
+                            wp::int32* front = layers.inverse_depth_bits.data + layer_row + first;
+                            for (int i = from; i < to; ++i) front[i] = wp::max(front[i], bits[i]);
+                        }
+                    }
+                }
             }
         }
     }
 """
 
 
-@wp.func_native(_FILL_SAMPLES)
-def fill_samples(
+@wp.func_native(_FILL_TRIANGLE)
+def fill_triangle(
     image: RayTriangle,
-    ray: wp.array4d[float],
+    rays: Rays,
     ray_set: int,
-    first_row: int,
-    last_row: int,
     first_column: int,
     last_column: int,
+    large: int,
     least_inverse_depth: float,
     farthest: float,
     v: int,
@@ -386,48 +410,11 @@ def fill_samples(
     layers: Layers,
     key: wp.array3d[wp.int64],
 ):
-    """Scatter a triangle into the samples of some rows and columns: keys and, from ``offset`` 0 on, its layer."""
-    ...
-
-
-@wp.func
-def fill_triangle(
-    image: RayTriangle,
-    camera: View,
-    rays: Rays,
-    ray_set: int,
-    first_column: int,
-    last_column: int,
-    v: int,
-    triangle: int,
-    has_key: bool,
-    rectangle: wp.vec4i,
-    offset: int,
-    layers: Layers,
-    key: wp.array3d[wp.int64],
-):
     """Scatter a triangle between two columns into the key buffer and, where ``offset`` is not negative, its layer.
 
-    A large one goes block by block, and those that it does not reach are passed over.
+    One of more than ``large`` samples goes block by block, and those that it does not reach are passed over.
     """
-    farthest = 1.0 / camera.near_m
-    rows = image.last_row - image.first_row + 1
-    if (last_column - first_column + 1) * rows <= LARGE_SAMPLES:
-        fill_samples(
-            image, rays.ray, ray_set, image.first_row, image.last_row, first_column, last_column, LEAST_INVERSE_DEPTH,
-            farthest, v, triangle, has_key, rectangle, offset, layers, key,
-        )  # fmt: skip
-        return
-    for block_row in range(image.first_row / BLOCK, image.last_row / BLOCK + 1):
-        for block_column in range(first_column / BLOCK, last_column / BLOCK + 1):
-            block = rays.block[ray_set, block_row, block_column]
-            if not (is_beyond(image.edge0, block) or is_beyond(image.edge1, block) or is_beyond(image.edge2, block)):
-                first = block_column * BLOCK
-                fill_samples(
-                    image, rays.ray, ray_set, wp.max(image.first_row, block_row * BLOCK),
-                    wp.min(image.last_row, block_row * BLOCK + BLOCK - 1), first, first, LEAST_INVERSE_DEPTH, farthest,
-                    v, triangle, has_key, rectangle, offset, layers, key,
-                )  # fmt: skip
+    ...
 
 
 @wp.func(inline=False)
@@ -517,11 +504,13 @@ def scatter_bent_triangles_kernel(
                 if first_column <= last_column:
                     fill_triangle(
                         image,
-                        camera,
                         rays,
                         ray_set,
                         first_column,
                         last_column,
+                        LARGE_SAMPLES,
+                        LEAST_INVERSE_DEPTH,
+                        1.0 / camera.near_m,
                         v,
                         triangle,
                         has_key == 1,
