@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -289,7 +290,9 @@ class Buffers:
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
         rays.table = wp.array([image_table(shape) for shape in shapes], dtype=wp.vec2, device=self.device)
         rays.ray = self.zeros((count, 3, self.height, self.width), float)
-        rays.block = self.zeros((count, 4, -(-self.height // block), -(-self.width // block)), float)
+        blocks = -(-self.height // block), -(-self.width // block)
+        rays.block = self.zeros((count, 4, *blocks), float)
+        rays.block_row = self.zeros((count, 4, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
         of_set = wp.array(view_of_set, dtype=wp.int32, device=self.device)
         self.launch(
@@ -298,8 +301,12 @@ class Buffers:
             inputs=[self.view, of_set],
             outputs=[rays.ray],
         )
-        blocks = (count, *rays.block.shape[2:])
-        self.launch(ray_space.place_blocks_kernel, blocks, inputs=[rays.ray], outputs=[rays.block])
+        self.launch(
+            ray_space.place_blocks_kernel,
+            (count, *blocks),
+            inputs=[rays.ray],
+            outputs=[rays.block, rays.block_row],
+        )
         self.launch(ray_space.bound_rays_kernel, count, inputs=[rays.block], outputs=[rays.widest_cosine])
 
     def reserve_samples(self, sample_count: int) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, Buffers, Content, RenderState
-from warpav.raster.scene import Scene
+from warpav.raster.scene import CLUSTER_SIZE, Scene
 from warpav_kernels.raster import hide, rasterise, ray_space, trace
 
 
@@ -102,6 +102,7 @@ def decide(
 
 def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
     """Fill the keys and layers of the views whose lenses are no pinholes, by rasterisation in the space of rays."""
+    corner = buffers.kept("corner", (buffers.view_count, 3 * CLUSTER_SIZE), ray_space.Corner)
     buffers.over_views(
         len(buffers.bent),
         lambda first, count: buffers.launch(
@@ -111,7 +112,7 @@ def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: 
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
                 int(has_key),
             ],
-            outputs=[buffers.key, buffers.layers],
+            outputs=[corner, buffers.key, buffers.layers],
         ),
     )  # fmt: skip
 

@@ -27,6 +27,7 @@ _TYPES: dict[str, object] = {
     "body_layer": wp.int32,
     "cluster_first": wp.int32,
     "cluster_count": wp.int32,
+    "cluster_vertices": wp.vec2i,
     "cluster_layer": wp.int32,
     "cluster_sphere_world_m": wp.vec4,
     "cluster_closed_world_m": wp.vec3,
@@ -129,11 +130,12 @@ class Scene:
         triangles: Sorted triangles and their clusters (struct of the kernels).
         layer_body: Body of every layer, int32 [layer]; bodies are the occluders in order, then the objects.
         layer_bounds_world_m: Lowest and highest corner of every layer's body [m], vec3 [layer, 2].
-        vertex_rgb: Vertex colours 0..1, vec3 [vertex], in the order of the bodies.
+        vertex_rgb: Vertex colours 0..1, vec3 [vertex].
         background_rgb: Colours 0..1 of the background at and below the horizon, and overhead (along world z), vec3.
         cluster_count: Number of clusters.
         triangle_count: Number of triangles.
         source_triangle: Place of every sorted triangle in the bodies' triangles, one body behind the other, [triangle].
+        source_vertex: The same of every vertex; one that several clusters use is there several times, [vertex].
     """
 
     def __init__(
@@ -145,7 +147,7 @@ class Scene:
         background_rgb: object = (0, 0, 0),
         device: str | wp.Device | None = "cpu",
     ) -> None:
-        """Pack the meshes. Triangles are sorted; vertices keep their order.
+        """Pack the meshes: triangles and vertices are sorted.
 
         Args:
             objects: Meshes to measure, by name.
@@ -188,6 +190,7 @@ class Scene:
             "has_foreground": np.array(self.foreground_layer >= 0),
             "background_rgb": np.array([list(rgb) for rgb in self.background_rgb], np.float32),
             "source_triangle": self.source_triangle,
+            "source_vertex": self.source_vertex,
             **{name: array.numpy() for name, array in on_device.items()},
         }
 
@@ -249,22 +252,31 @@ class Scene:
         closed = np.stack(
             [np.minimum.reduceat(closed_low, first, axis=0), np.maximum.reduceat(closed_high, first, axis=0)], axis=1
         )
+        # every cluster gets vertices of its own
+        cluster = np.repeat(np.arange(len(first)), count)
+        owned = cluster[:, None] * np.int64(len(whole.vertex_m)) + triangle
+        owned, triangle = np.unique(owned, return_inverse=True)
+        source_vertex = owned % len(whole.vertex_m)
+        vertex_end = np.searchsorted(owned, np.arange(1, len(first) + 1) * len(whole.vertex_m))
+        vertex_count = np.diff(vertex_end, prepend=0)
         return {
-            "vertex_world_m": whole.vertex_m,
-            "triangle": triangle,
+            "vertex_world_m": whole.vertex_m[source_vertex],
+            "triangle": triangle.astype(np.int32),
             "triangle_body": body,
             "triangle_plane": planes(corner_m.reshape(-1, 3, 3)),
             "neighbour": neighbour,
             "body_layer": layer_of_body,
             "cluster_first": first.astype(np.int32),
             "cluster_count": count.astype(np.int32),
+            "cluster_vertices": np.c_[vertex_end - vertex_count, vertex_count].astype(np.int32),
             "cluster_layer": layer_of_body[body[first]],
             "cluster_sphere_world_m": np.c_[centre, radius].astype(np.float32),
             "cluster_closed_world_m": closed.astype(np.float32),
             "layer_body": layer_body,
             "layer_bounds_world_m": bounds_m,
-            "vertex_rgb": whole.vertex_rgb.astype(np.float32) / 255.0,
+            "vertex_rgb": whole.vertex_rgb[source_vertex].astype(np.float32) / 255.0,
             "source_triangle": order,
+            "source_vertex": source_vertex,
         }
 
     def _place(
@@ -281,7 +293,7 @@ class Scene:
         self.layer_body, self.vertex_rgb = on_device["layer_body"], on_device["vertex_rgb"]
         self.layer_bounds_world_m = on_device["layer_bounds_world_m"]
         self.cluster_count, self.triangle_count = len(arrays["cluster_first"]), len(arrays["triangle"])
-        self.source_triangle = arrays["source_triangle"]
+        self.source_triangle, self.source_vertex = arrays["source_triangle"], arrays["source_vertex"]
 
     @cached_property
     def mesh(self) -> wp.Mesh:

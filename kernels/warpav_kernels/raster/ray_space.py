@@ -26,6 +26,8 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = wp.constant(8)  # rows and columns of samples of a block, and samples tested at once
 WIDE = wp.constant(0.1)  # chord of two directions; triangles that reach farther are bounded by a cone
 LEAST_VOLUME = wp.constant(1.0e-12)  # of three directions: a triangle that is seen from its side
+LEAST_DISTANCE_M = wp.constant(1.0e-9)  # of a corner that has a direction
+STEEP = wp.constant(0.98)  # sine of the elevation from which a panorama's triangles are bounded by a cone
 TABLE_ERROR = wp.constant(1.0e-4)  # of a place in the table [focal lengths]
 WHOLE = wp.constant(1.0e9)
 
@@ -40,8 +42,9 @@ class Rays:
         ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
             is seen, [set, axis, row, column].
         widest_cosine: Cosine of an angle from the axis beyond which no ray is, with room for a small triangle, [set].
-        block: x, y and z of the mean of the rays of every block of samples, and the greatest distance from it, [set,
-            part, row, column].
+        block: x, y and z of the mean of the rays of every block of samples, and the greatest distance from it; -1 where
+            none of them sees anything, [set, part, row, column].
+        block_row: The same of every row of a block, [set, part, block, row].
         table: Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle
             [focal lengths], and the greatest curvature of the image of a great circle near there [focal
             lengths/rad^2], [table, entry].
@@ -52,6 +55,7 @@ class Rays:
     widest_cosine: wp.array[float]
     ray: wp.array4d[float]
     block: wp.array4d[float]
+    block_row: wp.array4d[float]
     table: wp.array2d[wp.vec2]
 
 
@@ -80,39 +84,52 @@ def ray_at(ray: wp.array4d[float], ray_set: int, row: int, column: int) -> wp.ve
     return wp.vec3(ray[ray_set, 0, row, column], ray[ray_set, 1, row, column], ray[ray_set, 2, row, column])
 
 
+@wp.func
+def mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> wp.vec4:
+    """Mean of some rays, of those that see something, and the greatest distance from it; -1: none does.
+
+    ``samples`` are the first row and column, and those after the last.
+    """
+    total = wp.vec3(0.0, 0.0, 0.0)
+    count = float(0.0)
+    for row in range(samples[0], wp.min(samples[2], ray.shape[2])):
+        for column in range(samples[1], wp.min(samples[3], ray.shape[3])):
+            each = ray_at(ray, ray_set, row, column)
+            if wp.length_sq(each) > 0.0:
+                total += each
+                count += 1.0
+    mean = total / wp.max(count, 1.0)
+    spread = float(-1.0)
+    for row in range(samples[0], wp.min(samples[2], ray.shape[2])):
+        for column in range(samples[1], wp.min(samples[3], ray.shape[3])):
+            each = ray_at(ray, ray_set, row, column)
+            if wp.length_sq(each) > 0.0:
+                spread = wp.max(spread, wp.length(each - mean))
+    return wp.vec4(mean[0], mean[1], mean[2], spread)
+
+
 @wp.kernel(enable_backward=False)
 def place_blocks_kernel(
     # in
     ray: wp.array4d[float],
     # out
     block: wp.array4d[float],
+    block_row: wp.array4d[float],
 ):
-    """Mean and spread of the rays of every block, of those that see something.
+    """See `Rays.block` and `Rays.block_row`.
 
-    Launch: ``dim=(set_count, block rows, block columns)``; one thread per block. Not taped.
-    Writes: every element of ``block`` once.
+    Launch: ``dim=(set_count, rows of blocks, columns of blocks)``; one thread per block. Not taped.
+    Writes: every element of ``block`` and ``block_row`` once.
     """
-    i, block_row, block_column = wp.tid()
-    last_row = wp.min((block_row + 1) * BLOCK, ray.shape[2])
-    last_column = wp.min((block_column + 1) * BLOCK, ray.shape[3])
-    total = wp.vec3(0.0, 0.0, 0.0)
-    count = float(0.0)
-    for row in range(block_row * BLOCK, last_row):
-        for column in range(block_column * BLOCK, last_column):
-            each = ray_at(ray, i, row, column)
-            if wp.length_sq(each) > 0.0:
-                total += each
-                count += 1.0
-    mean = total / wp.max(count, 1.0)
-    spread = float(0.0)
-    for row in range(block_row * BLOCK, last_row):
-        for column in range(block_column * BLOCK, last_column):
-            each = ray_at(ray, i, row, column)
-            if wp.length_sq(each) > 0.0:
-                spread = wp.max(spread, wp.length(each - mean))
-    for axis in range(3):
-        block[i, axis, block_row, block_column] = mean[axis]
-    block[i, 3, block_row, block_column] = spread
+    i, row, column = wp.tid()
+    first = wp.vec4i(row * BLOCK, column * BLOCK, (row + 1) * BLOCK, (column + 1) * BLOCK)
+    whole = mean_and_spread(ray, i, first)
+    for part in range(4):
+        block[i, part, row, column] = whole[part]
+    for k in range(BLOCK):
+        of_row = mean_and_spread(ray, i, wp.vec4i(first[0] + k, first[1], first[0] + k + 1, first[3]))
+        for part in range(4):
+            block_row[i, part, row * block.shape[3] + column, k] = of_row[part]
 
 
 @wp.kernel(enable_backward=False)
@@ -211,79 +228,102 @@ def wide_bounds(camera: View, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec4:
     return cone_bounds(camera.lens, axis, half)
 
 
+@wp.struct
+class Corner:
+    """A vertex as a view with a bent lens sees it.
+
+    Attributes:
+        point_m: Place in camera coordinates [m].
+        distance_m: Distance from the camera's centre [m].
+        direction: Direction, of unit length.
+        place: Place in the image [focal lengths]; of a Brown-Conrady lens without what moves sideways.
+        bend: Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine
+            of the elevation, without its sign.
+    """
+
+    point_m: wp.vec3
+    distance_m: float
+    direction: wp.vec3
+    place: wp.vec2
+    bend: float
+
+
 @wp.func
-def directions_bounds(
-    camera: View, rays: Rays, table: int, widest_cosine: float, a: wp.vec3, b: wp.vec3, c: wp.vec3
-) -> wp.vec4:
-    """Bounds (left, top, right, bottom) in focal lengths of the image of a triangle of three directions.
+def corner_of(camera: View, rays: Rays, table: int, point_m: wp.vec3) -> Corner:
+    """A point in camera coordinates as the view sees it."""
+    corner = Corner()
+    corner.point_m = point_m
+    corner.distance_m = wp.length(point_m)
+    direction = point_m / wp.max(corner.distance_m, LEAST_DISTANCE_M)
+    corner.direction = direction
+    if camera.lens.kind == PANORAMA:
+        level = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
+        corner.place = wp.vec2(wp.atan2(direction[0], direction[2]), direction[1] / wp.max(level, 1.0e-6))
+        corner.bend = wp.abs(direction[1])
+    else:
+        entry = table_entry(rays, table, direction[2])
+        corner.place = wp.vec2(entry[0] * direction[0], entry[0] * direction[1])
+        corner.bend = entry[1]
+    return corner
+
+
+@wp.func
+def corners_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the image of a triangle.
 
     Columns of a panorama may lie a turn or two beside its image.
     """
-    chord = wp.max(wp.length_sq(b - a), wp.max(wp.length_sq(c - b), wp.length_sq(a - c)))
-    if camera.lens.kind == PANORAMA:
-        steep = wp.max(wp.abs(a[1]), wp.max(wp.abs(b[1]), wp.abs(c[1])))
-        if chord > WIDE * WIDE or steep > 0.98:
-            return wide_bounds(camera, a, b, c)
-        level = wp.sqrt(1.0 - steep * steep)
-        # of y and x over the level distance; both bend by less than this
-        bulge = 0.5 * chord / (level * level * level)
-        u0 = wp.atan2(a[0], a[2])
-        u1 = wp.atan2(b[0], b[2])
-        u2 = wp.atan2(c[0], c[2])
-        u1 -= 2.0 * wp.pi * wp.round((u1 - u0) / (2.0 * wp.pi))
-        u2 -= 2.0 * wp.pi * wp.round((u2 - u0) / (2.0 * wp.pi))
-        v0 = a[1] / wp.sqrt(a[0] * a[0] + a[2] * a[2])
-        v1 = b[1] / wp.sqrt(b[0] * b[0] + b[2] * b[2])
-        v2 = c[1] / wp.sqrt(c[0] * c[0] + c[2] * c[2])
-        return wp.vec4(
-            wp.min(u0, wp.min(u1, u2)) - bulge,
-            wp.min(v0, wp.min(v1, v2)) - bulge,
-            wp.max(u0, wp.max(u1, u2)) + bulge,
-            wp.max(v0, wp.max(v1, v2)) + bulge,
-        )
-    if chord > WIDE * WIDE:
-        return wide_bounds(camera, a, b, c)
-    if wp.max(a[2], wp.max(b[2], c[2])) < widest_cosine:
-        return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
-    at_a = table_entry(rays, table, a[2])
-    at_b = table_entry(rays, table, b[2])
-    at_c = table_entry(rays, table, c[2])
+    chord = wp.max(
+        wp.length_sq(b.direction - a.direction),
+        wp.max(wp.length_sq(c.direction - b.direction), wp.length_sq(a.direction - c.direction)),
+    )
+    bend = wp.max(a.bend, wp.max(b.bend, c.bend))
+    if chord > WIDE * WIDE or (camera.lens.kind == PANORAMA and bend > STEEP):
+        return wide_bounds(camera, a.direction, b.direction, c.direction)
     # an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
-    bulge = 0.14 * chord * wp.max(at_a[1], wp.max(at_b[1], at_c[1])) + TABLE_ERROR
-    left = wp.min(at_a[0] * a[0], wp.min(at_b[0] * b[0], at_c[0] * c[0]))
-    right = wp.max(at_a[0] * a[0], wp.max(at_b[0] * b[0], at_c[0] * c[0]))
-    top = wp.min(at_a[0] * a[1], wp.min(at_b[0] * b[1], at_c[0] * c[1]))
-    bottom = wp.max(at_a[0] * a[1], wp.max(at_b[0] * b[1], at_c[0] * c[1]))
+    bulge = 0.14 * chord * bend + TABLE_ERROR
+    u1 = b.place[0]
+    u2 = c.place[0]
+    if camera.lens.kind == PANORAMA:
+        # of y and x over the level distance; both bend by less than this
+        level = wp.sqrt(1.0 - bend * bend)
+        bulge = 0.5 * chord / (level * level * level)
+        u1 -= 2.0 * wp.pi * wp.round((u1 - a.place[0]) / (2.0 * wp.pi))
+        u2 -= 2.0 * wp.pi * wp.round((u2 - a.place[0]) / (2.0 * wp.pi))
+    elif wp.max(a.direction[2], wp.max(b.direction[2], c.direction[2])) < widest_cosine:
+        return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
     if camera.lens.kind == BROWN_CONRADY:
         # the table knows the radius alone; what moves sideways grows with the square of the angle's tangent
-        cosine = wp.max(wp.min(a[2], wp.min(b[2], c[2])), 1.0e-3)
+        cosine = wp.max(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])), 1.0e-3)
         squared = wp.min(1.0 / (cosine * cosine) - 1.0, camera.lens.limit * camera.lens.limit)
         bulge += 4.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3])) * squared
-    return wp.vec4(left - bulge, top - bulge, right + bulge, bottom + bulge)
+    return wp.vec4(
+        wp.min(a.place[0], wp.min(u1, u2)) - bulge,
+        wp.min(a.place[1], wp.min(b.place[1], c.place[1])) - bulge,
+        wp.max(a.place[0], wp.max(u1, u2)) + bulge,
+        wp.max(a.place[1], wp.max(b.place[1], c.place[1])) + bulge,
+    )
 
 
 @wp.func
-def ray_triangle(
-    camera: View, scene: Triangles, rays: Rays, table: int, widest_cosine: float, triangle: int, scissor: wp.vec4i
-) -> RayTriangle:
-    """A triangle of the scene in the space of a view's rays, its rows and columns cut to a scissor.
+def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner, scissor: wp.vec4i) -> RayTriangle:
+    """A triangle in the space of a view's rays, its rows and columns cut to a scissor.
 
     A panorama's columns are those of one of its turns, and may lie beside the scissor.
     """
     found = RayTriangle()
     found.first_row = 0
     found.last_row = -1
-    corner = scene.triangle[triangle]
-    p = point_in_camera(camera, scene.vertex_world_m[corner[0]])
-    q = point_in_camera(camera, scene.vertex_world_m[corner[1]])
-    r = point_in_camera(camera, scene.vertex_world_m[corner[2]])
-    depth = wp.vec3(wp.length(p), wp.length(q), wp.length(r))
-    farthest = wp.max(depth[0], wp.max(depth[1], depth[2]))
+    p = a.point_m
+    q = b.point_m
+    r = c.point_m
+    farthest = wp.max(a.distance_m, wp.max(b.distance_m, c.distance_m))
     if camera.lens.kind == BROWN_CONRADY:
         farthest = wp.max(p[2], wp.max(q[2], r[2]))
-    if farthest < camera.near_m or wp.min(depth[0], wp.min(depth[1], depth[2])) < 1.0e-9:
+    nearest = wp.min(a.distance_m, wp.min(b.distance_m, c.distance_m))
+    if farthest < camera.near_m or nearest < LEAST_DISTANCE_M:
         return found
-    place = directions_bounds(camera, rays, table, widest_cosine, p / depth[0], q / depth[1], r / depth[2])
+    place = corners_bounds(camera, widest_cosine, a, b, c)
     low = -WHOLE
     high = WHOLE
     if camera.lens.kind != PANORAMA:
@@ -305,7 +345,7 @@ def ray_triangle(
         return found
     normal = wp.cross(q - p, r - p)
     volume = wp.dot(p, normal)
-    if wp.abs(volume) < LEAST_VOLUME * depth[0] * depth[1] * depth[2]:
+    if wp.abs(volume) < LEAST_VOLUME * a.distance_m * b.distance_m * c.distance_m:
         found.last_row = found.first_row - 1
         return found
     side = wp.sign(volume)
@@ -328,32 +368,38 @@ _FILL_TRIANGLE = """
     const float reach2 = -1.0001f * wp::length(image.edge2);
     const int width = rays.ray.shape[3], blocks = rays.block.shape[3];
     const size_t ray_axis = size_t(rays.ray.shape[2]) * width, block_axis = size_t(rays.block.shape[2]) * blocks;
+    const float* block_data = rays.block.data + 4 * block_axis * ray_set;
+    const float* row_data = rays.block_row.data + 32 * block_axis * ray_set;
     const bool is_large = (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > large;
     const int size = is_large ? 8 : 1 << 30;
     for (int block_row = image.first_row / size; block_row <= image.last_row / size; ++block_row) {
         const int first_row = is_large ? wp::max(image.first_row, block_row * 8) : image.first_row;
         const int last_row = is_large ? wp::min(image.last_row, block_row * 8 + 7) : image.last_row;
         for (int first_block = first_column / size; first_block <= last_column / size; first_block += 8) {
-            wp::int32 reaches[8] = {1, 1, 1, 1, 1, 1, 1, 1};
+            wp::int32 block_is_reached[8] = {1, 1, 1, 1, 1, 1, 1, 1};
+            const auto reach = [&](wp::int32* is_reached, const float* x, size_t axis, int count) {
+                for (int i = 0; i < count; ++i) {
+                    const float dx = x[i], dy = x[i + axis], dz = x[i + 2 * axis], spread = x[i + 3 * axis];
+                    is_reached[i] = (a0 * dx + b0 * dy + c0 * dz >= reach0 * spread)
+                        & (a1 * dx + b1 * dy + c1 * dz >= reach1 * spread)
+                        & (a2 * dx + b2 * dy + c2 * dz >= reach2 * spread);
+                }
+            };
             if (is_large) {
-                const float* x = rays.block.data + 4 * block_axis * ray_set + size_t(block_row) * blocks + first_block;
-                const auto reach = [&](int count) {
-                    for (int i = 0; i < count; ++i) {
-                        const float dx = x[i], dy = x[i + block_axis], dz = x[i + 2 * block_axis];
-                        const float spread = x[i + 3 * block_axis];
-                        reaches[i] = (a0 * dx + b0 * dy + c0 * dz >= reach0 * spread)
-                            & (a1 * dx + b1 * dy + c1 * dz >= reach1 * spread)
-                            & (a2 * dx + b2 * dy + c2 * dz >= reach2 * spread);
-                    }
-                };
-                if (first_block + 8 <= blocks) reach(8); else reach(blocks - first_block);
+                const float* x = block_data + size_t(block_row) * blocks + first_block;
+                if (first_block + 8 <= blocks) reach(block_is_reached, x, block_axis, 8);
+                else reach(block_is_reached, x, block_axis, blocks - first_block);
             }
             const int last_block = wp::min(first_block + 7, last_column / size);
             for (int block = first_block; block <= last_block; ++block) {
-                if (!reaches[block - first_block]) continue;
+                if (!block_is_reached[block - first_block]) continue;
                 const int begin = is_large ? block * 8 : first_column;
                 const int end = is_large ? begin : last_column;
+                wp::int32 row_is_reached[8];
+                if (is_large)
+                    reach(row_is_reached, row_data + 8 * (size_t(block_row) * blocks + block), 8 * block_axis, 8);
                 for (int row = first_row; row <= last_row; ++row) {
+                    if (is_large && !row_is_reached[row & 7]) continue;
                     wp::int64* nearest = key.data + (size_t(v) * key.shape[1] + row) * key.shape[2];
                     const bool has_layer = offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3];
                     const int layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0];
@@ -450,6 +496,7 @@ def scatter_bent_triangles_kernel(
     first: int,
     has_key: int,
     # out
+    corner: wp.array2d[Corner],
     key: wp.array3d[wp.int64],
     layers: Layers,
 ):
@@ -458,7 +505,8 @@ def scatter_bent_triangles_kernel(
     As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes, and without edge crossings.
 
     Launch: ``dim=(such views of this chunk, cluster_count)``; one thread per cluster of a view. Not taped.
-    Writes: ``key`` and ``layers`` by atomic maximum; the caller zeroes them.
+    Writes: ``key`` and ``layers``, which the caller zeroes; ``corner`` [view, vertex of a cluster], which nobody else
+        reads. So all clusters of a view must be drawn by one thread, as on a CPU.
     """
     i, cluster = wp.tid()
     v = bent_view[first + i]
@@ -490,11 +538,19 @@ def scatter_bent_triangles_kernel(
     turn = int(0)
     if camera.lens.kind == PANORAMA:
         turn = 1
+    vertices = scene.cluster_vertices[cluster]
+    for k in range(vertices[1]):
+        point_m = point_in_camera(camera, scene.vertex_world_m[vertices[0] + k])
+        corner[v, k] = corner_of(camera, rays, table, point_m)
     for k in range(scene.cluster_count[cluster]):
         triangle = first_triangle + k
         if is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
             continue
-        image = ray_triangle(camera, scene, rays, table, widest_cosine, triangle, frame)
+        of_triangle = scene.triangle[triangle]
+        a = corner[v, of_triangle[0] - vertices[0]]
+        b = corner[v, of_triangle[1] - vertices[0]]
+        c = corner[v, of_triangle[2] - vertices[0]]
+        image = ray_triangle(camera, widest_cosine, a, b, c, frame)
         if image.first_row <= image.last_row:
             for n in range(-turn, turn + 1):
                 # the other turns of a panorama, whose images may be cut by the seam

@@ -28,6 +28,7 @@ class Triangles:
         body_layer: Layer of every body; -1 where it has none, [body].
         cluster_first: First triangle of each cluster, [cluster].
         cluster_count: Number of triangles of each cluster, [cluster].
+        cluster_vertices: First vertex of each cluster, and how many it has; no other cluster uses them, [cluster].
         cluster_layer: Layer of each cluster's body; -1 where it has none, [cluster].
         cluster_sphere_world_m: Bounding sphere, centre and radius [m], [cluster].
         cluster_closed_world_m: Lowest and highest corner of the closed surfaces that a cluster's triangles belong to
@@ -42,6 +43,7 @@ class Triangles:
     body_layer: wp.array[wp.int32]
     cluster_first: wp.array[wp.int32]
     cluster_count: wp.array[wp.int32]
+    cluster_vertices: wp.array[wp.vec2i]
     cluster_layer: wp.array[wp.int32]
     cluster_sphere_world_m: wp.array[wp.vec4]
     cluster_closed_world_m: wp.array2d[wp.vec3]

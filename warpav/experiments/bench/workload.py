@@ -259,7 +259,8 @@ def pack_workload(workload: Workload, *, device: str = "cpu") -> Scene:
         colours.append(rgb)
     count = workload.vehicle_count
     scene = Scene({str(k): mesh for k, mesh in enumerate(meshes[:count])}, occluders=meshes[count:], device=device)
-    scene.vertex_rgb = wp.array(np.concatenate(colours[count:] + colours[:count]), dtype=wp.vec3, device=device)
+    colour = np.concatenate(colours[count:] + colours[:count])
+    scene.vertex_rgb = wp.array(colour[scene.source_vertex], dtype=wp.vec3, device=device)
     return scene
 
 
