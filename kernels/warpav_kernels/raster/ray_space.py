@@ -12,7 +12,7 @@ between.
 import warp as wp
 
 from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds, moved_place
 from warpav_kernels.raster.rasterise import (
     LARGE_SAMPLES,
     LEAST_INVERSE_DEPTH,
@@ -236,7 +236,7 @@ class Corner:
         point_m: Place in camera coordinates [m].
         distance_m: Distance from the camera's centre [m].
         direction: Direction, of unit length.
-        place: Place in the image [focal lengths]; of a Brown-Conrady lens without what moves sideways.
+        place: Place in the image [focal lengths]; of a Brown-Conrady lens beyond its limit without what moves sideways.
         bend: Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine
             of the elevation, without its sign.
     """
@@ -246,6 +246,13 @@ class Corner:
     direction: wp.vec3
     place: wp.vec2
     bend: float
+
+
+@wp.func
+def squared_secant(cosine: float) -> float:
+    """The square of the secant of an angle; very large from a right angle on."""
+    cosine = wp.max(cosine, 1.0e-3)
+    return 1.0 / (cosine * cosine)
 
 
 @wp.func
@@ -264,6 +271,11 @@ def corner_of(camera: View, rays: Rays, table: int, point_m: wp.vec3) -> Corner:
         entry = table_entry(rays, table, direction[2])
         corner.place = wp.vec2(entry[0] * direction[0], entry[0] * direction[1])
         corner.bend = entry[1]
+        if (
+            camera.lens.kind == BROWN_CONRADY
+            and squared_secant(direction[2]) <= 1.0 + camera.lens.limit * camera.lens.limit
+        ):
+            corner.place = moved_place(camera.lens, direction[0] / direction[2], direction[1] / direction[2])
     return corner
 
 
@@ -293,10 +305,15 @@ def corners_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: 
     elif wp.max(a.direction[2], wp.max(b.direction[2], c.direction[2])) < widest_cosine:
         return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
     if camera.lens.kind == BROWN_CONRADY:
-        # the table knows the radius alone; what moves sideways grows with the square of the angle's tangent
-        cosine = wp.max(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])), 1.0e-3)
-        squared = wp.min(1.0 / (cosine * cosine) - 1.0, camera.lens.limit * camera.lens.limit)
-        bulge += 4.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3])) * squared
+        # the table knows the radius alone; what moves sideways is at most this times the square of the angle's tangent
+        sideways = 3.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3]))
+        limit = camera.lens.limit * camera.lens.limit
+        widest = squared_secant(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])))
+        if widest <= 1.0 + limit:
+            # an arc's slope changes by at most three times its second derivative, and it may pass beyond its ends
+            bulge += 0.14 * chord * 6.0 * sideways * widest * (1.0 + limit)
+        else:
+            bulge += 1.4 * sideways * limit
     return wp.vec4(
         wp.min(a.place[0], wp.min(u1, u2)) - bulge,
         wp.min(a.place[1], wp.min(b.place[1], c.place[1])) - bulge,
