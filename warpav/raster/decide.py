@@ -90,18 +90,18 @@ def decide(
         )  # fmt: skip
     if buffers.bent:
         if buffers.device.is_cpu:
-            _scatter_bent(buffers, scene, layer_count, has_key=has_key)
+            _scatter_bent(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
         else:
             _trace(buffers, scene, layer_count, has_key=has_key)
-        if layer_count and has_outlines:
-            _trace_crossings(buffers, scene, layer_count)
+            if layer_count and has_outlines:
+                _trace_crossings(buffers, scene, layer_count)
     if scene.object_count and content in (Content.ALL, Content.COVERAGE):
         _hide(buffers, scene, occlusion)
     return state
 
 
-def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
-    """Fill the keys and layers of the views whose lenses are no pinholes, by rasterisation in the space of rays."""
+def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
+    """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
     corner = buffers.kept("corner", (buffers.view_count, 3 * CLUSTER_SIZE), ray_space.Corner)
     buffers.over_views(
         len(buffers.bent),
@@ -110,7 +110,7 @@ def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: 
             (count, scene.cluster_count),
             inputs=[
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
-                int(has_key),
+                int(has_key), int(has_outlines),
             ],
             outputs=[corner, buffers.key, buffers.layers],
         ),

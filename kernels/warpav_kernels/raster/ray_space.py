@@ -11,14 +11,15 @@ between.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
+from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds, moved_place
 from warpav_kernels.raster.rasterise import (
     LARGE_SAMPLES,
     LEAST_INVERSE_DEPTH,
     line_after,
+    raise_crossing,
 )
-from warpav_kernels.raster.triangles import Triangles, is_behind, shows_no_back
+from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -28,6 +29,10 @@ WIDE = wp.constant(0.1)  # chord of two directions; triangles that reach farther
 LEAST_VOLUME = wp.constant(1.0e-12)  # of three directions: a triangle that is seen from its side
 LEAST_DISTANCE_M = wp.constant(1.0e-9)  # of a corner that has a direction
 STEEP = wp.constant(0.98)  # sine of the elevation from which a panorama's triangles are bounded by a cone
+PIECE = wp.constant(0.05)  # chord of the directions of a piece of an edge
+PIECE_SAMPLES = wp.constant(8.0)  # its length
+MAX_PIECES = wp.constant(256)  # of an edge
+END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [rad]
 TABLE_ERROR = wp.constant(1.0e-4)  # of a place in the table [focal lengths]
 WHOLE = wp.constant(1.0e9)
 
@@ -195,6 +200,7 @@ class RayTriangle:
     last_column: int
     first_row: int
     last_row: int
+    is_solid: bool
 
 
 @wp.func
@@ -235,6 +241,7 @@ class Corner:
     Attributes:
         point_m: Place in camera coordinates [m].
         distance_m: Distance from the camera's centre [m].
+        depth_m: Its depth: z or distance, as the lens has it [m].
         direction: Direction, of unit length.
         place: Place in the image [focal lengths]; of a Brown-Conrady lens beyond its limit without what moves sideways.
         bend: Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine
@@ -243,6 +250,7 @@ class Corner:
 
     point_m: wp.vec3
     distance_m: float
+    depth_m: float
     direction: wp.vec3
     place: wp.vec2
     bend: float
@@ -261,6 +269,9 @@ def corner_of(camera: View, rays: Rays, table: int, point_m: wp.vec3) -> Corner:
     corner = Corner()
     corner.point_m = point_m
     corner.distance_m = wp.length(point_m)
+    corner.depth_m = corner.distance_m
+    if camera.lens.kind == BROWN_CONRADY:
+        corner.depth_m = point_m[2]
     direction = point_m / wp.max(corner.distance_m, LEAST_DISTANCE_M)
     corner.direction = direction
     if camera.lens.kind == PANORAMA:
@@ -323,7 +334,9 @@ def corners_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: 
 
 
 @wp.func
-def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner, scissor: wp.vec4i) -> RayTriangle:
+def ray_triangle(
+    camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner, has_outline: bool, scissor: wp.vec4i
+) -> RayTriangle:
     """A triangle in the space of a view's rays, its rows and columns cut to a scissor.
 
     A panorama's columns are those of one of its turns, and may lie beside the scissor.
@@ -334,9 +347,7 @@ def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
     p = a.point_m
     q = b.point_m
     r = c.point_m
-    farthest = wp.max(a.distance_m, wp.max(b.distance_m, c.distance_m))
-    if camera.lens.kind == BROWN_CONRADY:
-        farthest = wp.max(p[2], wp.max(q[2], r[2]))
+    farthest = wp.max(a.depth_m, wp.max(b.depth_m, c.depth_m))
     nearest = wp.min(a.distance_m, wp.min(b.distance_m, c.distance_m))
     if farthest < camera.near_m or nearest < LEAST_DISTANCE_M:
         return found
@@ -348,7 +359,8 @@ def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
         high = float(scissor[2])
     found.first_row = line_after(camera.centre[1] + camera.focal[1] * place[1], scissor[1], scissor[3])
     found.last_row = line_after(camera.centre[1] + camera.focal[1] * place[3], scissor[1], scissor[3]) - 1
-    if found.first_row > found.last_row:
+    has_rows = found.first_row <= found.last_row
+    if not (has_rows or has_outline):
         return found
     left = wp.clamp(camera.centre[0] + camera.focal[0] * place[0], low, high)
     right = wp.clamp(camera.centre[0] + camera.focal[0] * place[2], low, high)
@@ -357,9 +369,11 @@ def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
         right = float(scissor[2])
     found.first_column = int(wp.floor(left + 0.5))
     found.last_column = int(wp.floor(right + 0.5)) - 1
-    if found.first_column > found.last_column:
+    has_columns = found.first_column <= found.last_column
+    if not (has_rows and has_columns):
         found.last_row = found.first_row - 1
-        return found
+        if not (has_outline and (has_rows or has_columns)):
+            return found
     normal = wp.cross(q - p, r - p)
     volume = wp.dot(p, normal)
     if wp.abs(volume) < LEAST_VOLUME * a.distance_m * b.distance_m * c.distance_m:
@@ -370,6 +384,7 @@ def ray_triangle(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
     found.edge1 = edge_plane(q, r, side)
     found.edge2 = edge_plane(r, p, side)
     found.inverse_depth = normal / volume
+    found.is_solid = True
     return found
 
 
@@ -480,6 +495,159 @@ def fill_triangle(
     ...
 
 
+@wp.func
+def cross_pair(
+    rays: Rays,
+    ray_set: int,
+    row: int,
+    column: int,
+    direction: int,
+    edge: wp.vec3,
+    start: wp.vec3,
+    end: wp.vec3,
+    inverse_depth: wp.vec3,
+    farthest: float,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where an edge crosses the line from a sample to its neighbour TO_RIGHT or TO_BOTTOM, either way.
+
+    ``edge`` is the normal of the edge's plane, the triangle on its positive side; ``start`` and ``end`` are normals of
+    planes that the crossing lies between.
+    """
+    step = step_of(direction)
+    here = ray_at(rays.ray, ray_set, row, column)
+    there = ray_at(rays.ray, ray_set, row + step[0], column + step[1])
+    height = wp.dot(edge, here)
+    other_height = wp.dot(edge, there)
+    if (height >= 0.0) == (other_height >= 0.0) or wp.length_sq(here) == 0.0 or wp.length_sq(there) == 0.0:
+        return
+    share = height / (height - other_height)
+    crossing = (1.0 - share) * here + share * there
+    slack = -END_SLACK * wp.length(crossing)
+    if wp.dot(start, crossing) < slack * wp.length(start) or wp.dot(end, crossing) < slack * wp.length(end):
+        return
+    reached = (1.0 - share) * wp.length(here) + share * wp.length(there)
+    w = wp.dot(inverse_depth, crossing)
+    if wp.abs(here[2] - 1.0) + wp.abs(there[2] - 1.0) > 0.0:  # rays of the same length, not of the same z
+        w *= reached / wp.length(crossing)
+    if w <= 0.0 or w > farthest:
+        return
+    if height >= 0.0:
+        place = place_in(rectangle, offset, row, column)
+        if place >= 0:
+            raise_crossing(layers, direction, place, share, w, -1)
+    else:
+        place = place_in(rectangle, offset, row + step[0], column + step[1])
+        if place >= 0:
+            raise_crossing(layers, TO_LEFT + TO_RIGHT - direction, place, 1.0 - share, w, -1)
+
+
+@wp.func(inline=False)
+def cross_bent_edge(
+    camera: View,
+    rays: Rays,
+    ray_set: int,
+    table: int,
+    widest_cosine: float,
+    p: Corner,
+    q: Corner,
+    edge: wp.vec3,
+    inverse_depth: wp.vec3,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where one side of a triangle, from p to q, crosses the lines between neighbouring samples.
+
+    It is cut to pieces whose images are short.
+    """
+    right = rectangle[0] + rectangle[2]
+    bottom = rectangle[1] + rectangle[3]
+    farthest = 1.0 / camera.near_m
+    # the two planes through the axis of the edge's circle and its ends
+    raw = wp.cross(p.direction, q.direction)
+    start = wp.cross(raw, p.direction)
+    end = wp.cross(q.direction, raw)
+    length = wp.length(q.direction - p.direction) / PIECE
+    if length < 1.0:
+        # of a short edge the table knows the length in the image
+        length = wp.max(camera.focal[0], camera.focal[1]) * wp.length(q.place - p.place) / PIECE_SAMPLES
+    else:
+        length *= wp.max(1.0, wp.max(camera.focal[0], camera.focal[1]) * PIECE / PIECE_SAMPLES)
+    pieces = wp.clamp(int(wp.ceil(length)), 1, MAX_PIECES)
+    a = p
+    for piece in range(pieces):
+        b = q
+        if piece + 1 < pieces:
+            share = float(piece + 1) / float(pieces)
+            b = corner_of(camera, rays, table, (1.0 - share) * p.direction + share * q.direction)
+        bounds = corners_bounds(camera, widest_cosine, a, b, b)
+        turn = int(0)
+        if camera.lens.kind == PANORAMA:
+            turn = 1
+        # half a sample more for rounding
+        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - 0.5, rectangle[1], bottom)
+        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + 0.5, rectangle[1], bottom) - 1
+        for n in range(-turn, turn + 1):
+            if first_row <= last_row:
+                shift = 2.0 * wp.pi * camera.focal[0] * float(n)
+                first_column = line_after(
+                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - 0.5, rectangle[0], right
+                )
+                last_column = (
+                    line_after(camera.centre[0] + camera.focal[0] * bounds[2] + shift + 0.5, rectangle[0], right) - 1
+                )
+                for row in range(wp.max(first_row - 1, 0), last_row + 1):
+                    for column in range(wp.max(first_column - 1, 0), last_column + 1):
+                        if column + 1 < rays.ray.shape[3] and row >= first_row:
+                            cross_pair(
+                                rays, ray_set, row, column, TO_RIGHT, edge, start, end, inverse_depth, farthest,
+                                rectangle, offset, layers,
+                            )  # fmt: skip
+                        if row + 1 < rays.ray.shape[2] and column >= first_column:
+                            cross_pair(
+                                rays, ray_set, row, column, TO_BOTTOM, edge, start, end, inverse_depth, farthest,
+                                rectangle, offset, layers,
+                            )  # fmt: skip
+        a = b
+
+
+@wp.func(inline=False)
+def cross_near_cut(
+    image: RayTriangle,
+    camera: View,
+    rays: Rays,
+    ray_set: int,
+    triangle: int,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where the near cut ends a triangle between a sample and its neighbours."""
+    nearest = 1.0 / camera.near_m
+    for r in range(rectangle[3]):
+        for c in range(rectangle[2]):
+            here = ray_at(rays.ray, ray_set, rectangle[1] + r, rectangle[0] + c)
+            w = wp.dot(image.inverse_depth, here)
+            if w > 0.0 and w <= nearest:
+                for direction in range(4):
+                    step = step_of(direction)
+                    row = rectangle[1] + r + step[0]
+                    column = rectangle[0] + c + step[1]
+                    if row >= 0 and column >= 0 and row < rays.ray.shape[2] and column < rays.ray.shape[3]:
+                        there = ray_at(rays.ray, ray_set, row, column)
+                        other_w = wp.dot(image.inverse_depth, there)
+                        if other_w > nearest:
+                            share = (nearest - w) / (other_w - w)
+                            crossing = (1.0 - share) * here + share * there
+                            inner = wp.min(wp.dot(image.edge0, crossing), wp.dot(image.edge1, crossing))
+                            if wp.min(inner, wp.dot(image.edge2, crossing)) >= 0.0:
+                                place = offset + r * rectangle[2] + c
+                                raise_crossing(layers, direction, place, share, nearest, triangle)
+
+
 @wp.func(inline=False)
 def misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp.vec4i) -> bool:
     """Whether a sphere (camera coordinates) surely has no image inside a view's scissor."""
@@ -512,6 +680,7 @@ def scatter_bent_triangles_kernel(
     scissor: wp.array[wp.vec4i],
     first: int,
     has_key: int,
+    has_outlines: int,
     # out
     corner: wp.array2d[Corner],
     key: wp.array3d[wp.int64],
@@ -519,7 +688,7 @@ def scatter_bent_triangles_kernel(
 ):
     """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
-    As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes, and without edge crossings.
+    As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes.
 
     Launch: ``dim=(such views of this chunk, cluster_count)``; one thread per cluster of a view. Not taped.
     Writes: ``key`` and ``layers``, which the caller zeroes; ``corner`` [view, vertex of a cluster], which nobody else
@@ -547,6 +716,7 @@ def scatter_bent_triangles_kernel(
         offset = layers.offset[v, layer]
         if rectangle[2] == 0:
             offset = -1
+    has_outline = offset >= 0 and has_outlines == 1
     table = rays.table_of_view[v]
     ray_set = rays.set_of_view[v]
     widest_cosine = rays.widest_cosine[ray_set]
@@ -567,7 +737,27 @@ def scatter_bent_triangles_kernel(
         a = corner[v, of_triangle[0] - vertices[0]]
         b = corner[v, of_triangle[1] - vertices[0]]
         c = corner[v, of_triangle[2] - vertices[0]]
-        image = ray_triangle(camera, widest_cosine, a, b, c, frame)
+        image = ray_triangle(camera, widest_cosine, a, b, c, has_outline, frame)
+        if has_outline and image.is_solid:
+            neighbour = scene.neighbour[triangle]
+            is_facing = faces(camera, scene.triangle_plane[triangle])
+            if may_be_outline(camera, scene, is_facing, neighbour[0]):
+                cross_bent_edge(
+                    camera, rays, ray_set, table, widest_cosine, a, b, image.edge0, image.inverse_depth, rectangle,
+                    offset, layers,
+                )  # fmt: skip
+            if may_be_outline(camera, scene, is_facing, neighbour[1]):
+                cross_bent_edge(
+                    camera, rays, ray_set, table, widest_cosine, b, c, image.edge1, image.inverse_depth, rectangle,
+                    offset, layers,
+                )  # fmt: skip
+            if may_be_outline(camera, scene, is_facing, neighbour[2]):
+                cross_bent_edge(
+                    camera, rays, ray_set, table, widest_cosine, c, a, image.edge2, image.inverse_depth, rectangle,
+                    offset, layers,
+                )  # fmt: skip
+            if not is_front_only and wp.min(a.depth_m, wp.min(b.depth_m, c.depth_m)) < camera.near_m:
+                cross_near_cut(image, camera, rays, ray_set, triangle, rectangle, offset, layers)
         if image.first_row <= image.last_row:
             for n in range(-turn, turn + 1):
                 # the other turns of a panorama, whose images may be cut by the seam
