@@ -20,7 +20,7 @@ from warpav_kernels.raster.rasterise import (
     raise_crossing,
 )
 from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
-from warpav_kernels.raster.view import View, point_in_camera, ray_in_camera
+from warpav_kernels.raster.view import View, point_in_camera, ray_between, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
@@ -524,14 +524,11 @@ def cross_pair(
     if (height >= 0.0) == (other_height >= 0.0) or wp.length_sq(here) == 0.0 or wp.length_sq(there) == 0.0:
         return
     share = height / (height - other_height)
-    crossing = (1.0 - share) * here + share * there
+    crossing = ray_between(here, there, share)
     slack = -END_SLACK * wp.length(crossing)
     if wp.dot(start, crossing) < slack * wp.length(start) or wp.dot(end, crossing) < slack * wp.length(end):
         return
-    reached = (1.0 - share) * wp.length(here) + share * wp.length(there)
     w = wp.dot(inverse_depth, crossing)
-    if wp.abs(here[2] - 1.0) + wp.abs(there[2] - 1.0) > 0.0:  # rays of the same length, not of the same z
-        w *= reached / wp.length(crossing)
     if w <= 0.0 or w > farthest:
         return
     if height >= 0.0:
@@ -640,8 +637,15 @@ def cross_near_cut(
                         there = ray_at(rays.ray, ray_set, row, column)
                         other_w = wp.dot(image.inverse_depth, there)
                         if other_w > nearest:
+                            # 1/depth is linear in the ray, and nearly so in the share of rays of one length
                             share = (nearest - w) / (other_w - w)
-                            crossing = (1.0 - share) * here + share * there
+                            crossing = ray_between(here, there, share)
+                            middle_w = wp.dot(image.inverse_depth, crossing)
+                            if middle_w < nearest:
+                                share += (1.0 - share) * (nearest - middle_w) / (other_w - middle_w)
+                            else:
+                                share *= (nearest - w) / (middle_w - w)
+                            crossing = ray_between(here, there, share)
                             inner = wp.min(wp.dot(image.edge0, crossing), wp.dot(image.edge1, crossing))
                             if wp.min(inner, wp.dot(image.edge2, crossing)) >= 0.0:
                                 place = offset + r * rectangle[2] + c

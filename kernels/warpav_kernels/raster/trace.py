@@ -12,7 +12,7 @@ import warp as wp
 from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
 from warpav_kernels.raster.rasterise import LEAST_INVERSE_DEPTH, LEAST_OFFSET
 from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, inverse_depth_of, ray_in_camera
+from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,16 +57,6 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
 def sample_ray(camera: View, row: int, column: int) -> wp.vec3:
     """Ray of depth 1 through a sample's centre, in camera coordinates; zero where nothing is seen."""
     return ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
-
-
-@wp.func
-def ray_between(start: wp.vec3, end: wp.vec3, share: float) -> wp.vec3:
-    """The ray at a share of the way between two neighbouring samples' rays, of the same depth as theirs."""
-    ray = (1.0 - share) * start + share * end
-    length = (1.0 - share) * wp.length(start) + share * wp.length(end)
-    if wp.abs(start[2] - 1.0) + wp.abs(end[2] - 1.0) == 0.0:
-        return ray
-    return length / wp.length(ray) * ray
 
 
 @wp.kernel(enable_backward=False)

@@ -54,6 +54,16 @@ def ray_in_camera(view: View, column: float, row: float) -> wp.vec3:
 
 
 @wp.func
+def ray_between(start: wp.vec3, end: wp.vec3, share: float) -> wp.vec3:
+    """The ray at a share of the way between two neighbouring samples' rays, of the same depth as theirs."""
+    ray = (1.0 - share) * start + share * end
+    length = (1.0 - share) * wp.length(start) + share * wp.length(end)
+    if wp.abs(start[2] - 1.0) + wp.abs(end[2] - 1.0) == 0.0:
+        return ray
+    return length / wp.length(ray) * ray
+
+
+@wp.func
 def sees(view: View, column: int, row: int) -> bool:
     """Whether the lens sees anything at a sample."""
     if view.lens.kind == PINHOLE or view.lens.kind == PANORAMA:
