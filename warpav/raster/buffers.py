@@ -153,7 +153,9 @@ class Buffers:
         self._shown: dict[tuple[int, ...], wp.array] = {}
         self.bent: list[int] = []
         self.rays = ray_space.Rays()
-        self._rays_of: list[tuple[CameraModel, float]] = []
+        self.rays.ray = self.zeros((0, 3, self.height, self.width), float)
+        self.rays.set_of_view = self._no_set = wp.full(self.view_count, -1, dtype=wp.int32, device=self.device)
+        self._rays_of: list[tuple[int, CameraModel, float]] = []
         self.generation = 0
         self.set_lenses(models)
         self.view = self.zeros(self.view_count, view.View)
@@ -261,30 +263,31 @@ class Buffers:
             self.log_focal.zero_()
         else:
             wp.copy(self.log_focal, log_focal)
+        of_set = self._reserve_rays() if self.bent and self.device.is_cpu else None
         self.launch(
             view.place_views_kernel,
             self.view_count,
             inputs=[
                 self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self._lens,
-                self.log_focal, self.supersampling,
+                self.log_focal, self.rays.ray, self.rays.set_of_view if self.bent else self._no_set, self.supersampling,
             ],
             outputs=[self.view],
         )  # fmt: skip
-        if self.bent and self.device.is_cpu:
-            self._place_rays()
+        if of_set is not None:
+            self._place_rays(of_set)
 
-    def _place_rays(self) -> None:
-        """The rays of the views that are no pinholes, where they are not those of the last call."""
+    def _reserve_rays(self) -> wp.array | None:
+        """Room for the rays of the views that are no pinholes: a view of each set of rays; None: they are there."""
         zoom = self.log_focal.numpy()[self.bent]
-        rays_of = [(self._models[v], float(each)) for v, each in zip(self.bent, zoom, strict=True)]
+        rays_of = [(v, self._models[v], float(each)) for v, each in zip(self.bent, zoom, strict=True)]
         if rays_of == self._rays_of:
-            return
+            return None
         self._rays_of = rays_of
-        sets, shapes = list(dict.fromkeys(rays_of)), list(dict.fromkeys(model.shape for model, _ in rays_of))
+        of_view = [each[1:] for each in rays_of]
+        sets, shapes = list(dict.fromkeys(of_view)), list(dict.fromkeys(model.shape for model, _ in of_view))
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
-        set_of_view[self.bent] = [sets.index(each) for each in rays_of]
-        table_of_view[self.bent] = [shapes.index(model.shape) for model, _ in rays_of]
-        view_of_set = [self.bent[rays_of.index(each)] for each in sets]
+        set_of_view[self.bent] = [sets.index(each) for each in of_view]
+        table_of_view[self.bent] = [shapes.index(model.shape) for model, _ in of_view]
         rays, count, block = self.rays, len(sets), int(ray_space.BLOCK)
         rays.set_of_view = wp.array(set_of_view, dtype=wp.int32, device=self.device)
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
@@ -294,16 +297,21 @@ class Buffers:
         rays.block = self.zeros((count, 4, *blocks), float)
         rays.block_row = self.zeros((count, 4, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
-        of_set = wp.array(view_of_set, dtype=wp.int32, device=self.device)
+        return wp.array([self.bent[of_view.index(each)] for each in sets], dtype=wp.int32, device=self.device)
+
+    def _place_rays(self, view_of_set: wp.array) -> None:
+        """The rays of the views that are no pinholes, and what bounds them."""
+        rays = self.rays
+        count, _, rows, columns = rays.block.shape
         self.launch(
             ray_space.place_rays_kernel,
             (count, self.height, self.width),
-            inputs=[self.view, of_set],
+            inputs=[self.view, view_of_set],
             outputs=[rays.ray],
         )
         self.launch(
             ray_space.place_blocks_kernel,
-            (count, *blocks),
+            (count, rows, columns),
             inputs=[rays.ray],
             outputs=[rays.block, rays.block_row],
         )

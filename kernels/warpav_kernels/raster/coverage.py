@@ -17,7 +17,7 @@ from warpav_kernels.raster.measure import (
     frame_weight,
 )
 from warpav_kernels.raster.outline import Hiding, pair_of
-from warpav_kernels.raster.view import GUARD, View, ray_in_camera, solid_angle
+from warpav_kernels.raster.view import GUARD, View, sample_ray, solid_angle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -82,7 +82,7 @@ def measure_coverage_kernel(
                     amodal += 1.0
                     if hiding.bits[place] == wp.int32(0):
                         visible += 1.0
-                    ray = ray_in_camera(camera, x, y)
+                    ray = sample_ray(camera, row, column)
                     if wp.length_sq(ray) > 0.0:
                         solid_angle_sr += solid_angle(camera, ray)
                     to_left = wp.max(to_left, width - column)

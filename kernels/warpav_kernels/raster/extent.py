@@ -10,7 +10,7 @@ import warp as wp
 
 from warpav_kernels.raster.layers import Layers, place_in
 from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP
-from warpav_kernels.raster.view import GUARD, View, column_gradient, inverse_depth_of, ray_in_camera, row_gradient, sees
+from warpav_kernels.raster.view import GUARD, View, column_gradient, inverse_depth_of, row_gradient, sample_ray, sees
 
 wp.set_module_options({"enable_backward": False})
 
@@ -125,18 +125,18 @@ def measure_extents_kernel(
             if bits != wp.int32(0):
                 x = float(column) + 0.5
                 y = float(row) + 0.5
-                point_m = ray_in_camera(camera, x, y) / inverse_depth_of(bits)
+                point_m = sample_ray(camera, row, column) / inverse_depth_of(bits)
                 by_column = column_gradient(camera, point_m)
                 by_row = row_gradient(camera, point_m)
                 from_column = x - camera.centre[0]
                 from_row = y - camera.centre[1]
                 g = by_row - slope * by_column
                 away = from_row - slope * from_column
-                is_free = sees(camera, column, row + outwards)
+                is_free = sees(camera, row + outwards, column)
                 if along_columns:
                     g = by_column - slope * by_row
                     away = from_column - slope * from_row
-                    is_free = sees(camera, column + outwards, row)
+                    is_free = sees(camera, row, column + outwards)
                 sample_count += 1.0
                 if is_free:
                     gradient += g

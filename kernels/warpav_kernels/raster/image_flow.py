@@ -30,6 +30,7 @@ from warpav_kernels.raster.view import (
     inverse_depth_of,
     ray_in_camera,
     row_gradient,
+    sample_ray,
     sees,
 )
 
@@ -81,7 +82,7 @@ def with_pair(
     """
     if change == 0.0:
         return derivative
-    if not sees(camera, column, row) or not sees(camera, column + step[1], row + step[0]):
+    if not sees(camera, row, column) or not sees(camera, row + step[0], column + step[1]):
         return derivative
     x = float(column) + 0.5 + 0.5 * float(step[1])
     y = float(row) + 0.5 + 0.5 * float(step[0])
@@ -174,23 +175,21 @@ def flow_colours_kernel(
     right_rgb = wp.vec3(0.0, 0.0, 0.0)
     right_gradient = wp.vec3(0.0, 0.0, 0.0)
     for row in range(lane / column_lanes, height, row_lanes):
-        y = float(row) + 0.5
         row_px = pixel_of(row, height, supersampling)
         below_px = pixel_of(row + 1, height, supersampling)
         for column in range(first_column, wp.min(first_column + run, width)):
-            x = float(column) + 0.5
             column_px = pixel_of(column, width, supersampling)
             rgb = right_rgb
             gradient = right_gradient
             if column == first_column:
                 patch = patch_under(patch, key[v, row, column], camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * ray_in_camera(camera, x, y)
+                ray = world_from_camera * sample_ray(camera, row, column)
                 rgb = rgb_along(ray, key[v, row, column], patch, horizon_rgb, zenith_rgb)
                 gradient = rgb_gradient_at(rgb_gradient, image, row_px, column_px)
             if row + 1 < height:
                 nearest = key[v, row + 1, column]
                 below_patch = patch_under(below_patch, nearest, camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * ray_in_camera(camera, x, y + 1.0)
+                ray = world_from_camera * sample_ray(camera, row + 1, column)
                 below_rgb = rgb_along(ray, nearest, below_patch, horizon_rgb, zenith_rgb)
                 below_gradient = rgb_gradient_at(rgb_gradient, image, below_px, column_px)
                 change = 0.5 * wp.dot(rgb - below_rgb, gradient + below_gradient)
@@ -198,7 +197,7 @@ def flow_colours_kernel(
             if column + 1 < width:
                 nearest = key[v, row, column + 1]
                 patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * ray_in_camera(camera, x + 1.0, y)
+                ray = world_from_camera * sample_ray(camera, row, column + 1)
                 right_rgb = rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
                 right_px = pixel_of(column + 1, width, supersampling)
                 right_gradient = rgb_gradient_at(rgb_gradient, image, row_px, right_px)
@@ -242,7 +241,7 @@ def flow_depths_kernel(
             gradient = depth_gradient_at(depth_gradient_px, v, row_px, column_px)
             depth_m = depth_at(key, v, row, column, background_m)
             if gradient != 0.0 and key[v, row, column] != wp.int64(0):
-                point_m = depth_m * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
+                point_m = depth_m * sample_ray(camera, row, column)
                 g = gradient * depth_gradient(camera, point_m)
                 total.gradient += g
                 total.moment += wp.cross(point_m, g)

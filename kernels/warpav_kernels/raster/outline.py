@@ -11,7 +11,7 @@ from warpav_kernels.raster.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT,
 from warpav_kernels.raster.lens import PINHOLE
 from warpav_kernels.raster.rasterise import ImageTriangle, front_part, image_triangle, narrowed, slope_of
 from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, inverse_depth_of, point_in_camera, ray_in_camera, sees
+from warpav_kernels.raster.view import View, inverse_depth_of, point_in_camera, sample_ray, sees
 
 wp.set_module_options({"enable_backward": False})
 
@@ -142,10 +142,8 @@ def traced_triangle_crossing(
     b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
     c = point_in_camera(camera, scene.vertex_world_m[corner[2]])
     step = step_of(direction)
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    start = ray_in_camera(camera, x, y)
-    end = ray_in_camera(camera, x + float(step[1]), y + float(step[0]))
+    start = sample_ray(camera, row, column)
+    end = sample_ray(camera, row + step[0], column + step[1])
     side = wp.sign(wp.dot(a, wp.cross(b, c)))
     share = share_inside(start, end, side * wp.cross(a, b))
     share = wp.min(share, share_inside(start, end, side * wp.cross(b, c)))
@@ -253,7 +251,7 @@ def plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int,
     """Inverse depth of a triangle's plane at a sample's centre [1/m]; not positive where the camera looks past it."""
     plane = scene.triangle_plane[triangle]
     normal = wp.vec3(plane[0], plane[1], plane[2])
-    ray = wp.transpose(camera.camera_from_world) * ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
+    ray = wp.transpose(camera.camera_from_world) * sample_ray(camera, row, column)
     height_m = plane[3] - wp.dot(normal, camera.position_world_m)
     if height_m == 0.0:
         return 0.0
@@ -408,8 +406,8 @@ def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
         cell.segment_count = 0
     elif mask == 5 or mask == 10:
         cell.segment_count = 2
-    is_upper_whole = sees(camera, cell.column, cell.row) and sees(camera, cell.column + 1, cell.row)
-    is_lower_whole = sees(camera, cell.column, cell.row + 1) and sees(camera, cell.column + 1, cell.row + 1)
+    is_upper_whole = sees(camera, cell.row, cell.column) and sees(camera, cell.row, cell.column + 1)
+    is_lower_whole = sees(camera, cell.row + 1, cell.column) and sees(camera, cell.row + 1, cell.column + 1)
     cell.is_whole = is_upper_whole and is_lower_whole
     return cell
 

@@ -6,7 +6,7 @@ from warpav_kernels.raster.layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, La
 from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
 from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, ray_in_camera
+from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -211,7 +211,7 @@ def resolve_rgb_kernel(
         for sample in range(supersampling * supersampling):
             grid_row = GUARD + row * supersampling + sample / supersampling
             grid_column = GUARD + column * supersampling + sample % supersampling
-            ray = world_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
+            ray = world_from_camera * sample_ray(camera, grid_row, grid_column)
             nearest = key[v, grid_row, grid_column]
             patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
             total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
@@ -273,7 +273,7 @@ def measure_contrast_kernel(
             for sample in range(supersampling * supersampling):
                 grid_row = GUARD + row * supersampling + sample / supersampling
                 grid_column = GUARD + column * supersampling + sample % supersampling
-                ray = world_from_camera * ray_in_camera(camera, float(grid_column) + 0.5, float(grid_row) + 0.5)
+                ray = world_from_camera * sample_ray(camera, grid_row, grid_column)
                 nearest = key[v, grid_row, grid_column]
                 patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
                 total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)

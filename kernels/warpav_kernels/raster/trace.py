@@ -12,7 +12,7 @@ import warp as wp
 from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
 from warpav_kernels.raster.rasterise import LEAST_INVERSE_DEPTH, LEAST_OFFSET
 from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, ray_in_camera
+from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,12 +51,6 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
             hit.inverse_depth = wp.max(1.0 / (camera.near_m + query.t), LEAST_INVERSE_DEPTH)
             hit.triangle = query.face
     return hit
-
-
-@wp.func
-def sample_ray(camera: View, row: int, column: int) -> wp.vec3:
-    """Ray of depth 1 through a sample's centre, in camera coordinates; zero where nothing is seen."""
-    return ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
 
 
 @wp.kernel(enable_backward=False)

@@ -27,6 +27,8 @@ class View:
         centre: Principal point (column, row), in samples of the grid.
         near_m: Depth below which nothing is seen [m].
         lens: The lens without its focal lengths.
+        ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
+            is seen, [axis, row, column]; empty for a pinhole, and on a GPU, where it is computed when it is asked for.
     """
 
     position_world_m: wp.vec3
@@ -35,6 +37,7 @@ class View:
     centre: wp.vec2
     near_m: float
     lens: Lens
+    ray: wp.array3d[float]
 
 
 @wp.func
@@ -64,11 +67,19 @@ def ray_between(start: wp.vec3, end: wp.vec3, share: float) -> wp.vec3:
 
 
 @wp.func
-def sees(view: View, column: int, row: int) -> bool:
+def sample_ray(view: View, row: int, column: int) -> wp.vec3:
+    """Ray of depth 1 through a sample's centre, in camera coordinates; zero where the lens sees nothing."""
+    if view.ray.shape[0] > 0:
+        return wp.vec3(view.ray[0, row, column], view.ray[1, row, column], view.ray[2, row, column])
+    return ray_in_camera(view, float(column) + 0.5, float(row) + 0.5)
+
+
+@wp.func
+def sees(view: View, row: int, column: int) -> bool:
     """Whether the lens sees anything at a sample."""
     if view.lens.kind == PINHOLE or view.lens.kind == PANORAMA:
         return True
-    return wp.length_sq(ray_in_camera(view, float(column) + 0.5, float(row) + 0.5)) > 0.0
+    return wp.length_sq(sample_ray(view, row, column)) > 0.0
 
 
 @wp.func
@@ -123,6 +134,8 @@ def place_views_kernel(
     near_m: wp.array[float],
     lens: wp.array[Lens],
     log_focal: wp.array[float],
+    ray: wp.array4d[float],
+    ray_set: wp.array[wp.int32],
     supersampling: int,
     # out
     view: wp.array[View],
@@ -130,7 +143,8 @@ def place_views_kernel(
     """Gather each view's pose and lens into one struct.
 
     ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_focal`` is the
-    logarithm of what the focal lengths are multiplied by.
+    logarithm of what the focal lengths are multiplied by; ``ray_set`` which of the rays ``ray`` are each view's, -1
+    where it has none.
 
     Launch: ``dim=view_count``; one thread per view. Not taped.
     Writes: every element of ``view`` once.
@@ -146,4 +160,6 @@ def place_views_kernel(
     placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
     placed.lens = lens[i]
+    if ray_set[i] >= 0:
+        placed.ray = ray[ray_set[i]]
     view[i] = placed
