@@ -82,7 +82,7 @@ def read_module(path: Path) -> WarpModule:
             for decorator in node.decorator_list:
                 target = decorator.func if isinstance(decorator, ast.Call) else decorator
                 kind = target.attr if isinstance(target, ast.Attribute) else ""
-                if kind in ("kernel", "func"):
+                if kind in ("kernel", "func", "func_native"):
                     functions.append(
                         WarpFunction(str(path), node, source.splitlines(), kind, _constant_keywords(decorator))
                     )
@@ -211,6 +211,9 @@ def _stored_arguments(functions: dict[str, WarpFunction]) -> dict[str, dict[str,
 
 
 def _stores(function: WarpFunction) -> Iterator[tuple[str, int]]:
+    if function.kind == "func_native":  # C++, so its docstring says what it writes
+        for name in re.findall(r"``(\w+)``", function.section("Writes")):
+            yield name, function.node.lineno
     for node in ast.walk(function.node):
         if isinstance(node, ast.Assign):
             targets = node.targets

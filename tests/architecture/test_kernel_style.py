@@ -75,6 +75,25 @@ def test_good_kernels_pass(tmp_path):
     assert breaches_of(GOOD, tmp_path) == []
 
 
+NATIVE = """
+@wp.func_native("total.data[0] += value;")
+def add_up(value: float, total: wp.array[float]):
+    '''Add a value to the total.
+
+    Writes: ``total``.
+    '''
+    ...
+"""
+
+
+def test_a_function_in_cpp_says_what_it_writes(tmp_path):
+    first, last = GOOD.index("@wp.func\n"), GOOD.index("@wp.kernel\n")
+    source = GOOD[:first] + NATIVE + GOOD[last:]
+    assert breaches_of(source, tmp_path) == []
+    silent = source.replace("Writes: ``total``.", "It is fast.")
+    assert any("never written" in line for line in breaches_of(silent, tmp_path))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -491,6 +491,8 @@ def fill_triangle(
     """Scatter a triangle between two columns into the key buffer and, where ``offset`` is not negative, its layer.
 
     One of more than ``large`` samples goes block by block, and those that it does not reach are passed over.
+
+    Writes: ``key`` and ``layers``, without atomic operations: one thread draws a view.
     """
     ...
 
