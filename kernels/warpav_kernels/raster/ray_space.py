@@ -446,7 +446,7 @@ _FILL_TRIANGLE = """
                                     & (a1 * dx + b1 * dy + c1 * dz >= 0.0f) & (a2 * dx + b2 * dy + c2 * dz >= 0.0f);
                                 union { float number; wp::int32 bits; } kept;
                                 kept.number = wp::max(w, least_inverse_depth);
-                                bits[i] = is_inside & (w > 0.0f) & (w <= farthest) ? kept.bits : 0;
+                                bits[i] = (is_inside & (w > 0.0f) & (w <= farthest)) ? kept.bits : 0;
                             }
                             if (has_key)
                                 for (int i = 0; i < count; ++i) {

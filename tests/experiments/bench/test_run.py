@@ -100,6 +100,23 @@ def test_the_truth_only_adds_scores(files):
     assert 0 <= other["scores"]["w2"]["id_share"] < 0.5  # the truth is made up
 
 
+@pytest.mark.parametrize("lens", ["brown_conrady", "fisheye", "panorama"])
+def test_every_lens_sees_what_embree_sees(files, lens):
+    assert bench("--workload", "small.npz", "--lens", lens, "--json", f"{lens}.json") == 0
+    content = json.loads((files / f"{lens}.json").read_text())
+    assert content["options"]["lens"] == lens
+    assert set(content["items"]) == {"w1", "w2", "w3"}
+    assert set(content["scores"]) == {"w2"}  # nothing is known of gradients
+    assert content["scores"]["w2"]["id_share"] >= 0.9999
+    assert content["scores"]["w2"]["depth_p999_m"] < 1e-3
+    assert content["reference"]["embreex"]["w2"]["ratio"] > 0
+
+
+def test_a_truth_is_a_pinholes(files, capsys):
+    assert bench("--workload", "small.npz", "--truth", "truth.npz", "--lens", "fisheye", "--items", "w2") == 2
+    assert "truth" in capsys.readouterr().err
+
+
 def test_only_what_was_asked_for_is_measured(files):
     assert bench("--workload", "small.npz", "--items", "w2", "--json", "two.json", "--no-embree") == 0
     content = json.loads((files / "two.json").read_text())

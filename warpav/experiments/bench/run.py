@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import platform
 import statistics
@@ -23,6 +24,7 @@ from warpav.experiments.bench.array_file import ArrayFile
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
 from warpav.experiments.bench.table import bench_table, peer_note, sweep_table
 from warpav.experiments.bench.workload import (
+    LENSES,
     Truth,
     Workload,
     embedded_truth,
@@ -47,6 +49,7 @@ def run_bench(
     workload_file: Path | None,
     truth_file: Path | None,
     *,
+    lens: str = "pinhole",
     device: str,
     items: str,
     supersampling: int,
@@ -61,6 +64,8 @@ def run_bench(
     Args:
         workload_file: Workload of format 1; None: the embedded one, with its truth.
         truth_file: Truth of the workload; None: nothing is scored, unless the workload is embedded.
+        lens: What the cameras look through, one of `LENSES`. Others than a pinhole keep the poses and have fields of
+            view of their own; embree is then the truth of W2, and W1 has none.
         device: Warp device.
         items: Items to measure, separated by commas.
         supersampling: Samples per pixel along each axis for W1; W2 and W3 have one, at the pixel's centre.
@@ -81,7 +86,16 @@ def run_bench(
     load_warp()
     device = checked_device(device)
     workload = embedded_workload() if workload_file is None else read_workload(workload_file)
-    if truth_file is not None:
+    if lens not in LENSES:
+        raise ArgumentError("lens", f"expected one of {', '.join(LENSES)}, got {lens!r}")
+    if lens != "pinhole":
+        if truth_file is not None:
+            raise ArgumentError("truth", f"expected none with the lens {lens}, as truths are those of pinholes")
+        workload = dataclasses.replace(workload, lens=lens)
+        from warpav.experiments.bench.reference import embree_truth
+
+        truth = embree_truth(workload)
+    elif truth_file is not None:
         truth = read_truth(truth_file, workload)
     else:
         truth = embedded_truth(workload) if workload_file is None else None
@@ -109,7 +123,7 @@ def run_bench(
             "res": workload.size_px,
             "visible": int(workload.is_visible),
         },
-        "options": {"supersample": supersampling, "w2_w3_supersample": 1},
+        "options": {"supersample": supersampling, "w2_w3_supersample": 1, "lens": lens},
         "items": {},
         "scores": {},
     }
@@ -168,12 +182,12 @@ def run_bench(
                 file.finish()
             write_json(json_file, content)
 
-    is_embedded = workload_file is None or workload.is_same_work(embedded_workload())
+    is_embedded = workload.is_same_work(embedded_workload())
     progress.show(bench_table(content, with_peers=is_embedded))
     if is_embedded:
         progress.say(peer_note())
     if with_sweep:
-        progress.show(sweep_table(content, truth))
+        progress.show(sweep_table(content, truth if truth is not None and truth.gradient else None))
     return content
 
 
@@ -188,7 +202,7 @@ def _measure_silhouettes(
         "grad": {name: values.tolist() for name, values in gradient.items()},
         "value": {name: values.tolist() for name, values in loss.items()},
     }
-    return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None else {}
+    return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None and truth.gradient else {}
 
 
 def _collect_images(bench: Bench, truth: Truth | None, target: ArrayFile | None) -> dict[str, Any]:

@@ -28,7 +28,8 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> Table:
     """
     work, device = content["workload"], content["device"]
     table = Table(
-        title=f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px",
+        title=f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px, "
+        f"{content['options']['lens']}",
         title_justify="left",
         header_style="bold",
     )

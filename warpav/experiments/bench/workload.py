@@ -33,6 +33,15 @@ MIN_SIZE_PX = 8  # of a camera model
 MAX_SIZE_PX = 1 << 14
 
 
+LENSES: dict[str, tuple[float | None, tuple[float, ...]]] = {
+    "pinhole": (None, ()),
+    "brown_conrady": (100.0, (-0.21, 0.06, 0.002, -0.001, -0.008)),
+    "fisheye": (190.0, (-0.013, 0.0021, -0.0042, 0.0007)),
+    "panorama": (360.0, ()),
+}
+"""Field of view [deg], None: the workload's, and distortion of every lens that a workload can be looked at through."""
+
+
 @dataclass(frozen=True)
 class Workload:
     """A workload of format 1.
@@ -56,6 +65,7 @@ class Workload:
         scored_pose: Poses at which the gradient is scored, float64 [pose, 3]; pose i takes the height, lens and near
             plane of camera i mod C.
         seed: Seed it was made from; -1 where the file has none.
+        lens: Through what the cameras look, one of `LENSES`.
     """
 
     name: str
@@ -75,6 +85,7 @@ class Workload:
     weight: dict[str, np.ndarray]
     scored_pose: np.ndarray
     seed: int
+    lens: str = "pinhole"
 
     @property
     def view_count(self) -> int:
@@ -88,9 +99,16 @@ class Workload:
 
     def models(self, camera: Sequence[int]) -> list[CameraModel]:
         """Camera models of the views of some cameras, four for each."""
-        size = self.size_px
+        size, (fov_deg, distortion) = self.size_px, LENSES[self.lens]
         return [
-            CameraModel(size, size, math.radians(self.fov_deg[c]), float(self.near_m[c]))
+            CameraModel(
+                size,
+                size,
+                math.radians(fov_deg or self.fov_deg[c]),
+                float(self.near_m[c]),
+                lens=self.lens,
+                distortion=distortion,
+            )
             for c in camera
             for _ in range(ROTATION_COUNT)
         ]
@@ -114,11 +132,12 @@ class Truth:
 
     Attributes:
         name: The file's name.
-        gradient: Of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight.
+        gradient: Of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight; empty
+            where it is not known.
         check_gradient: The same from a coarser computation: a scale for the truth's own error.
         object_view: Views whose objects and depths are known, int64 [n].
         object_index: Object at every pixel's centre, -1 where none is, integers [n, row, column].
-        depth_m: Depth along the optical axis there, float32 [n, row, column].
+        depth_m: Depth there, as the lens has it, float32 [n, row, column].
     """
 
     name: str
