@@ -1,6 +1,6 @@
 """The gradient of every lens against differences of images that embree draws through OpenCV's lenses.
 
-The truth shares no code with the renderer: OpenCV finds the rays of 8 x 8 places in every pixel around a vehicle, and
+The truth shares no code with the renderer: OpenCV finds the rays of 12 x 12 places in every pixel around a vehicle, and
 embree says which of them hit it. Its own error, from the finite number of rays and the size of the steps, is seen where
 it is compared with the workload's exact truth for a pinhole.
 """
@@ -25,8 +25,8 @@ from warpav.experiments.bench.workload import (
 )
 
 POSES = 4
-RAYS = 8  # along each side of a pixel
-STEPS = (0.02, 0.02, 0.002)  # m, m, rad
+RAYS = 12  # along each side of a pixel
+STEPS = (0.05, 0.05, 0.005)  # m, m, rad
 
 
 def opencv_rays(lens, intrinsics, place_px):
