@@ -21,6 +21,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.frames import EGO_FROM_THESIS
 from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class Workload:
                 size,
                 math.radians(fov_deg or self.fov_deg[c]),
                 float(self.near_m[c]),
-                lens=self.lens,
+                lens=Lens(self.lens),
                 distortion=distortion,
             )
             for c in camera
