@@ -102,7 +102,7 @@ def test_a_terminal_shows_objective_bound_and_what_was_spent():
     def watch(display):
         for record in display.iterations(_states(), count=None, min_spacing_m=0.2):
             list(display.steps("pool of cameras", "ab", count=2) if record.stage == "start" else ())
-            time.sleep(1.5 / REFRESH_PER_SECOND)
+            time.sleep(4.0 / REFRESH_PER_SECOND)
 
     text = _shown(True, watch)
     for word in ("searching", "done", "polish", "bound", "0.15 (of any rig of 40 cameras)", "camera renders", "600"):
