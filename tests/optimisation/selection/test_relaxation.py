@@ -38,6 +38,11 @@ def test_a_node_without_a_rig_has_no_bound(rng, allowed, required, in_model):
     assert found.price is None
 
 
+def test_the_solver_prints_nothing(rng, capfd):
+    relaxed(rng, [0, 1, 2], [], EVERY)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("in_model", [[0, 1, 2], EVERY], ids=["some", "all"])
 @pytest.mark.parametrize(("allowed", "required"), [(EVERY, []), (EVERY, [6]), (EVERY, [6, 7]), ([0, 1], [0])])
 def test_no_rig_of_a_node_is_below_its_bound(rng, allowed, required, in_model):

@@ -27,7 +27,6 @@ MOST_NEW_CAMERAS = 60
 """Cameras that enter the model in a round, those of the lowest reduced cost."""
 
 SOLVER_OPTIONS = {
-    "output_flag": False,
     "threads": 1,
     "presolve": "off",
     "solver": "simplex",
@@ -111,12 +110,19 @@ class Relaxation:
         """
         import highspy
 
+        class Silent(highspy.Highs):
+            """A model that prints nothing: from HiGHS 1.16 on its first call, inside `Highs`, prints a banner."""
+
+            def enableCallbacks(self) -> None:  # noqa: N802
+                self.silent()
+                super().enableCallbacks()
+
         self.problem = problem
         self._deadline_s = deadline_s
         with np.errstate(divide="ignore"):
             self._log_missed = -np.log(problem.missed)
         self._status = highspy.HighsModelStatus
-        self._model = highspy.Highs()
+        self._model = Silent()
         for option, value in SOLVER_OPTIONS.items():
             self._model.setOptionValue(option, value)
         objects = problem.object_count
