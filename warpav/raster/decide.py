@@ -66,7 +66,7 @@ def decide(
         buffers.layers.crossing_key.zero_()
     buffers.hiding.bits.zero_()
     buffers.strip_count.zero_()
-    kept = buffers.kept("kept", (buffers.view_count if buffers.device.is_cpu else 0, CLUSTER_SIZE), wp.int32)
+    left = buffers.kept("left", (buffers.view_count if buffers.device.is_cpu else 0, CLUSTER_SIZE), wp.int32)
     buffers.over_views(
         buffers.view_count,
         lambda first, count: buffers.launch(
@@ -76,7 +76,7 @@ def decide(
                 buffers.view, scene.triangles, layer_count, buffers.scissor, first, int(has_key), int(has_outlines),
                 buffers.cluster_lanes,
             ],
-            outputs=[kept, buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
+            outputs=[left, buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
         ),
     )  # fmt: skip
     if buffers.strip.size:

@@ -162,7 +162,6 @@ def flow_colours_kernel(
     image = first_image + chunk_image
     v = shown_view[image]
     camera = view[v]
-    world_from_camera = wp.transpose(camera.camera_from_world)
     width = key.shape[2]
     height = key.shape[1]
     run = (width + column_lanes - 1) / column_lanes
@@ -182,23 +181,23 @@ def flow_colours_kernel(
             rgb = right_rgb
             gradient = right_gradient
             if column == first_column:
-                patch = patch_under(patch, key[v, row, column], camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * sample_ray(camera, row, column)
-                rgb = rgb_along(ray, key[v, row, column], patch, horizon_rgb, zenith_rgb)
+                patch = patch_under(patch, key[v, row, column], camera, scene, vertex_rgb)
+                ray = sample_ray(camera, row, column)
+                rgb = rgb_along(camera, ray, key[v, row, column], patch, horizon_rgb, zenith_rgb)
                 gradient = rgb_gradient_at(rgb_gradient, image, row_px, column_px)
             if row + 1 < height:
                 nearest = key[v, row + 1, column]
-                below_patch = patch_under(below_patch, nearest, camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * sample_ray(camera, row + 1, column)
-                below_rgb = rgb_along(ray, nearest, below_patch, horizon_rgb, zenith_rgb)
+                below_patch = patch_under(below_patch, nearest, camera, scene, vertex_rgb)
+                ray = sample_ray(camera, row + 1, column)
+                below_rgb = rgb_along(camera, ray, nearest, below_patch, horizon_rgb, zenith_rgb)
                 below_gradient = rgb_gradient_at(rgb_gradient, image, below_px, column_px)
                 change = 0.5 * wp.dot(rgb - below_rgb, gradient + below_gradient)
                 total = with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
             if column + 1 < width:
                 nearest = key[v, row, column + 1]
-                patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
-                ray = world_from_camera * sample_ray(camera, row, column + 1)
-                right_rgb = rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
+                patch = patch_under(patch, nearest, camera, scene, vertex_rgb)
+                ray = sample_ray(camera, row, column + 1)
+                right_rgb = rgb_along(camera, ray, nearest, patch, horizon_rgb, zenith_rgb)
                 right_px = pixel_of(column + 1, width, supersampling)
                 right_gradient = rgb_gradient_at(rgb_gradient, image, row_px, right_px)
                 change = 0.5 * wp.dot(rgb - right_rgb, gradient + right_gradient)

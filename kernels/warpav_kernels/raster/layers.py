@@ -25,6 +25,9 @@ BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut
 SURROUNDINGS_SHARE = wp.constant(0.25)
 SURROUNDINGS_PX = wp.constant(2)
 
+# 1/z of surfaces farther away [1/m]: 0 is where there are none
+LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
+
 # set in the lower half of an edge crossing's key where the near plane ends the surface
 NEAR_CUT = wp.constant(wp.int64(0x80000000))
 

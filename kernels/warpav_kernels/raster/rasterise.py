@@ -13,12 +13,21 @@ crossing. Columns are swept as well, for the edge crossings alone.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, point_on_near_plane
+from warpav_kernels.raster.draw_cluster import draw_cluster
+from warpav_kernels.raster.layers import (
+    LEAST_INVERSE_DEPTH,
+    NEAR_CUT,
+    TO_BOTTOM,
+    TO_LEFT,
+    TO_RIGHT,
+    TO_TOP,
+    Layers,
+    point_on_near_plane,
+)
 from warpav_kernels.raster.lens import PINHOLE
 from warpav_kernels.raster.triangles import (
-    BEHIND_M,
-    BEHIND_SHARE,
     Triangles,
+    behind_m,
     faces,
     is_behind,
     may_be_outline,
@@ -32,8 +41,6 @@ wp.set_module_options({"enable_backward": False})
 LARGE_SAMPLES = wp.constant(64)
 STRIP_ROWS = wp.constant(8)
 
-LEAST_INVERSE_DEPTH = wp.constant(1.0e-6)
-SLACK = wp.constant(1.0e-3)  # of a triangle that may cover a sample [samples]
 LEAST_OFFSET = wp.constant(1.0e-6)  # 0 means unknown
 
 
@@ -392,67 +399,6 @@ def is_outside(centre_m: wp.vec3, radius_m: float, view: View, scissor: wp.vec4i
     return centre_m[1] - bottom * centre_m[2] > radius_m * wp.sqrt(1.0 + bottom * bottom)
 
 
-# The vertices lie in one piece, so a compiler uses its vectors, and few triangles are left for the exact way.
-_PASS_OVER = """
-    const wp::vec2i vertices = scene.cluster_vertices.data[cluster];
-    const wp::vec3* vertex = scene.vertex_world_m.data + vertices[0];
-    const wp::vec3i* corner = scene.triangle.data + scene.cluster_first.data[cluster];
-    const wp::vec4* plane = scene.triangle_plane.data + scene.cluster_first.data[cluster];
-    const wp::mat33 r = camera.camera_from_world;
-    const wp::vec3 place = camera.position_world_m;
-    float u[192], v[192], depth[192];  // three for each of 64 triangles
-    for (int i = 0; i < vertices[1]; ++i) {
-        const float x = vertex[i][0] - place[0], y = vertex[i][1] - place[1], z = vertex[i][2] - place[2];
-        depth[i] = r.data[2][0] * x + r.data[2][1] * y + r.data[2][2] * z;
-        u[i] = camera.centre[0] + camera.focal[0] * (r.data[0][0] * x + r.data[0][1] * y + r.data[0][2] * z) / depth[i];
-        v[i] = camera.centre[1] + camera.focal[1] * (r.data[1][0] * x + r.data[1][1] * y + r.data[1][2] * z) / depth[i];
-    }
-    const float frame_left = scissor[0], frame_top = scissor[1], frame_right = scissor[2], frame_bottom = scissor[3];
-    const float behind = behind_m + behind_share * wp::length(place);
-    const int count = scene.cluster_count.data[cluster];
-    int* left_over = kept.data + row * kept.shape[1];
-    int found = 0;
-    #pragma clang loop vectorize(disable)
-    for (int k = 0; k < count; ++k) {
-        const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
-        const float left = wp::max(wp::min(u[a], wp::min(u[b], u[c])) - slack, frame_left);
-        const float right = wp::min(wp::max(u[a], wp::max(u[b], u[c])) + slack, frame_right);
-        const float top = wp::max(wp::min(v[a], wp::min(v[b], v[c])) - slack, frame_top);
-        const float bottom = wp::min(wp::max(v[a], wp::max(v[b], v[c])) + slack, frame_bottom);
-        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
-        const int is_back = is_front_only & (height < -behind - behind_share * wp::abs(plane[k][3]));
-        const int is_cut = wp::min(depth[a], wp::min(depth[b], depth[c])) < camera.near_m;
-        const int has_column = wp::floor(right - 0.5f) >= wp::ceil(left - 0.5f);
-        const int has_row = wp::floor(bottom - 0.5f) >= wp::ceil(top - 0.5f);
-        left_over[found] = k;
-        found += (is_cut | (has_column & has_row)) & (is_back ^ 1);
-    }
-    return found;
-"""
-
-
-@wp.func_native(_PASS_OVER)
-def pass_over(
-    camera: View,
-    scene: Triangles,
-    cluster: int,
-    scissor: wp.vec4i,
-    is_front_only: bool,
-    slack: float,
-    behind_m: float,
-    behind_share: float,
-    row: int,
-    kept: wp.array2d[wp.int32],
-) -> int:
-    """Triangles of a cluster that may cover a sample in a scissor: how many, and which, in a row of ``kept``.
-
-    Left out are backs that fronts hide, and what lies between the samples' centres by more than ``slack`` samples.
-
-    Writes: ``kept``.
-    """
-    ...
-
-
 @wp.kernel(enable_backward=False)
 def clear_keys_kernel(
     # in
@@ -487,7 +433,7 @@ def scatter_triangles_kernel(
     has_outlines: int,
     lane_count: int,
     # out
-    kept: wp.array2d[wp.int32],
+    left: wp.array2d[wp.int32],
     key: wp.array3d[wp.int64],
     layers: Layers,
     strip: wp.array[wp.vec4i],
@@ -504,8 +450,9 @@ def scatter_triangles_kernel(
 
     Launch: ``dim=(views of this chunk, cluster_count, lane_count)``; thread (view - first_view, cluster, lane) fills
     the cluster's triangles lane, lane + lane_count, ... Not taped.
-    Writes: ``key`` and ``layers`` by atomic maximum, ``strip_count[0]`` by atomic add; the caller zeroes them; ``kept``
-        [view, triangle of a cluster], which nobody else reads, where one thread draws a view, and else empty.
+    Writes: ``key`` and ``layers`` by atomic maximum, ``strip_count[0]`` by atomic add; the caller zeroes them; ``left``
+        [view, triangle of a cluster], which nobody else reads. Where it is not empty one thread draws a view, without
+        atomic operations, most of it in `draw_cluster`.
     """
     chunk_view, cluster, lane = wp.tid()
     v = first_view + chunk_view
@@ -533,13 +480,31 @@ def scatter_triangles_kernel(
     is_front_only = shows_no_back(camera, scene, cluster, frame)
     first = scene.cluster_first[cluster]
     count = scene.cluster_count[cluster]
-    is_filtered = kept.shape[0] > 0 and not has_outline
-    if is_filtered:
-        count = pass_over(camera, scene, cluster, frame, is_front_only, SLACK, BEHIND_M, BEHIND_SHARE, v, kept)
+    is_drawn = left.shape[0] > 0
+    if is_drawn:
+        count = draw_cluster(
+            camera,
+            scene,
+            cluster,
+            frame,
+            is_front_only,
+            behind_m(camera),
+            has_outline,
+            LEAST_INVERSE_DEPTH,
+            v,
+            has_key == 1,
+            rectangle,
+            offset,
+            left,
+            key,
+            layers,
+        )
     for k in range(lane, count, lane_count):
         triangle = first + k
-        if is_filtered:
-            triangle = first + kept[v, k]
+        is_cut = False
+        if is_drawn:
+            triangle = first + left[v, k] / 2
+            is_cut = left[v, k] % 2 == 1
         elif is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
             continue
         part = front_part(camera, scene, triangle)
@@ -564,7 +529,7 @@ def scatter_triangles_kernel(
                     cross_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
             rows = image.last_row - image.first_row + 1
             columns = image.last_column - image.first_column + 1
-            if image.side != 0.0 and rows > 0 and columns > 0:
+            if (is_cut or not is_drawn) and image.side != 0.0 and rows > 0 and columns > 0:
                 room = int(-1)
                 if strip.shape[0] > 0 and rows * columns > LARGE_SAMPLES:
                     strips = (rows + STRIP_ROWS - 1) / STRIP_ROWS

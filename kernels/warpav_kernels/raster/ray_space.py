@@ -11,11 +11,10 @@ between.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
+from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds, moved_place
 from warpav_kernels.raster.rasterise import (
     LARGE_SAMPLES,
-    LEAST_INVERSE_DEPTH,
     line_after,
     raise_crossing,
 )

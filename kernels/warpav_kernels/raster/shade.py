@@ -6,12 +6,54 @@ from warpav_kernels.raster.layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, La
 from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
 from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import GUARD, View, inverse_depth_of, sample_ray
+from warpav_kernels.raster.view import GUARD, View, point_in_camera, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
 # Points along each side of the grid on which colours are compared: the same work for large objects and for small ones.
 COLOUR_POINTS = wp.constant(24)
+
+
+# A row lies in one piece, so a compiler uses its vectors.
+_RESOLVE_ROW = """
+    const wp::int64* nearest = &wp::index(key, v, middle + row * supersampling, middle);
+    const int* body = scene.triangle_body.data;
+    float* depth = &wp::index(depth_m, v, row, 0);
+    int* id = &wp::index(object_id, v, row, 0);
+    const int width = depth_m.shape[2];
+    for (int column = lane; column < width; column += lane_count) {
+        const wp::int64 found = nearest[column * supersampling];
+        const bool is_hit = found != 0;
+        const int bits = found >> 32, triangle = found;
+        float w;
+        memcpy(&w, &bits, sizeof(float));
+        depth[column] = is_hit ? 1.0f / w : background_m;
+        const int k = is_hit ? body[triangle] : -1;
+        id[column] = is_hit ? (k >= first_object ? k - first_object : -2 - k) : -1;
+    }
+"""
+
+
+@wp.func_native(_RESOLVE_ROW)
+def resolve_row(
+    key: wp.array3d[wp.int64],
+    scene: Triangles,
+    v: int,
+    row: int,
+    middle: int,
+    supersampling: int,
+    background_m: float,
+    first_object: int,
+    lane: int,
+    lane_count: int,
+    depth_m: wp.array3d[float],
+    object_id: wp.array3d[wp.int32],
+):
+    """Depth and object of every ``lane_count``-th pixel of a row.
+
+    Writes: ``depth_m`` and ``object_id``.
+    """
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -38,19 +80,10 @@ def resolve_depth_kernel(
     """
     chunk_view, row, lane = wp.tid()
     v = first_view + chunk_view
-    grid_row = GUARD + row * supersampling + supersampling / 2
-    for column in range(lane, depth_m.shape[2], lane_count):
-        nearest = key[v, grid_row, GUARD + column * supersampling + supersampling / 2]
-        if nearest == wp.int64(0):
-            depth_m[v, row, column] = background_m
-            object_id[v, row, column] = -1
-        else:
-            depth_m[v, row, column] = 1.0 / inverse_depth_of(wp.int32(nearest >> wp.int64(32)))
-            body = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))]
-            if body >= first_object:
-                object_id[v, row, column] = body - first_object
-            else:
-                object_id[v, row, column] = -2 - body
+    resolve_row(
+        key, scene, v, row, GUARD + supersampling / 2, supersampling, background_m, first_object, lane, lane_count,
+        depth_m, object_id,
+    )  # fmt: skip
 
 
 @wp.kernel(enable_backward=False)
@@ -96,83 +129,80 @@ def sky_rgb(horizon_rgb: wp.vec3, zenith_rgb: wp.vec3, elevation_sine: float) ->
 
 @wp.struct
 class Patch:
-    """The colours of one triangle, as a camera sees them along a ray.
+    """The colours of one triangle, as a camera sees them along a ray of its own axes.
+
+    The colour along a ray d is ``rgb + change d / whole . d``.
 
     Attributes:
         triangle: The triangle; -1 at first.
-        share_a: Its product with a ray is the share of the first corner, up to a factor common to all three.
-        share_b: The same for the second corner.
-        share_c: The same for the third corner.
-        a_rgb: Colour of the first corner.
-        b_rgb: Colour of the second corner.
-        c_rgb: Colour of the third corner.
+        rgb: Colour of the first corner.
+        change: Growth of the colour from there, times ``whole . d``.
+        whole: Normal of the triangle's plane, of any length.
     """
 
     triangle: int
-    share_a: wp.vec3
-    share_b: wp.vec3
-    share_c: wp.vec3
-    a_rgb: wp.vec3
-    b_rgb: wp.vec3
-    c_rgb: wp.vec3
+    rgb: wp.vec3
+    change: wp.mat33
+    whole: wp.vec3
 
 
 @wp.func
-def patch_of(position_world_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
-    """The colours of a triangle, seen from a place; rays are in world axes."""
+def patch_of(camera: View, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
+    """The colours of a triangle, seen by a camera."""
     corner = scene.triangle[triangle]
-    a = scene.vertex_world_m[corner[0]] - position_world_m
-    b = scene.vertex_world_m[corner[1]] - position_world_m
-    c = scene.vertex_world_m[corner[2]] - position_world_m
+    a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
+    b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
+    c = point_in_camera(camera, scene.vertex_world_m[corner[2]])
+    share_b = wp.cross(c, a)
+    share_c = wp.cross(a, b)
     patch = Patch()
     patch.triangle = triangle
-    patch.share_a = wp.cross(b, c)
-    patch.share_b = wp.cross(c, a)
-    patch.share_c = wp.cross(a, b)
-    patch.a_rgb = vertex_rgb[corner[0]]
-    patch.b_rgb = vertex_rgb[corner[1]]
-    patch.c_rgb = vertex_rgb[corner[2]]
+    patch.rgb = vertex_rgb[corner[0]]
+    patch.change = wp.outer(vertex_rgb[corner[1]] - patch.rgb, share_b) + wp.outer(
+        vertex_rgb[corner[2]] - patch.rgb, share_c
+    )
+    patch.whole = wp.cross(b, c) + share_b + share_c
     return patch
 
 
 @wp.func
 def patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
     """Colour of a triangle where a ray hits it."""
-    share_a = wp.dot(ray, patch.share_a)
-    share_b = wp.dot(ray, patch.share_b)
-    share_c = wp.dot(ray, patch.share_c)
-    whole = 1.0 / (share_a + share_b + share_c)
-    return whole * (share_a * patch.a_rgb + share_b * patch.b_rgb + share_c * patch.c_rgb)
+    return patch.rgb + (1.0 / wp.dot(patch.whole, ray)) * (patch.change * ray)
 
 
 @wp.func
 def patch_under(
-    patch: Patch, nearest: wp.int64, position_world_m: wp.vec3, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
+    patch: Patch, nearest: wp.int64, camera: View, scene: Triangles, vertex_rgb: wp.array[wp.vec3]
 ) -> Patch:
     """The patch of the triangle of a key; the given one again where that is the same, or there is none."""
     triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
     if nearest == wp.int64(0) or triangle == patch.triangle:
         return patch
-    return patch_of(position_world_m, scene, vertex_rgb, triangle)
+    return patch_of(camera, scene, vertex_rgb, triangle)
 
 
 @wp.func
-def rgb_along(ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3) -> wp.vec3:
-    """What a camera sees along a ray in world axes: the patch of the key, or the sky where the key is empty.
+def rgb_along(
+    camera: View, ray: wp.vec3, nearest: wp.int64, patch: Patch, horizon_rgb: wp.vec3, zenith_rgb: wp.vec3
+) -> wp.vec3:
+    """What a camera sees along a ray of its axes: the patch of the key, or the sky where the key is empty.
 
     Black along a ray of zero, where the lens sees nothing.
     """
     if wp.length_sq(ray) == 0.0:
         return wp.vec3(0.0, 0.0, 0.0)
     if nearest == wp.int64(0):
-        return sky_rgb(horizon_rgb, zenith_rgb, ray[2] / wp.length(ray))
+        r = camera.camera_from_world
+        up = r[0, 2] * ray[0] + r[1, 2] * ray[1] + r[2, 2] * ray[2]
+        return sky_rgb(horizon_rgb, zenith_rgb, up / wp.length(ray))
     return patch_rgb(patch, ray)
 
 
 @wp.func
 def mean_rgb(total: wp.vec3, supersampling: int) -> wp.vec3:
     """Colour of a pixel, 0..1, from the sum over its samples."""
-    colour = total / float(supersampling * supersampling)
+    colour = (1.0 / float(supersampling * supersampling)) * total
     return wp.vec3(wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0))
 
 
@@ -202,7 +232,6 @@ def resolve_rgb_kernel(
     image = first_image + chunk_image
     v = shown_view[image]
     camera = view[v]
-    world_from_camera = wp.transpose(camera.camera_from_world)
     # neighbouring samples often see the same triangle
     patch = Patch()
     patch.triangle = -1
@@ -211,10 +240,10 @@ def resolve_rgb_kernel(
         for sample in range(supersampling * supersampling):
             grid_row = GUARD + row * supersampling + sample / supersampling
             grid_column = GUARD + column * supersampling + sample % supersampling
-            ray = world_from_camera * sample_ray(camera, grid_row, grid_column)
+            ray = sample_ray(camera, grid_row, grid_column)
             nearest = key[v, grid_row, grid_column]
-            patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
-            total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
+            patch = patch_under(patch, nearest, camera, scene, vertex_rgb)
+            total += rgb_along(camera, ray, nearest, patch, horizon_rgb, zenith_rgb)
         rgb[image, row, column] = mean_rgb(total, supersampling)
 
 
@@ -258,7 +287,6 @@ def measure_contrast_kernel(
     top = wp.max(measure[v, k, TOP] - SURROUNDINGS_SHARE * high - more, 0.0)
     bottom = wp.min(measure[v, k, BOTTOM] + SURROUNDINGS_SHARE * high + more, float(height_px))
     camera = view[v]
-    world_from_camera = wp.transpose(camera.camera_from_world)
     own = wp.vec3(0.0, 0.0, 0.0)
     other = wp.vec3(0.0, 0.0, 0.0)
     own_count = float(0.0)
@@ -273,10 +301,10 @@ def measure_contrast_kernel(
             for sample in range(supersampling * supersampling):
                 grid_row = GUARD + row * supersampling + sample / supersampling
                 grid_column = GUARD + column * supersampling + sample % supersampling
-                ray = world_from_camera * sample_ray(camera, grid_row, grid_column)
+                ray = sample_ray(camera, grid_row, grid_column)
                 nearest = key[v, grid_row, grid_column]
-                patch = patch_under(patch, nearest, camera.position_world_m, scene, vertex_rgb)
-                total += rgb_along(ray, nearest, patch, horizon_rgb, zenith_rgb)
+                patch = patch_under(patch, nearest, camera, scene, vertex_rgb)
+                total += rgb_along(camera, ray, nearest, patch, horizon_rgb, zenith_rgb)
             middle = supersampling / 2
             nearest = key[v, GUARD + row * supersampling + middle, GUARD + column * supersampling + middle]
             is_own = False

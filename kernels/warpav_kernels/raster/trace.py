@@ -9,8 +9,8 @@ from the last ray that hits it to the first that does not.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
-from warpav_kernels.raster.rasterise import LEAST_INVERSE_DEPTH, LEAST_OFFSET
+from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, NEAR_CUT, Layers, place_in, step_of
+from warpav_kernels.raster.rasterise import LEAST_OFFSET
 from warpav_kernels.raster.triangles import Triangles
 from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, sample_ray
 

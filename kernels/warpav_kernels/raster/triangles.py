@@ -7,7 +7,7 @@ from warpav_kernels.raster.view import View
 
 wp.set_module_options({"enable_backward": False})
 
-# How far behind a plane a camera surely sees the triangle's back [m], and how much more for large coordinates.
+# How far behind a plane a camera surely sees the triangle's back [m], and how much more at large coordinates.
 BEHIND_M = wp.constant(1.0e-4)
 BEHIND_SHARE = wp.constant(1.0e-6)
 
@@ -91,10 +91,16 @@ def shows_no_back(camera: View, scene: Triangles, cluster: int, frame: wp.vec4i)
 
 
 @wp.func
+def behind_m(camera: View) -> float:
+    """How far behind a triangle's plane a camera surely sees its back [m]."""
+    return BEHIND_M + BEHIND_SHARE * wp.length(camera.position_world_m)
+
+
+@wp.func
 def is_behind(camera: View, plane: wp.vec4) -> bool:
     """Whether the camera surely sees the back of a triangle, by its plane."""
     position_world_m = camera.position_world_m
     height_m = (
         plane[0] * position_world_m[0] + plane[1] * position_world_m[1] + plane[2] * position_world_m[2] - plane[3]
     )
-    return height_m < -BEHIND_M
+    return height_m < -behind_m(camera)
