@@ -297,6 +297,7 @@ class Buffers:
         rays.block = self.zeros((count, 4, *blocks), float)
         rays.block_row = self.zeros((count, 4, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
+        rays.is_flat = self.zeros(count, wp.int32)
         return wp.array([self.bent[of_view.index(each)] for each in sets], dtype=wp.int32, device=self.device)
 
     def _place_rays(self, view_of_set: wp.array) -> None:
@@ -315,7 +316,12 @@ class Buffers:
             inputs=[rays.ray],
             outputs=[rays.block, rays.block_row],
         )
-        self.launch(ray_space.bound_rays_kernel, count, inputs=[rays.block], outputs=[rays.widest_cosine])
+        self.launch(
+            ray_space.bound_rays_kernel,
+            count,
+            inputs=[rays.ray, rays.block],
+            outputs=[rays.widest_cosine, rays.is_flat],
+        )
 
     def reserve_samples(self, sample_count: int) -> None:
         """Atlas with room for a number of samples, and a quarter more."""

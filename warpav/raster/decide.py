@@ -103,7 +103,7 @@ def decide(
 
 def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
     """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
-    corner = buffers.kept("corner", (buffers.view_count, 3 * CLUSTER_SIZE), ray_space.Corner)
+    candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), ray_space.Candidate)
     buffers.over_views(
         len(buffers.bent),
         lambda first, count: buffers.launch(
@@ -113,7 +113,7 @@ def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: 
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
                 int(has_key), int(has_outlines),
             ],
-            outputs=[corner, buffers.key, buffers.layers],
+            outputs=[candidate, buffers.key, buffers.layers],
         ),
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from warpav_kernels.raster.rasterise import (
     line_after,
     raise_crossing,
 )
-from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
+from warpav_kernels.raster.triangles import Triangles, behind_m, faces, may_be_outline, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera, ray_between, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -46,6 +46,7 @@ class Rays:
         ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
             is seen, [set, axis, row, column].
         widest_cosine: Cosine of an angle from the axis beyond which no ray is, with room for a small triangle, [set].
+        is_flat: Whether all rays have z = 1, [set].
         block: x, y and z of the mean of the rays of every block of samples, and the greatest distance from it; -1 where
             none of them sees anything, [set, part, row, column].
         block_row: The same of every row of a block, [set, part, block, row].
@@ -57,6 +58,7 @@ class Rays:
     set_of_view: wp.array[wp.int32]
     table_of_view: wp.array[wp.int32]
     widest_cosine: wp.array[float]
+    is_flat: wp.array[wp.int32]
     ray: wp.array4d[float]
     block: wp.array4d[float]
     block_row: wp.array4d[float]
@@ -139,16 +141,23 @@ def place_blocks_kernel(
 @wp.kernel(enable_backward=False)
 def bound_rays_kernel(
     # in
+    ray: wp.array4d[float],
     block: wp.array4d[float],
     # out
     widest_cosine: wp.array[float],
+    is_flat: wp.array[wp.int32],
 ):
-    """See `Rays.widest_cosine`.
+    """See `Rays.widest_cosine` and `Rays.is_flat`.
 
     Launch: ``dim=set_count``; one thread per set. Not taped.
-    Writes: every element of ``widest_cosine`` once.
+    Writes: every element of ``widest_cosine`` and ``is_flat`` once.
     """
     i = wp.tid()
+    others = int(0)
+    for row in range(ray.shape[2]):
+        for column in range(ray.shape[3]):
+            others += int(ray[i, 2, row, column] != 1.0)
+    is_flat[i] = int(others == 0)
     widest = float(0.0)
     for row in range(block.shape[2]):
         for column in range(block.shape[3]):
@@ -159,36 +168,23 @@ def bound_rays_kernel(
     widest_cosine[i] = wp.cos(wp.min(widest + 1.2 * WIDE, wp.pi))
 
 
-@wp.func
-def edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
-    """Normal of the plane through the camera's centre and an edge from p to q; the triangle is on its positive side.
-
-    It is computed from the same end whichever way the edge runs, so two triangles that share it share every bit of it.
-    """
-    is_turned = p[0] > q[0] or (p[0] == q[0] and (p[1] > q[1] or (p[1] == q[1] and p[2] > q[2])))
-    low = p
-    high = q
-    sign = side
-    if is_turned:
-        low = q
-        high = p
-        sign = -side
-    return sign * wp.cross(low, high - low)
-
-
 @wp.struct
-class RayTriangle:
-    """A triangle in the space of rays: a ray d meets it where no product with an edge's normal is negative.
+class Candidate:
+    """A triangle that a view with a bent lens may see, in the space of rays.
+
+    A ray d meets it where no product with an edge's normal is negative.
 
     Attributes:
-        edge0: Normal of the plane of its first edge [m^2].
+        edge0: Normal of the plane through the camera's centre and its first edge [m^2].
         edge1: That of the second.
         edge2: That of the third.
         inverse_depth: Its product with a ray of depth 1 is the inverse depth [1/m].
-        first_column: First column of samples that it may cover.
+        first_column: First column of samples that it may cover; of one of its turns for a panorama.
         last_column: Last such column; below the first where there is none.
         first_row: First such row.
-        last_row: Last such row.
+        last_row: Last such row; below the first where there is none.
+        triangle: Its number in the scene.
+        is_wide: Whether it reaches so far that a cone has to bound its image, which is not done yet.
     """
 
     edge0: wp.vec3
@@ -199,7 +195,197 @@ class RayTriangle:
     last_column: int
     first_row: int
     last_row: int
-    is_solid: bool
+    triangle: int
+    is_wide: int
+
+
+_FIND_CANDIDATES = """
+#ifdef __CUDACC__
+    return 0;
+#else
+    const auto least = [](float p, float q) { return p < q ? p : q; };
+    const auto most = [](float p, float q) { return p > q ? p : q; };
+    const float half_turn = 3.14159265f;
+    const bool is_flat = camera.lens.kind == brown_conrady, is_panorama = camera.lens.kind == panorama;
+
+    // vertices: direction, distance, depth, place in the image and how much great circles bend there
+    const wp::vec2i vertices = scene.cluster_vertices.data[cluster];
+    const wp::vec3* vertex = scene.vertex_world_m.data + vertices[0];
+    const wp::vec3 place = camera.position_world_m;
+    const wp::mat33 r = camera.camera_from_world;
+    const float limit = camera.lens.limit * camera.lens.limit;
+    float px[192], py[192], pz[192], dx[192], dy[192], dz[192], distance[192], depth[192], u[192], v[192], bend[192], secant[192];
+    for (int i = 0; i < vertices[1]; ++i) {
+        const float wx = vertex[i][0] - place[0], wy = vertex[i][1] - place[1], wz = vertex[i][2] - place[2];
+        const float x = r.data[0][0] * wx + r.data[0][1] * wy + r.data[0][2] * wz;
+        const float y = r.data[1][0] * wx + r.data[1][1] * wy + r.data[1][2] * wz;
+        const float z = r.data[2][0] * wx + r.data[2][1] * wy + r.data[2][2] * wz;
+        distance[i] = sqrtf(x * x + y * y + z * z);
+        depth[i] = is_flat ? z : distance[i];
+        px[i] = x;
+        py[i] = y;
+        pz[i] = z;
+        const float whole = 1.0f / most(distance[i], least_distance_m);
+        dx[i] = x * whole;
+        dy[i] = y * whole;
+        dz[i] = z * whole;
+    }
+    if (is_panorama) {
+        for (int i = 0; i < vertices[1]; ++i) {
+            u[i] = atan2f(dx[i], dz[i]);
+            v[i] = dy[i] / most(sqrtf(dx[i] * dx[i] + dz[i] * dz[i]), 1.0e-6f);
+            bend[i] = wp::abs(dy[i]);
+        }
+    } else {
+        const int entries = rays.table.shape[1];
+        const wp::vec2* entry = rays.table.data + size_t(table) * entries;
+        for (int i = 0; i < vertices[1]; ++i) {
+            const float at = 0.5f * (1.0f - dz[i]) * (entries - 1);
+            wp::int32 k = at;
+            k = k < 0 ? 0 : k > entries - 2 ? entries - 2 : k;
+            const float share = least(most(at - k, 0.0f), 1.0f);
+            const float ratio = entry[k][0] + share * (entry[k + 1][0] - entry[k][0]);
+            bend[i] = most(entry[k][1], entry[k + 1][1]);
+            u[i] = ratio * dx[i];
+            v[i] = ratio * dy[i];
+        }
+    }
+    if (is_flat) {
+        const auto& q = camera.lens.distortion;
+        for (int i = 0; i < vertices[1]; ++i) {
+            const float w = 1.0f / most(dz[i], 1.0e-3f);
+            const float x = dx[i] * w, y = dy[i] * w, squared = x * x + y * y;
+            secant[i] = w * w;
+            const float above = 1.0f + squared * (q[0] + squared * (q[1] + squared * q[4]));
+            const float below = 1.0f + squared * (q[5] + squared * (q[6] + squared * q[7]));
+            const float factor = above / below;
+            const bool is_seen = secant[i] <= 1.0f + limit;
+            u[i] = is_seen ? factor * x + 2.0f * q[2] * x * y + q[3] * (squared + 2.0f * x * x) : u[i];
+            v[i] = is_seen ? factor * y + q[2] * (squared + 2.0f * y * y) + 2.0f * q[3] * x * y : v[i];
+        }
+    }
+
+    const int first_triangle = scene.cluster_first.data[cluster], count = scene.cluster_count.data[cluster];
+    const wp::vec3i* corner = scene.triangle.data + first_triangle;
+    const wp::vec4* plane = scene.triangle_plane.data + first_triangle;
+    const float frame_left = frame[0], frame_top = frame[1], frame_right = frame[2], frame_bottom = frame[3];
+    const float low = is_panorama ? -far_away : frame_left, high = is_panorama ? far_away : frame_right;
+    const float turn = 2.0f * half_turn * camera.focal[0];
+    const float sideways = is_flat ? 3.0f * (wp::abs(camera.lens.distortion[2]) + wp::abs(camera.lens.distortion[3])) : 0.0f;
+    // a plane is computed from the same end whichever way the edge runs: triangles that share it share every bit of it
+    const auto plane_of = [&](int p, int q, float side) {
+        const bool is_turned =
+            px[p] > px[q] || (px[p] == px[q] && (py[p] > py[q] || (py[p] == py[q] && pz[p] > pz[q])));
+        const int from = is_turned ? q : p, to = is_turned ? p : q;
+        const float sign = is_turned ? -side : side;
+        const float x = px[to] - px[from], y = py[to] - py[from], z = pz[to] - pz[from];
+        return wp::vec3(
+            sign * (py[from] * z - pz[from] * y), sign * (pz[from] * x - px[from] * z),
+            sign * (px[from] * y - py[from] * x));
+    };
+    const auto set_planes = [&](auto& each, int a, int b, int c) {
+        const float x1 = px[b] - px[a], y1 = py[b] - py[a], z1 = pz[b] - pz[a];
+        const float x2 = px[c] - px[a], y2 = py[c] - py[a], z2 = pz[c] - pz[a];
+        const float nx = y1 * z2 - z1 * y2, ny = z1 * x2 - x1 * z2, nz = x1 * y2 - y1 * x2;
+        const float volume = px[a] * nx + py[a] * ny + pz[a] * nz;
+        if (wp::abs(volume) < least_volume * distance[a] * distance[b] * distance[c]) return 0;
+        const float side = volume > 0.0f ? 1.0f : -1.0f;
+        each.edge0 = plane_of(a, b, side);
+        each.edge1 = plane_of(b, c, side);
+        each.edge2 = plane_of(c, a, side);
+        each.inverse_depth = wp::vec3(nx / volume, ny / volume, nz / volume);
+        return 1;
+    };
+    auto* slot = candidate.data + view * candidate.shape[1];
+    int found = 0;
+    #pragma clang loop vectorize(disable)
+    for (int k = 0; k < count; ++k) {
+        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
+        if (is_front_only & (height < -behind_m)) continue;
+        const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
+        if ((most(depth[a], most(depth[b], depth[c])) < camera.near_m)
+            | (least(distance[a], least(distance[b], distance[c])) < least_distance_m)) continue;
+        const auto chord_of = [&](int p, int q) {
+            const float x = dx[q] - dx[p], y = dy[q] - dy[p], z = dz[q] - dz[p];
+            return x * x + y * y + z * z;
+        };
+        const float chord = most(chord_of(a, b), most(chord_of(b, c), chord_of(c, a)));
+        const float most_bend = most(bend[a], most(bend[b], bend[c]));
+        const bool is_wide = (chord > wide * wide) | (is_panorama & (most_bend > steep));
+        auto& each = slot[found];
+        each.triangle = first_triangle + k;
+        each.is_wide = is_wide;
+        if (is_wide) {
+            found += set_planes(each, a, b, c);
+            continue;
+        }
+        // an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
+        float bulge = 0.14f * chord * most_bend + table_error;
+        float u1 = u[b], u2 = u[c];
+        if (is_panorama) {
+            // of y and x over the level distance; both bend by less than this
+            const float level = sqrtf(1.0f - most_bend * most_bend);
+            bulge = 0.5f * chord / (level * level * level);
+            u1 -= 2.0f * half_turn * rintf((u1 - u[a]) / (2.0f * half_turn));
+            u2 -= 2.0f * half_turn * rintf((u2 - u[a]) / (2.0f * half_turn));
+        } else if (most(dz[a], most(dz[b], dz[c])) < widest_cosine) continue;
+        if (sideways > 0.0f) {
+            // the table knows the radius alone; what moves sideways is at most this times the squared tangent
+            const float widest = most(secant[a], most(secant[b], secant[c]));
+            // an arc's slope changes by at most three times its second derivative, and it may pass beyond its ends
+            bulge += widest <= 1.0f + limit ? 0.84f * chord * sideways * widest * (1.0f + limit) : 1.4f * sideways * limit;
+        }
+        const float fx = camera.focal[0], fy = camera.focal[1], cx = camera.centre[0], cy = camera.centre[1];
+        float left = least(most(cx + fx * (least(u[a], least(u1, u2)) - bulge), low), high);
+        float right = least(most(cx + fx * (most(u[a], most(u1, u2)) + bulge), low), high);
+        const float top = least(most(cy + fy * (least(v[a], least(v[b], v[c])) - bulge), frame_top), frame_bottom);
+        const float bottom = least(most(cy + fy * (most(v[a], most(v[b], v[c])) + bulge), frame_top), frame_bottom);
+        if (is_panorama & (right - left >= turn)) {
+            left = frame_left;
+            right = frame_right;
+        }
+        each.first_column = floorf(left + 0.5f);
+        each.last_column = floorf(right + 0.5f) - 1.0f;
+        each.first_row = top + 0.5f;
+        each.last_row = wp::int32(bottom + 0.5f) - 1;
+        const bool has_column = each.first_column <= each.last_column, has_row = each.first_row <= each.last_row;
+        if ((has_column & has_row) | (has_outline & (has_column | has_row))) found += set_planes(each, a, b, c);
+    }
+    return found;
+#endif
+"""
+
+
+@wp.func_native(_FIND_CANDIDATES)
+def find_candidates(
+    camera: View,
+    scene: Triangles,
+    cluster: int,
+    frame: wp.vec4i,
+    rays: Rays,
+    table: int,
+    widest_cosine: float,
+    is_front_only: bool,
+    behind_m: float,
+    has_outline: bool,
+    brown_conrady: int,
+    panorama: int,
+    least_distance_m: float,
+    least_volume: float,
+    wide: float,
+    steep: float,
+    table_error: float,
+    far_away: float,
+    view: int,
+    candidate: wp.array2d[Candidate],
+) -> int:
+    """Triangles of a cluster that a view with a bent lens may see inside a frame of the grid: how many; on a GPU, none.
+
+    With ``has_outline`` they may lie between the rows or the columns.
+
+    Writes: ``candidate`` [view, triangle of a cluster].
+    """
+    ...
 
 
 @wp.func
@@ -332,162 +518,168 @@ def corners_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: 
     )
 
 
-@wp.func
-def ray_triangle(
-    camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner, has_outline: bool, scissor: wp.vec4i
-) -> RayTriangle:
-    """A triangle in the space of a view's rays, its rows and columns cut to a scissor.
-
-    A panorama's columns are those of one of its turns, and may lie beside the scissor.
-    """
-    found = RayTriangle()
-    found.first_row = 0
-    found.last_row = -1
-    p = a.point_m
-    q = b.point_m
-    r = c.point_m
-    farthest = wp.max(a.depth_m, wp.max(b.depth_m, c.depth_m))
-    nearest = wp.min(a.distance_m, wp.min(b.distance_m, c.distance_m))
-    if farthest < camera.near_m or nearest < LEAST_DISTANCE_M:
-        return found
-    place = corners_bounds(camera, widest_cosine, a, b, c)
-    low = -WHOLE
-    high = WHOLE
-    if camera.lens.kind != PANORAMA:
-        low = float(scissor[0])
-        high = float(scissor[2])
-    found.first_row = line_after(camera.centre[1] + camera.focal[1] * place[1], scissor[1], scissor[3])
-    found.last_row = line_after(camera.centre[1] + camera.focal[1] * place[3], scissor[1], scissor[3]) - 1
-    has_rows = found.first_row <= found.last_row
-    if not (has_rows or has_outline):
-        return found
+@wp.func(inline=False)
+def bound_wide(camera: View, candidate: Candidate, p: wp.vec3, q: wp.vec3, r: wp.vec3, frame: wp.vec4i) -> Candidate:
+    """A wide triangle with its bounds."""
+    found = candidate
+    place = wide_bounds(camera, wp.normalize(p), wp.normalize(q), wp.normalize(r))
+    low = float(frame[0])
+    high = float(frame[2])
+    if camera.lens.kind == PANORAMA:
+        low = -WHOLE
+        high = WHOLE
+    found.first_row = line_after(camera.centre[1] + camera.focal[1] * place[1], frame[1], frame[3])
+    found.last_row = line_after(camera.centre[1] + camera.focal[1] * place[3], frame[1], frame[3]) - 1
     left = wp.clamp(camera.centre[0] + camera.focal[0] * place[0], low, high)
     right = wp.clamp(camera.centre[0] + camera.focal[0] * place[2], low, high)
     if camera.lens.kind == PANORAMA and right - left >= 2.0 * wp.pi * camera.focal[0]:
-        left = float(scissor[0])
-        right = float(scissor[2])
+        left = float(frame[0])
+        right = float(frame[2])
     found.first_column = int(wp.floor(left + 0.5))
     found.last_column = int(wp.floor(right + 0.5)) - 1
-    has_columns = found.first_column <= found.last_column
-    if not (has_rows and has_columns):
-        found.last_row = found.first_row - 1
-        if not (has_outline and (has_rows or has_columns)):
-            return found
-    normal = wp.cross(q - p, r - p)
-    volume = wp.dot(p, normal)
-    if wp.abs(volume) < LEAST_VOLUME * a.distance_m * b.distance_m * c.distance_m:
-        found.last_row = found.first_row - 1
-        return found
-    side = wp.sign(volume)
-    found.edge0 = edge_plane(p, q, side)
-    found.edge1 = edge_plane(q, r, side)
-    found.edge2 = edge_plane(r, p, side)
-    found.inverse_depth = normal / volume
-    found.is_solid = True
     return found
 
 
 # Eight samples of a row, or blocks, are tested at once. Warp's arrays may have any strides; that these rows lie in one
 # piece is what lets a compiler use its vectors.
 _FILL_TRIANGLE = """
+#ifndef __CUDACC__
+    const auto& image = candidate.data[v * candidate.shape[1] + number];
+    const int triangle = image.triangle, first_row = image.first_row, last_row = image.last_row;
+    if (first_row > last_row || image.first_column > image.last_column) return;
     const float a0 = image.edge0[0], b0 = image.edge0[1], c0 = image.edge0[2];
     const float a1 = image.edge1[0], b1 = image.edge1[1], c1 = image.edge1[2];
     const float a2 = image.edge2[0], b2 = image.edge2[1], c2 = image.edge2[2];
     const float aw = image.inverse_depth[0], bw = image.inverse_depth[1], cw = image.inverse_depth[2];
-    const float reach0 = -1.0001f * wp::length(image.edge0);
-    const float reach1 = -1.0001f * wp::length(image.edge1);
-    const float reach2 = -1.0001f * wp::length(image.edge2);
-    const int width = rays.ray.shape[3], blocks = rays.block.shape[3];
-    const size_t ray_axis = size_t(rays.ray.shape[2]) * width, block_axis = size_t(rays.block.shape[2]) * blocks;
-    const float* block_data = rays.block.data + 4 * block_axis * ray_set;
-    const float* row_data = rays.block_row.data + 32 * block_axis * ray_set;
-    const bool is_large = (last_column - first_column + 1) * (image.last_row - image.first_row + 1) > large;
-    const int size = is_large ? 8 : 1 << 30;
-    for (int block_row = image.first_row / size; block_row <= image.last_row / size; ++block_row) {
-        const int first_row = is_large ? wp::max(image.first_row, block_row * 8) : image.first_row;
-        const int last_row = is_large ? wp::min(image.last_row, block_row * 8 + 7) : image.last_row;
-        for (int first_block = first_column / size; first_block <= last_column / size; first_block += 8) {
-            wp::int32 block_is_reached[8] = {1, 1, 1, 1, 1, 1, 1, 1};
-            const auto reach = [&](wp::int32* is_reached, const float* x, size_t axis, int count) {
-                for (int i = 0; i < count; ++i) {
-                    const float dx = x[i], dy = x[i + axis], dz = x[i + 2 * axis], spread = x[i + 3 * axis];
-                    is_reached[i] = (a0 * dx + b0 * dy + c0 * dz >= reach0 * spread)
-                        & (a1 * dx + b1 * dy + c1 * dz >= reach1 * spread)
-                        & (a2 * dx + b2 * dy + c2 * dz >= reach2 * spread);
-                }
-            };
-            if (is_large) {
-                const float* x = block_data + size_t(block_row) * blocks + first_block;
-                if (first_block + 8 <= blocks) reach(block_is_reached, x, block_axis, 8);
-                else reach(block_is_reached, x, block_axis, blocks - first_block);
+    const int width = rays.ray.shape[3];
+    const size_t axis = size_t(rays.ray.shape[2]) * width;
+    const bool is_flat = rays.is_flat.data[ray_set];
+    const float* ray = rays.ray.data + 3 * axis * ray_set;
+    wp::int64* keys = key.data + size_t(v) * key.shape[1] * key.shape[2];
+    wp::int32* front = layers.inverse_depth_bits.data + offset - rectangle[0];
+    struct Yes { enum { is = 1 }; };
+    struct No { enum { is = 0 }; };
+
+    // samples of a row from a column on; inside a triangle only its depth is asked for
+    const auto fill = [&](auto flat, auto inner, int lanes, int row, int first) {
+        const float* x = ray + size_t(row) * width + first;
+        wp::int32 bits[8];
+        for (int i = 0; i < lanes; ++i) {
+            const float dx = x[i], dy = x[i + axis];
+            const float dz = flat.is ? 1.0f : x[i + 2 * axis];
+            union { float number; wp::int32 bits; } here;
+            const float w = aw * dx + bw * dy + cw * dz;
+            here.number = wp::max(w, least_inverse_depth);
+            int is_covered = (w > 0.0f) & (w <= farthest);
+            if (!inner.is)
+                is_covered &= (a0 * dx + b0 * dy + c0 * dz >= 0.0f)
+                    & (a1 * dx + b1 * dy + c1 * dz >= 0.0f) & (a2 * dx + b2 * dy + c2 * dz >= 0.0f);
+            bits[i] = is_covered ? here.bits : 0;
+        }
+        if (has_key) {
+            wp::int64* nearest = keys + size_t(row) * width + first;
+            for (int i = 0; i < lanes; ++i) {
+                const wp::int64 value = wp::int64(bits[i]) << 32 | (bits[i] ? triangle : 0);
+                nearest[i] = wp::max(nearest[i], value);
             }
-            const int last_block = wp::min(first_block + 7, last_column / size);
-            for (int block = first_block; block <= last_block; ++block) {
-                if (!block_is_reached[block - first_block]) continue;
-                const int begin = is_large ? block * 8 : first_column;
-                const int end = is_large ? begin : last_column;
-                wp::int32 row_is_reached[8];
-                if (is_large)
-                    reach(row_is_reached, row_data + 8 * (size_t(block_row) * blocks + block), 8 * block_axis, 8);
-                for (int row = first_row; row <= last_row; ++row) {
-                    if (is_large && !row_is_reached[row & 7]) continue;
-                    wp::int64* nearest = key.data + (size_t(v) * key.shape[1] + row) * key.shape[2];
-                    const bool has_layer = offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3];
-                    const int layer_row = offset + (row - rectangle[1]) * rectangle[2] - rectangle[0];
-                    for (int first = begin; first <= end; first += 8) {
-                        const float* x = rays.ray.data + 3 * ray_axis * ray_set + size_t(row) * width + first;
-                        wp::int32 bits[8];
-                        const auto fill = [&](int count) {
-                            for (int i = 0; i < count; ++i) {
-                                const float dx = x[i], dy = x[i + ray_axis], dz = x[i + 2 * ray_axis];
-                                const float w = aw * dx + bw * dy + cw * dz;
-                                const bool is_inside = (a0 * dx + b0 * dy + c0 * dz >= 0.0f)
-                                    & (a1 * dx + b1 * dy + c1 * dz >= 0.0f) & (a2 * dx + b2 * dy + c2 * dz >= 0.0f);
-                                union { float number; wp::int32 bits; } kept;
-                                kept.number = wp::max(w, least_inverse_depth);
-                                bits[i] = (is_inside & (w > 0.0f) & (w <= farthest)) ? kept.bits : 0;
-                            }
-                            if (has_key)
-                                for (int i = 0; i < count; ++i) {
-                                    const wp::int64 value = wp::int64(bits[i]) << 32 | (bits[i] ? triangle : 0);
-                                    nearest[first + i] = wp::max(nearest[first + i], value);
-                                }
-                        };
-                        const int count = wp::min(8, width - first);
-                        if (count == 8) fill(8); else fill(count);
-                        if (has_layer) {
-                            const int from = wp::max(rectangle[0] - first, 0);
-                            const int to = wp::min(rectangle[0] + rectangle[2] - first, count);
-                            wp::int32* front = layers.inverse_depth_bits.data + layer_row + first;
-                            for (int i = from; i < to; ++i) front[i] = wp::max(front[i], bits[i]);
-                        }
+        }
+        if (offset >= 0 && row >= rectangle[1] && row < rectangle[1] + rectangle[3]) {
+            const int layer_row = (row - rectangle[1]) * rectangle[2];
+            const int end = wp::min(rectangle[0] + rectangle[2], first + lanes);
+            for (int i = wp::max(rectangle[0], first); i < end; ++i)
+                front[layer_row + i] = wp::max(front[layer_row + i], bits[i - first]);
+        }
+    };
+    // the last samples of a row are drawn once more, so that eight remain
+    const auto fill_eight = [&](auto flat, auto inner, int row, int first) {
+        if (width >= 8) fill(flat, inner, 8, row, wp::min(first, width - 8));
+        else fill(flat, inner, width, row, 0);
+    };
+
+    const auto fill_small = [&](auto flat, int first_column, int last_column) {
+        for (int row = first_row; row <= last_row; ++row)
+            for (int first = first_column; first <= last_column; first += 8) fill_eight(flat, No(), row, first);
+    };
+
+    const auto fill_large = [&](auto flat, int first_column, int last_column) {
+        const int columns = rays.block.shape[3];
+        const size_t block_axis = size_t(rays.block.shape[2]) * columns;
+        const float* block = rays.block.data + 4 * block_axis * ray_set;
+        const float* block_row = rays.block_row.data + 32 * block_axis * ray_set;
+        const float r0 = 1.0001f * wp::length(image.edge0);
+        const float r1 = 1.0001f * wp::length(image.edge1);
+        const float r2 = 1.0001f * wp::length(image.edge2);
+        // of bundles of rays: whether the triangle may reach any, and whether it covers all
+        const auto look = [&](wp::int32* is_reached, wp::int32* is_inner, const float* x, size_t axis, int count) {
+            for (int i = 0; i < count; ++i) {
+                const float dx = x[i], dy = x[i + axis], dz = x[i + 2 * axis], spread = x[i + 3 * axis];
+                const float h0 = a0 * dx + b0 * dy + c0 * dz;
+                const float h1 = a1 * dx + b1 * dy + c1 * dz;
+                const float h2 = a2 * dx + b2 * dy + c2 * dz;
+                const float margin = spread + 1.0e-6f * (wp::abs(dx) + wp::abs(dy) + wp::abs(dz));
+                is_reached[i] =
+                    (spread >= 0.0f) & (h0 >= -r0 * spread) & (h1 >= -r1 * spread) & (h2 >= -r2 * spread);
+                is_inner[i] = (h0 >= r0 * margin) & (h1 >= r1 * margin) & (h2 >= r2 * margin);
+            }
+        };
+        for (int i = first_row / 8; i <= last_row / 8; ++i) {
+            const int begin = wp::max(first_row, 8 * i), end = wp::min(last_row, 8 * i + 7);
+            for (int first = first_column / 8; first <= last_column / 8; first += 8) {
+                wp::int32 is_reached[8], is_inner[8];
+                const size_t at = size_t(i) * columns + first;
+                if (first + 8 <= columns) look(is_reached, is_inner, block + at, block_axis, 8);
+                else look(is_reached, is_inner, block + at, block_axis, columns - first);
+                for (int k = 0; k < 8 && first + k <= last_column / 8; ++k) {
+                    if (!is_reached[k]) continue;
+                    const int column = 8 * (first + k);
+                    if (is_inner[k] & (column + 8 <= width)) {
+                        for (int row = begin; row <= end; ++row) fill_eight(flat, Yes(), row, column);
+                        continue;
                     }
+                    wp::int32 row_is_reached[8], row_is_inner[8];
+                    look(row_is_reached, row_is_inner, block_row + 8 * (at + k), 8 * block_axis, 8);
+                    for (int row = begin; row <= end; ++row)
+                        if (row_is_reached[row & 7]) fill_eight(flat, No(), row, column);
                 }
             }
         }
+    };
+    // a panorama's image may be cut by the seam, and go on in other turns
+    const int turns = turn_samples > 0.0f;
+    for (int turn = -turns; turn <= turns; ++turn) {
+        const int shift = rintf(turn * turn_samples);
+        const int first = wp::max(image.first_column + shift - turns, frame[0]);
+        const int last = wp::min(image.last_column + shift + turns, frame[2] - 1);
+        if (first > last) continue;
+        const bool is_large = (last - first + 1) * (last_row - first_row + 1) > large;
+        if (is_flat) is_large ? fill_large(Yes(), first, last) : fill_small(Yes(), first, last);
+        else is_large ? fill_large(No(), first, last) : fill_small(No(), first, last);
     }
+#endif
 """
 
 
 @wp.func_native(_FILL_TRIANGLE)
 def fill_triangle(
-    image: RayTriangle,
+    candidate: wp.array2d[Candidate],
+    v: int,
+    number: int,
     rays: Rays,
     ray_set: int,
-    first_column: int,
-    last_column: int,
+    turn_samples: float,
+    frame: wp.vec4i,
     large: int,
     least_inverse_depth: float,
     farthest: float,
-    v: int,
-    triangle: int,
     has_key: bool,
     rectangle: wp.vec4i,
     offset: int,
     layers: Layers,
     key: wp.array3d[wp.int64],
 ):
-    """Scatter a triangle between two columns into the key buffer and, where ``offset`` is not negative, its layer.
+    """Scatter a triangle inside a frame into the key buffer and, where ``offset`` is not negative, into its layer.
+
+    ``turn_samples`` are the columns of a whole turn of a panorama, 0 for other lenses.
 
     One of more than ``large`` samples goes block by block, and those that it does not reach are passed over.
 
@@ -614,11 +806,10 @@ def cross_bent_edge(
 
 @wp.func(inline=False)
 def cross_near_cut(
-    image: RayTriangle,
+    image: Candidate,
     camera: View,
     rays: Rays,
     ray_set: int,
-    triangle: int,
     rectangle: wp.vec4i,
     offset: int,
     layers: Layers,
@@ -650,7 +841,15 @@ def cross_near_cut(
                             inner = wp.min(wp.dot(image.edge0, crossing), wp.dot(image.edge1, crossing))
                             if wp.min(inner, wp.dot(image.edge2, crossing)) >= 0.0:
                                 place = offset + r * rectangle[2] + c
-                                raise_crossing(layers, direction, place, share, nearest, triangle)
+                                raise_crossing(layers, direction, place, share, nearest, image.triangle)
+
+
+@wp.func
+def least_depth(camera: View, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> float:
+    """The least depth of three points in camera coordinates [m]."""
+    if camera.lens.kind == BROWN_CONRADY:
+        return wp.min(p[2], wp.min(q[2], r[2]))
+    return wp.min(wp.length(p), wp.min(wp.length(q), wp.length(r)))
 
 
 @wp.func(inline=False)
@@ -674,6 +873,52 @@ def misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp
     return left > float(scissor[2]) or right < float(scissor[0])
 
 
+@wp.func(inline=False)
+def cross_outline(
+    image: Candidate,
+    p: wp.vec3,
+    q: wp.vec3,
+    r: wp.vec3,
+    camera: View,
+    scene: Triangles,
+    rays: Rays,
+    ray_set: int,
+    table: int,
+    widest_cosine: float,
+    is_front_only: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where a triangle of corners p, q and r ends between samples, if it may be at an outline."""
+    neighbour = scene.neighbour[image.triangle]
+    is_facing = faces(camera, scene.triangle_plane[image.triangle])
+    is_outline0 = may_be_outline(camera, scene, is_facing, neighbour[0])
+    is_outline1 = may_be_outline(camera, scene, is_facing, neighbour[1])
+    is_outline2 = may_be_outline(camera, scene, is_facing, neighbour[2])
+    if is_outline0 or is_outline1 or is_outline2:
+        a = corner_of(camera, rays, table, p)
+        b = corner_of(camera, rays, table, q)
+        c = corner_of(camera, rays, table, r)
+        if is_outline0:
+            cross_bent_edge(
+                camera, rays, ray_set, table, widest_cosine, a, b, image.edge0, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+        if is_outline1:
+            cross_bent_edge(
+                camera, rays, ray_set, table, widest_cosine, b, c, image.edge1, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+        if is_outline2:
+            cross_bent_edge(
+                camera, rays, ray_set, table, widest_cosine, c, a, image.edge2, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+    if not is_front_only and least_depth(camera, p, q, r) < camera.near_m:
+        cross_near_cut(image, camera, rays, ray_set, rectangle, offset, layers)
+
+
 @wp.kernel(enable_backward=False)
 def scatter_bent_triangles_kernel(
     # in
@@ -687,7 +932,7 @@ def scatter_bent_triangles_kernel(
     has_key: int,
     has_outlines: int,
     # out
-    corner: wp.array2d[Corner],
+    candidate: wp.array2d[Candidate],
     key: wp.array3d[wp.int64],
     layers: Layers,
 ):
@@ -696,7 +941,7 @@ def scatter_bent_triangles_kernel(
     As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes.
 
     Launch: ``dim=(such views of this chunk, cluster_count)``; one thread per cluster of a view. Not taped.
-    Writes: ``key`` and ``layers``, which the caller zeroes; ``corner`` [view, vertex of a cluster], which nobody else
+    Writes: ``key`` and ``layers``, which the caller zeroes; ``candidate`` [view, triangle of a cluster], which nobody else
         reads. So all clusters of a view must be drawn by one thread, as on a CPU.
     """
     i, cluster = wp.tid()
@@ -727,63 +972,29 @@ def scatter_bent_triangles_kernel(
     widest_cosine = rays.widest_cosine[ray_set]
     is_front_only = shows_no_back(camera, scene, cluster, frame)
     first_triangle = scene.cluster_first[cluster]
-    turn = int(0)
+    turn_samples = float(0.0)
     if camera.lens.kind == PANORAMA:
-        turn = 1
-    vertices = scene.cluster_vertices[cluster]
-    for k in range(vertices[1]):
-        point_m = point_in_camera(camera, scene.vertex_world_m[vertices[0] + k])
-        corner[v, k] = corner_of(camera, rays, table, point_m)
-    for k in range(scene.cluster_count[cluster]):
-        triangle = first_triangle + k
-        if is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
-            continue
+        turn_samples = 2.0 * wp.pi * camera.focal[0]
+    count = find_candidates(
+        camera, scene, cluster, frame, rays, table, widest_cosine, is_front_only, behind_m(camera), has_outline,
+        BROWN_CONRADY, PANORAMA, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v, candidate,
+    )  # fmt: skip
+    for k in range(count):
+        triangle = candidate[v, k].triangle
         of_triangle = scene.triangle[triangle]
-        a = corner[v, of_triangle[0] - vertices[0]]
-        b = corner[v, of_triangle[1] - vertices[0]]
-        c = corner[v, of_triangle[2] - vertices[0]]
-        image = ray_triangle(camera, widest_cosine, a, b, c, has_outline, frame)
-        if has_outline and image.is_solid:
-            neighbour = scene.neighbour[triangle]
-            is_facing = faces(camera, scene.triangle_plane[triangle])
-            if may_be_outline(camera, scene, is_facing, neighbour[0]):
-                cross_bent_edge(
-                    camera, rays, ray_set, table, widest_cosine, a, b, image.edge0, image.inverse_depth, rectangle,
+        if candidate[v, k].is_wide == 1 or has_outline:
+            p = point_in_camera(camera, scene.vertex_world_m[of_triangle[0]])
+            q = point_in_camera(camera, scene.vertex_world_m[of_triangle[1]])
+            r = point_in_camera(camera, scene.vertex_world_m[of_triangle[2]])
+            found = candidate[v, k]
+            if found.is_wide == 1:
+                candidate[v, k] = bound_wide(camera, found, p, q, r, frame)
+            if has_outline:
+                cross_outline(
+                    found, p, q, r, camera, scene, rays, ray_set, table, widest_cosine, is_front_only, rectangle,
                     offset, layers,
                 )  # fmt: skip
-            if may_be_outline(camera, scene, is_facing, neighbour[1]):
-                cross_bent_edge(
-                    camera, rays, ray_set, table, widest_cosine, b, c, image.edge1, image.inverse_depth, rectangle,
-                    offset, layers,
-                )  # fmt: skip
-            if may_be_outline(camera, scene, is_facing, neighbour[2]):
-                cross_bent_edge(
-                    camera, rays, ray_set, table, widest_cosine, c, a, image.edge2, image.inverse_depth, rectangle,
-                    offset, layers,
-                )  # fmt: skip
-            if not is_front_only and wp.min(a.depth_m, wp.min(b.depth_m, c.depth_m)) < camera.near_m:
-                cross_near_cut(image, camera, rays, ray_set, triangle, rectangle, offset, layers)
-        if image.first_row <= image.last_row:
-            for n in range(-turn, turn + 1):
-                # the other turns of a panorama, whose images may be cut by the seam
-                shift = int(wp.round(2.0 * wp.pi * camera.focal[0] * float(n)))
-                first_column = wp.max(image.first_column + shift - turn, frame[0])
-                last_column = wp.min(image.last_column + shift + turn, frame[2] - 1)
-                if first_column <= last_column:
-                    fill_triangle(
-                        image,
-                        rays,
-                        ray_set,
-                        first_column,
-                        last_column,
-                        LARGE_SAMPLES,
-                        LEAST_INVERSE_DEPTH,
-                        1.0 / camera.near_m,
-                        v,
-                        triangle,
-                        has_key == 1,
-                        rectangle,
-                        offset,
-                        layers,
-                        key,
-                    )
+        fill_triangle(
+            candidate, v, k, rays, ray_set, turn_samples, frame, LARGE_SAMPLES,
+            LEAST_INVERSE_DEPTH, 1.0 / camera.near_m, has_key == 1, rectangle, offset, layers, key,
+        )  # fmt: skip
