@@ -19,6 +19,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
 from warpav_kernels.raster import layers, lens, measure, outline, ray_space, trace, view
+from warpav_kernels.raster import rays as ray_kernels
 
 LENS_KINDS = {
     Lens.PINHOLE: int(lens.PINHOLE),
@@ -152,7 +153,7 @@ class Buffers:
         self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
         self.bent: list[int] = []
-        self.rays = ray_space.Rays()
+        self.rays = ray_kernels.Rays()
         self.rays.ray = self.zeros((0, 3, self.height, self.width), float)
         self.rays.set_of_view = self._no_set = wp.full(self.view_count, -1, dtype=wp.int32, device=self.device)
         self._rays_of: list[tuple[int, CameraModel, float]] = []
@@ -239,7 +240,7 @@ class Buffers:
         wp.copy(self._lens, wp.array([_lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
         bent = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
         if bent != self.bent:
-            for module in (trace, ray_space) if self.device.is_cpu else (trace,):
+            for module in (trace, ray_space, ray_kernels) if self.device.is_cpu else (trace,):
                 wp.load_module(module, device=self.device)  # takes seconds to compile, so only where it is needed
             self.bent = bent
             self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
@@ -288,14 +289,14 @@ class Buffers:
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
         set_of_view[self.bent] = [sets.index(each) for each in of_view]
         table_of_view[self.bent] = [shapes.index(model.shape) for model, _ in of_view]
-        rays, count, block = self.rays, len(sets), int(ray_space.BLOCK)
+        rays, count, block = self.rays, len(sets), int(ray_kernels.BLOCK)
         rays.set_of_view = wp.array(set_of_view, dtype=wp.int32, device=self.device)
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
         rays.table = wp.array([image_table(shape) for shape in shapes], dtype=wp.vec2, device=self.device)
         rays.ray = self.zeros((count, 3, self.height, self.width), float)
         blocks = -(-self.height // block), -(-self.width // block)
         rays.block = self.zeros((count, 4, *blocks), float)
-        rays.block_row = self.zeros((count, 4, math.prod(blocks), block), float)
+        rays.block_row = self.zeros((count, 7, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
         rays.is_flat = self.zeros(count, wp.int32)
         return wp.array([self.bent[of_view.index(each)] for each in sets], dtype=wp.int32, device=self.device)
@@ -305,19 +306,19 @@ class Buffers:
         rays = self.rays
         count, _, rows, columns = rays.block.shape
         self.launch(
-            ray_space.place_rays_kernel,
+            ray_kernels.place_rays_kernel,
             (count, self.height, self.width),
             inputs=[self.view, view_of_set],
             outputs=[rays.ray],
         )
         self.launch(
-            ray_space.place_blocks_kernel,
+            ray_kernels.place_blocks_kernel,
             (count, rows, columns),
             inputs=[rays.ray],
             outputs=[rays.block, rays.block_row],
         )
         self.launch(
-            ray_space.bound_rays_kernel,
+            ray_kernels.bound_rays_kernel,
             count,
             inputs=[rays.ray, rays.block],
             outputs=[rays.widest_cosine, rays.is_flat],

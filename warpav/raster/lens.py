@@ -29,7 +29,7 @@ MAX_TANGENT = 100.0
 TABLE_ENTRIES = 4096
 """Entries of `image_table`."""
 
-NEARBY_RAD = 0.12
+NEARBY_RAD = 0.16
 """How far from an entry of it a great circle may begin."""
 
 _LAST_RAD = math.radians(175.0)  # from the axis: beyond, a fisheye's image of a point is a circle

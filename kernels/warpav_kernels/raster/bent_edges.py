@@ -1,0 +1,306 @@
+"""Where the edges of triangles cross the lines between neighbouring samples of a view with a bent lens.
+
+The rays of an edge lie in a plane through the camera's centre, and so do those between two samples: where both meet is
+solved, not searched for.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.candidates import STEEP, TABLE_ERROR, WHOLE, Candidate, wide_bounds
+from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, moved_place
+from warpav_kernels.raster.rasterise import line_after, raise_crossing
+from warpav_kernels.raster.rays import Rays, table_entry
+from warpav_kernels.raster.triangles import Triangles, faces, may_be_outline
+from warpav_kernels.raster.view import View, ray_between, sample_ray
+
+wp.set_module_options({"enable_backward": False})
+
+PIECE = wp.constant(0.05)  # chord of the directions of a piece of an edge
+PIECE_SAMPLES = wp.constant(8.0)  # its length
+MAX_PIECES = wp.constant(256)  # of an edge
+END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [rad]
+
+
+@wp.struct
+class Corner:
+    """The direction of an end of an edge, or of a piece of one, as a view with a bent lens sees it.
+
+    Attributes:
+        direction: Direction, of unit length.
+        place: Place in the image [focal lengths]; of a Brown-Conrady lens beyond its limit without what moves sideways.
+        bend: Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine
+            of the elevation, without its sign.
+    """
+
+    direction: wp.vec3
+    place: wp.vec2
+    bend: float
+
+
+@wp.func
+def squared_secant(cosine: float) -> float:
+    """The square of the secant of an angle; very large from a right angle on."""
+    cosine = wp.max(cosine, 1.0e-3)
+    return 1.0 / (cosine * cosine)
+
+
+@wp.func
+def corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
+    """A point in camera coordinates, at any distance, as the view sees it."""
+    corner = Corner()
+    direction = wp.normalize(point)
+    corner.direction = direction
+    if camera.lens.kind == PANORAMA:
+        level = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
+        corner.place = wp.vec2(wp.atan2(direction[0], direction[2]), direction[1] / wp.max(level, 1.0e-6))
+        corner.bend = wp.abs(direction[1])
+    else:
+        entry = table_entry(rays, table, direction[2])
+        corner.place = wp.vec2(entry[0] * direction[0], entry[0] * direction[1])
+        corner.bend = entry[1]
+        if (
+            camera.lens.kind == BROWN_CONRADY
+            and squared_secant(direction[2]) <= 1.0 + camera.lens.limit * camera.lens.limit
+        ):
+            corner.place = moved_place(camera.lens, direction[0] / direction[2], direction[1] / direction[2])
+    return corner
+
+
+@wp.func
+def piece_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the image of a short arc; see `find_candidates`.
+
+    Columns of a panorama may lie a turn or two beside its image.
+    """
+    squared = wp.length_sq(b.direction - a.direction)
+    bend = wp.max(a.bend, b.bend)
+    if camera.lens.kind == PANORAMA and bend > STEEP:
+        return wide_bounds(camera, a.direction, b.direction, b.direction)
+    bulge = 0.14 * squared * bend + TABLE_ERROR
+    u = b.place[0]
+    if camera.lens.kind == PANORAMA:
+        level = wp.sqrt(1.0 - bend * bend)
+        bulge = 0.5 * squared / (level * level * level)
+        u -= 2.0 * wp.pi * wp.round((u - a.place[0]) / (2.0 * wp.pi))
+    elif wp.max(a.direction[2], b.direction[2]) < widest_cosine:
+        return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
+    if camera.lens.kind == BROWN_CONRADY:
+        sideways = 3.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3]))
+        limit = camera.lens.limit * camera.lens.limit
+        widest = squared_secant(wp.min(a.direction[2], b.direction[2]))
+        if widest <= 1.0 + limit:
+            bulge += 0.84 * squared * sideways * widest * (1.0 + limit)
+        else:
+            bulge += 1.4 * sideways * limit
+    return wp.vec4(
+        wp.min(a.place[0], u) - bulge,
+        wp.min(a.place[1], b.place[1]) - bulge,
+        wp.max(a.place[0], u) + bulge,
+        wp.max(a.place[1], b.place[1]) + bulge,
+    )
+
+
+@wp.func
+def cross_pair(
+    camera: View,
+    row: int,
+    column: int,
+    direction: int,
+    edge: wp.vec3,
+    start: wp.vec3,
+    end: wp.vec3,
+    inverse_depth: wp.vec3,
+    farthest: float,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where an edge crosses the line from a sample to its neighbour TO_RIGHT or TO_BOTTOM, either way.
+
+    ``edge`` is the normal of the edge's plane, the triangle on its positive side; ``start`` and ``end`` are normals of
+    planes that the crossing lies between.
+    """
+    step = step_of(direction)
+    here = sample_ray(camera, row, column)
+    there = sample_ray(camera, row + step[0], column + step[1])
+    height = wp.dot(edge, here)
+    other_height = wp.dot(edge, there)
+    if (height >= 0.0) == (other_height >= 0.0) or wp.length_sq(here) == 0.0 or wp.length_sq(there) == 0.0:
+        return
+    share = height / (height - other_height)
+    crossing = ray_between(here, there, share)
+    slack = -END_SLACK * wp.length(crossing)
+    if wp.dot(start, crossing) < slack * wp.length(start) or wp.dot(end, crossing) < slack * wp.length(end):
+        return
+    w = wp.dot(inverse_depth, crossing)
+    if w <= 0.0 or w > farthest:
+        return
+    if height >= 0.0:
+        place = place_in(rectangle, offset, row, column)
+        if place >= 0:
+            raise_crossing(layers, direction, place, share, w, -1)
+    else:
+        place = place_in(rectangle, offset, row + step[0], column + step[1])
+        if place >= 0:
+            raise_crossing(layers, TO_LEFT + TO_RIGHT - direction, place, 1.0 - share, w, -1)
+
+
+@wp.func(inline=False)
+def cross_bent_edge(
+    camera: View,
+    rays: Rays,
+    table: int,
+    widest_cosine: float,
+    p: Corner,
+    q: Corner,
+    edge: wp.vec3,
+    inverse_depth: wp.vec3,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where one side of a triangle, from p to q, crosses the lines between neighbouring samples.
+
+    It is cut to pieces whose images are short.
+    """
+    right = rectangle[0] + rectangle[2]
+    bottom = rectangle[1] + rectangle[3]
+    farthest = 1.0 / camera.near_m
+    # the two planes through the axis of the edge's circle and its ends
+    raw = wp.cross(p.direction, q.direction)
+    start = wp.cross(raw, p.direction)
+    end = wp.cross(q.direction, raw)
+    length = wp.length(q.direction - p.direction) / PIECE
+    if length < 1.0:
+        # of a short edge the table knows the length in the image
+        length = wp.max(camera.focal[0], camera.focal[1]) * wp.length(q.place - p.place) / PIECE_SAMPLES
+    else:
+        length *= wp.max(1.0, wp.max(camera.focal[0], camera.focal[1]) * PIECE / PIECE_SAMPLES)
+    pieces = wp.clamp(int(wp.ceil(length)), 1, MAX_PIECES)
+    a = p
+    for piece in range(pieces):
+        b = q
+        if piece + 1 < pieces:
+            share = float(piece + 1) / float(pieces)
+            b = corner_of(camera, rays, table, (1.0 - share) * p.direction + share * q.direction)
+        bounds = piece_bounds(camera, widest_cosine, a, b)
+        turn = int(0)
+        if camera.lens.kind == PANORAMA:
+            turn = 1
+        # half a sample more for rounding
+        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - 0.5, rectangle[1], bottom)
+        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + 0.5, rectangle[1], bottom) - 1
+        for n in range(-turn, turn + 1):
+            if first_row <= last_row:
+                shift = 2.0 * wp.pi * camera.focal[0] * float(n)
+                first_column = line_after(
+                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - 0.5, rectangle[0], right
+                )
+                last_column = (
+                    line_after(camera.centre[0] + camera.focal[0] * bounds[2] + shift + 0.5, rectangle[0], right) - 1
+                )
+                for row in range(wp.max(first_row - 1, 0), last_row + 1):
+                    for column in range(wp.max(first_column - 1, 0), last_column + 1):
+                        if column + 1 < camera.ray.shape[2] and row >= first_row:
+                            cross_pair(
+                                camera, row, column, TO_RIGHT, edge, start, end, inverse_depth, farthest,
+                                rectangle, offset, layers,
+                            )  # fmt: skip
+                        if row + 1 < camera.ray.shape[1] and column >= first_column:
+                            cross_pair(
+                                camera, row, column, TO_BOTTOM, edge, start, end, inverse_depth, farthest,
+                                rectangle, offset, layers,
+                            )  # fmt: skip
+        a = b
+
+
+@wp.func(inline=False)
+def cross_near_cut(
+    image: Candidate,
+    camera: View,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where the near cut ends a triangle between a sample and its neighbours."""
+    nearest = 1.0 / camera.near_m
+    for r in range(rectangle[3]):
+        for c in range(rectangle[2]):
+            here = sample_ray(camera, rectangle[1] + r, rectangle[0] + c)
+            w = wp.dot(image.inverse_depth, here)
+            if w > 0.0 and w <= nearest:
+                for direction in range(4):
+                    step = step_of(direction)
+                    row = rectangle[1] + r + step[0]
+                    column = rectangle[0] + c + step[1]
+                    if row >= 0 and column >= 0 and row < camera.ray.shape[1] and column < camera.ray.shape[2]:
+                        there = sample_ray(camera, row, column)
+                        other_w = wp.dot(image.inverse_depth, there)
+                        if other_w > nearest:
+                            # 1/depth is linear in the ray, and nearly so in the share of rays of one length
+                            share = (nearest - w) / (other_w - w)
+                            crossing = ray_between(here, there, share)
+                            middle_w = wp.dot(image.inverse_depth, crossing)
+                            if middle_w < nearest:
+                                share += (1.0 - share) * (nearest - middle_w) / (other_w - middle_w)
+                            else:
+                                share *= (nearest - w) / (middle_w - w)
+                            crossing = ray_between(here, there, share)
+                            inner = wp.min(wp.dot(image.edge0, crossing), wp.dot(image.edge1, crossing))
+                            if wp.min(inner, wp.dot(image.edge2, crossing)) >= 0.0:
+                                place = offset + r * rectangle[2] + c
+                                raise_crossing(layers, direction, place, share, nearest, image.triangle)
+
+
+@wp.func
+def least_depth(camera: View, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> float:
+    """The least depth of three points in camera coordinates [m]."""
+    if camera.lens.kind == BROWN_CONRADY:
+        return wp.min(p[2], wp.min(q[2], r[2]))
+    return wp.min(wp.length(p), wp.min(wp.length(q), wp.length(r)))
+
+
+@wp.func(inline=False)
+def cross_outline(
+    image: Candidate,
+    p: wp.vec3,
+    q: wp.vec3,
+    r: wp.vec3,
+    camera: View,
+    scene: Triangles,
+    rays: Rays,
+    table: int,
+    widest_cosine: float,
+    is_front_only: bool,
+    rectangle: wp.vec4i,
+    offset: int,
+    layers: Layers,
+):
+    """Scatter where a triangle of corners p, q and r ends between samples, if it may be at an outline."""
+    neighbour = scene.neighbour[image.triangle]
+    is_facing = faces(camera, scene.triangle_plane[image.triangle])
+    is_outline0 = may_be_outline(camera, scene, is_facing, neighbour[0])
+    is_outline1 = may_be_outline(camera, scene, is_facing, neighbour[1])
+    is_outline2 = may_be_outline(camera, scene, is_facing, neighbour[2])
+    if is_outline0 or is_outline1 or is_outline2:
+        a = corner_of(camera, rays, table, p)
+        b = corner_of(camera, rays, table, q)
+        c = corner_of(camera, rays, table, r)
+        if is_outline0:
+            cross_bent_edge(
+                camera, rays, table, widest_cosine, a, b, image.edge0, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+        if is_outline1:
+            cross_bent_edge(
+                camera, rays, table, widest_cosine, b, c, image.edge1, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+        if is_outline2:
+            cross_bent_edge(
+                camera, rays, table, widest_cosine, c, a, image.edge2, image.inverse_depth, rectangle, offset,
+                layers,
+            )  # fmt: skip
+    if not is_front_only and least_depth(camera, p, q, r) < camera.near_m:
+        cross_near_cut(image, camera, rectangle, offset, layers)

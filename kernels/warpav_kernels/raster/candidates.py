@@ -1,0 +1,288 @@
+"""Which triangles of a cluster a view with a bent lens may see, and where: planes and bounds in the space of rays.
+
+Where a triangle's image may be is bounded by the images of its corners, and by how much the lens bends what lies
+between. It is C++, as vertices and triangles lie in one piece here (Warp's arrays may have any strides): so a compiler
+uses its vectors.
+"""
+
+import warp as wp
+
+from warpav_kernels.raster.lens import PANORAMA, cone_bounds
+from warpav_kernels.raster.rasterise import line_after
+from warpav_kernels.raster.rays import Rays
+from warpav_kernels.raster.triangles import Triangles
+from warpav_kernels.raster.view import View
+
+wp.set_module_options({"enable_backward": False})
+
+WIDE = wp.constant(0.25)  # chord of two directions; triangles that reach farther are bounded by a cone
+STEEP = wp.constant(0.95)  # sine of the elevation from which a panorama's triangles are bounded by a cone
+TABLE_ERROR = wp.constant(1.0e-4)  # of a place in the table [focal lengths]
+LEAST_VOLUME = wp.constant(1.0e-12)  # of three directions: a triangle that is seen from its side
+LEAST_DISTANCE_M = wp.constant(1.0e-9)  # of a corner that has a direction
+WHOLE = wp.constant(1.0e9)  # beyond any image [focal lengths]
+
+
+@wp.struct
+class Candidate:
+    """A triangle that a view with a bent lens may see, in the space of rays.
+
+    A ray d meets it where no product with an edge's normal is negative.
+
+    Attributes:
+        edge0: Normal of the plane through the camera's centre and its first edge [m^2].
+        edge1: That of the second.
+        edge2: That of the third.
+        inverse_depth: Its product with a ray of depth 1 is the inverse depth [1/m].
+        first_column: First column of samples that it may cover; of one of its turns for a panorama.
+        last_column: Last such column; below the first where there is none.
+        first_row: First such row.
+        last_row: Last such row; below the first where there is none.
+        triangle: Its number in the scene.
+        is_wide: Whether it reaches so far that a cone has to bound its image, which is not done yet.
+    """
+
+    edge0: wp.vec3
+    edge1: wp.vec3
+    edge2: wp.vec3
+    inverse_depth: wp.vec3
+    first_column: int
+    last_column: int
+    first_row: int
+    last_row: int
+    triangle: int
+    is_wide: int
+
+
+_FIND_CANDIDATES = """
+#ifdef __CUDACC__
+    return 0;
+#else
+    const auto least = [](float p, float q) { return p < q ? p : q; };
+    const auto most = [](float p, float q) { return p > q ? p : q; };
+    const float half_turn = 3.14159265f;
+    const bool is_flat = camera.lens.kind == brown_conrady, is_panorama = camera.lens.kind == panorama;
+
+    // vertices: direction, distance, depth, place in the image and how much great circles bend there
+    const wp::vec2i vertices = scene.cluster_vertices.data[cluster];
+    const wp::vec3* vertex = scene.vertex_world_m.data + vertices[0];
+    const wp::vec3 place = camera.position_world_m;
+    const wp::mat33 r = camera.camera_from_world;
+    const float limit = camera.lens.limit * camera.lens.limit;
+    float px[192], py[192], pz[192], dx[192], dy[192], dz[192], distance[192], depth[192];
+    float u[192], v[192], bend[192], secant[192];
+    for (int i = 0; i < vertices[1]; ++i) {
+        const float wx = vertex[i][0] - place[0], wy = vertex[i][1] - place[1], wz = vertex[i][2] - place[2];
+        const float x = r.data[0][0] * wx + r.data[0][1] * wy + r.data[0][2] * wz;
+        const float y = r.data[1][0] * wx + r.data[1][1] * wy + r.data[1][2] * wz;
+        const float z = r.data[2][0] * wx + r.data[2][1] * wy + r.data[2][2] * wz;
+        distance[i] = sqrtf(x * x + y * y + z * z);
+        depth[i] = is_flat ? z : distance[i];
+        px[i] = x;
+        py[i] = y;
+        pz[i] = z;
+        const float whole = 1.0f / most(distance[i], least_distance_m);
+        dx[i] = x * whole;
+        dy[i] = y * whole;
+        dz[i] = z * whole;
+    }
+    if (is_panorama) {
+        for (int i = 0; i < vertices[1]; ++i) {
+            u[i] = atan2f(dx[i], dz[i]);
+            v[i] = dy[i] / most(sqrtf(dx[i] * dx[i] + dz[i] * dz[i]), 1.0e-6f);
+            bend[i] = wp::abs(dy[i]);
+        }
+    } else {
+        const int entries = rays.table.shape[1];
+        const wp::vec2* entry = rays.table.data + size_t(table) * entries;
+        for (int i = 0; i < vertices[1]; ++i) {
+            const float at = 0.5f * (1.0f - dz[i]) * (entries - 1);
+            wp::int32 k = at;
+            k = k < 0 ? 0 : k > entries - 2 ? entries - 2 : k;
+            const float share = least(most(at - k, 0.0f), 1.0f);
+            const float ratio = entry[k][0] + share * (entry[k + 1][0] - entry[k][0]);
+            bend[i] = most(entry[k][1], entry[k + 1][1]);
+            u[i] = ratio * dx[i];
+            v[i] = ratio * dy[i];
+        }
+    }
+    if (is_flat) {
+        const auto& q = camera.lens.distortion;
+        for (int i = 0; i < vertices[1]; ++i) {
+            const float w = 1.0f / most(dz[i], 1.0e-3f);
+            const float x = dx[i] * w, y = dy[i] * w, squared = x * x + y * y;
+            secant[i] = w * w;
+            const float above = 1.0f + squared * (q[0] + squared * (q[1] + squared * q[4]));
+            const float below = 1.0f + squared * (q[5] + squared * (q[6] + squared * q[7]));
+            const float factor = above / below;
+            const bool is_seen = secant[i] <= 1.0f + limit;
+            u[i] = is_seen ? factor * x + 2.0f * q[2] * x * y + q[3] * (squared + 2.0f * x * x) : u[i];
+            v[i] = is_seen ? factor * y + q[2] * (squared + 2.0f * y * y) + 2.0f * q[3] * x * y : v[i];
+        }
+    }
+
+    const int first_triangle = scene.cluster_first.data[cluster], count = scene.cluster_count.data[cluster];
+    const wp::vec3i* corner = scene.triangle.data + first_triangle;
+    const wp::vec4* plane = scene.triangle_plane.data + first_triangle;
+    const float frame_left = frame[0], frame_top = frame[1], frame_right = frame[2], frame_bottom = frame[3];
+    const float low = is_panorama ? -far_away : frame_left, high = is_panorama ? far_away : frame_right;
+    const float turn = 2.0f * half_turn * camera.focal[0];
+    const float fx = camera.focal[0], fy = camera.focal[1], cx = camera.centre[0], cy = camera.centre[1];
+    const float tangential = wp::abs(camera.lens.distortion[2]) + wp::abs(camera.lens.distortion[3]);
+    const float sideways = is_flat ? 3.0f * tangential : 0.0f;
+    // a plane is computed from the same end whichever way the edge runs: triangles that share it share every bit of it
+    const auto plane_of = [&](int p, int q, float side) {
+        const bool is_turned =
+            px[p] > px[q] || (px[p] == px[q] && (py[p] > py[q] || (py[p] == py[q] && pz[p] > pz[q])));
+        const int from = is_turned ? q : p, to = is_turned ? p : q;
+        const float sign = is_turned ? -side : side;
+        const float x = px[to] - px[from], y = py[to] - py[from], z = pz[to] - pz[from];
+        return wp::vec3(
+            sign * (py[from] * z - pz[from] * y), sign * (pz[from] * x - px[from] * z),
+            sign * (px[from] * y - py[from] * x));
+    };
+    const auto set_planes = [&](auto& each, int a, int b, int c) {
+        const float x1 = px[b] - px[a], y1 = py[b] - py[a], z1 = pz[b] - pz[a];
+        const float x2 = px[c] - px[a], y2 = py[c] - py[a], z2 = pz[c] - pz[a];
+        const float nx = y1 * z2 - z1 * y2, ny = z1 * x2 - x1 * z2, nz = x1 * y2 - y1 * x2;
+        const float volume = px[a] * nx + py[a] * ny + pz[a] * nz;
+        if (wp::abs(volume) < least_volume * distance[a] * distance[b] * distance[c]) return 0;
+        const float side = volume > 0.0f ? 1.0f : -1.0f;
+        each.edge0 = plane_of(a, b, side);
+        each.edge1 = plane_of(b, c, side);
+        each.edge2 = plane_of(c, a, side);
+        each.inverse_depth = wp::vec3(nx / volume, ny / volume, nz / volume);
+        return 1;
+    };
+    auto* slot = candidate.data + view * candidate.shape[1];
+    int found = 0;
+    #pragma clang loop vectorize(disable)
+    for (int k = 0; k < count; ++k) {
+        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
+        if (is_front_only & (height < -behind_m)) continue;
+        const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
+        if ((most(depth[a], most(depth[b], depth[c])) < camera.near_m)
+            | (least(distance[a], least(distance[b], distance[c])) < least_distance_m)) continue;
+        const auto chord_of = [&](int p, int q) {
+            const float x = dx[q] - dx[p], y = dy[q] - dy[p], z = dz[q] - dz[p];
+            return x * x + y * y + z * z;
+        };
+        const float chord = most(chord_of(a, b), most(chord_of(b, c), chord_of(c, a)));
+        const float most_bend = most(bend[a], most(bend[b], bend[c]));
+        const bool is_wide = (chord > wide * wide) | (is_panorama & (most_bend > steep));
+        auto& each = slot[found];
+        each.triangle = first_triangle + k;
+        each.is_wide = is_wide;
+        if (is_wide) {
+            found += set_planes(each, a, b, c);
+            continue;
+        }
+        // an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
+        float bulge = 0.14f * chord * most_bend + table_error;
+        float u1 = u[b], u2 = u[c];
+        if (is_panorama) {
+            // of y and x over the level distance; both bend by less than this
+            const float level = sqrtf(1.0f - most_bend * most_bend);
+            bulge = 0.5f * chord / (level * level * level);
+            u1 -= 2.0f * half_turn * rintf((u1 - u[a]) / (2.0f * half_turn));
+            u2 -= 2.0f * half_turn * rintf((u2 - u[a]) / (2.0f * half_turn));
+        } else if (most(dz[a], most(dz[b], dz[c])) < widest_cosine) continue;
+        if (sideways > 0.0f) {
+            // the table knows the radius alone; what moves sideways is at most this times the squared tangent
+            const float widest = most(secant[a], most(secant[b], secant[c]));
+            // an arc's slope changes by at most three times its second derivative, and it may pass beyond its ends
+            bulge += widest <= 1.0f + limit
+                ? 0.84f * chord * sideways * widest * (1.0f + limit) : 1.4f * sideways * limit;
+        }
+        float left = least(most(cx + fx * (least(u[a], least(u1, u2)) - bulge), low), high);
+        float right = least(most(cx + fx * (most(u[a], most(u1, u2)) + bulge), low), high);
+        const float top = least(most(cy + fy * (least(v[a], least(v[b], v[c])) - bulge), frame_top), frame_bottom);
+        const float bottom = least(most(cy + fy * (most(v[a], most(v[b], v[c])) + bulge), frame_top), frame_bottom);
+        if (is_panorama & (right - left >= turn)) {
+            left = frame_left;
+            right = frame_right;
+        }
+        each.first_column = floorf(left + 0.5f);
+        each.last_column = floorf(right + 0.5f) - 1.0f;
+        each.first_row = top + 0.5f;
+        each.last_row = wp::int32(bottom + 0.5f) - 1;
+        const bool has_column = each.first_column <= each.last_column, has_row = each.first_row <= each.last_row;
+        if ((has_column & has_row) | (has_outline & (has_column | has_row))) found += set_planes(each, a, b, c);
+    }
+    return found;
+#endif
+"""
+
+
+@wp.func_native(_FIND_CANDIDATES)
+def find_candidates(
+    camera: View,
+    scene: Triangles,
+    cluster: int,
+    frame: wp.vec4i,
+    rays: Rays,
+    table: int,
+    widest_cosine: float,
+    is_front_only: bool,
+    behind_m: float,
+    has_outline: bool,
+    brown_conrady: int,
+    panorama: int,
+    least_distance_m: float,
+    least_volume: float,
+    wide: float,
+    steep: float,
+    table_error: float,
+    far_away: float,
+    view: int,
+    candidate: wp.array2d[Candidate],
+) -> int:
+    """Triangles of a cluster that a view with a bent lens may see inside a frame of the grid: how many; on a GPU, none.
+
+    With ``has_outline`` they may lie between the rows or the columns.
+
+    Writes: ``candidate`` [view, triangle of a cluster].
+    """
+    ...
+
+
+@wp.func
+def half_angle_of(axis: wp.vec3, direction: wp.vec3) -> float:
+    """Angle between two directions of unit length [rad], a little more for rounding."""
+    return 2.0 * wp.asin(wp.min(0.5 * wp.length(direction - axis), 1.0)) + 1.0e-5
+
+
+@wp.func(inline=False)
+def wide_bounds(camera: View, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the images of three directions and all between them."""
+    axis = a + b + c
+    length = wp.length(axis)
+    if length < 1.0e-3:
+        return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
+    axis /= length
+    half = wp.max(half_angle_of(axis, a), wp.max(half_angle_of(axis, b), half_angle_of(axis, c)))
+    if half >= 0.5 * wp.pi:
+        return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
+    return cone_bounds(camera.lens, axis, half)
+
+
+@wp.func(inline=False)
+def bound_wide(camera: View, candidate: Candidate, p: wp.vec3, q: wp.vec3, r: wp.vec3, frame: wp.vec4i) -> Candidate:
+    """A wide triangle with its bounds."""
+    found = candidate
+    place = wide_bounds(camera, wp.normalize(p), wp.normalize(q), wp.normalize(r))
+    low = float(frame[0])
+    high = float(frame[2])
+    if camera.lens.kind == PANORAMA:
+        low = -WHOLE
+        high = WHOLE
+    found.first_row = line_after(camera.centre[1] + camera.focal[1] * place[1], frame[1], frame[3])
+    found.last_row = line_after(camera.centre[1] + camera.focal[1] * place[3], frame[1], frame[3]) - 1
+    left = wp.clamp(camera.centre[0] + camera.focal[0] * place[0], low, high)
+    right = wp.clamp(camera.centre[0] + camera.focal[0] * place[2], low, high)
+    if camera.lens.kind == PANORAMA and right - left >= 2.0 * wp.pi * camera.focal[0]:
+        left = float(frame[0])
+        right = float(frame[2])
+    found.first_column = int(wp.floor(left + 0.5))
+    found.last_column = int(wp.floor(right + 0.5)) - 1
+    return found
