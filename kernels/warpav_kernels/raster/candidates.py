@@ -154,29 +154,23 @@ _FIND_CANDIDATES = """
         each.inverse_depth = wp::vec3(nx / volume, ny / volume, nz / volume);
         return 1;
     };
-    auto* slot = candidate.data + view * candidate.shape[1];
-    int found = 0;
-    #pragma clang loop vectorize(disable)
+
+    // where they may be, without branches, many at once
+    wp::int32 first_column[64], last_column[64], first_row[64], last_row[64], is_wide[64], is_seen[64];
+    #pragma clang loop vectorize(enable)
     for (int k = 0; k < count; ++k) {
-        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
-        if (is_front_only & (height < -behind_m)) continue;
         const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
-        if ((most(depth[a], most(depth[b], depth[c])) < camera.near_m)
-            | (least(distance[a], least(distance[b], distance[c])) < least_distance_m)) continue;
-        const auto chord_of = [&](int p, int q) {
+        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
+        const int is_hidden = is_front_only & (height < -behind_m);
+        const int is_near = (most(depth[a], most(depth[b], depth[c])) < camera.near_m)
+            | (least(distance[a], least(distance[b], distance[c])) < least_distance_m);
+        const auto squared_chord = [&](int p, int q) {
             const float x = dx[q] - dx[p], y = dy[q] - dy[p], z = dz[q] - dz[p];
             return x * x + y * y + z * z;
         };
-        const float chord = most(chord_of(a, b), most(chord_of(b, c), chord_of(c, a)));
+        const float chord = most(squared_chord(a, b), most(squared_chord(b, c), squared_chord(c, a)));
         const float most_bend = most(bend[a], most(bend[b], bend[c]));
-        const bool is_wide = (chord > wide * wide) | (is_panorama & (most_bend > steep));
-        auto& each = slot[found];
-        each.triangle = first_triangle + k;
-        each.is_wide = is_wide;
-        if (is_wide) {
-            found += set_planes(each, a, b, c);
-            continue;
-        }
+        is_wide[k] = (chord > wide * wide) | (is_panorama & (most_bend > steep));
         // an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
         float bulge = 0.14f * chord * most_bend + table_error;
         float u1 = u[b], u2 = u[c];
@@ -186,28 +180,49 @@ _FIND_CANDIDATES = """
             bulge = 0.5f * chord / (level * level * level);
             u1 -= 2.0f * half_turn * rintf((u1 - u[a]) / (2.0f * half_turn));
             u2 -= 2.0f * half_turn * rintf((u2 - u[a]) / (2.0f * half_turn));
-        } else if (most(dz[a], most(dz[b], dz[c])) < widest_cosine) continue;
-        if (sideways > 0.0f) {
+        } else if (is_flat) {
             // the table knows the radius alone; what moves sideways is at most this times the squared tangent
             const float widest = most(secant[a], most(secant[b], secant[c]));
             // an arc's slope changes by at most three times its second derivative, and it may pass beyond its ends
-            bulge += widest <= 1.0f + limit
-                ? 0.84f * chord * sideways * widest * (1.0f + limit) : 1.4f * sideways * limit;
+            const float within = 0.84f * chord * sideways * widest * (1.0f + limit), beyond = 1.4f * sideways * limit;
+            bulge += widest <= 1.0f + limit ? within : beyond;
         }
         float left = least(most(cx + fx * (least(u[a], least(u1, u2)) - bulge), low), high);
         float right = least(most(cx + fx * (most(u[a], most(u1, u2)) + bulge), low), high);
         const float top = least(most(cy + fy * (least(v[a], least(v[b], v[c])) - bulge), frame_top), frame_bottom);
         const float bottom = least(most(cy + fy * (most(v[a], most(v[b], v[c])) + bulge), frame_top), frame_bottom);
-        if (is_panorama & (right - left >= turn)) {
-            left = frame_left;
-            right = frame_right;
-        }
-        each.first_column = floorf(left + 0.5f);
-        each.last_column = floorf(right + 0.5f) - 1.0f;
-        each.first_row = top + 0.5f;
-        each.last_row = wp::int32(bottom + 0.5f) - 1;
-        const bool has_column = each.first_column <= each.last_column, has_row = each.first_row <= each.last_row;
-        if ((has_column & has_row) | (has_outline & (has_column | has_row))) found += set_planes(each, a, b, c);
+        const int is_all_round = is_panorama & (right - left >= turn);
+        left = is_all_round ? frame_left : left;
+        right = is_all_round ? frame_right : right;
+        first_column[k] = floorf(left + 0.5f);
+        last_column[k] = wp::int32(floorf(right + 0.5f)) - 1;
+        first_row[k] = top + 0.5f;
+        last_row[k] = wp::int32(bottom + 0.5f) - 1;
+        const int has_column = first_column[k] <= last_column[k], has_row = first_row[k] <= last_row[k];
+        const int is_ahead = is_panorama | (most(dz[a], most(dz[b], dz[c])) >= widest_cosine);
+        const int is_reached = (has_column & has_row) | (has_outline & (has_column | has_row));
+        is_seen[k] = (is_wide[k] | (is_ahead & is_reached)) & (is_hidden ^ 1) & (is_near ^ 1);
+    }
+    wp::int32 chosen[64];
+    int chosen_count = 0;
+    for (int k = 0; k < count; ++k) {
+        chosen[chosen_count] = k;
+        chosen_count += is_seen[k];
+    }
+
+    auto* slot = candidate.data + view * candidate.shape[1];
+    int found = 0;
+    for (int j = 0; j < chosen_count; ++j) {
+        const int k = chosen[j];
+        auto& each = slot[found];
+        each.first_column = first_column[k];
+        each.last_column = last_column[k];
+        each.first_row = first_row[k];
+        each.last_row = last_row[k];
+        each.triangle = first_triangle + k;
+        each.is_wide = is_wide[k];
+        found += set_planes(
+            each, corner[k][0] - vertices[0], corner[k][1] - vertices[0], corner[k][2] - vertices[0]);
     }
     return found;
 #endif
