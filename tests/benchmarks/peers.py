@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -37,9 +38,10 @@ def main() -> None:
     for measure in (measure_warpav, measure_embree, measure_mitsuba, measure_deodr):
         try:
             for row in measure(workload, repeat):
-                print(json.dumps(row), flush=True)
+                sys.stdout.write(json.dumps(row) + "\n")
         except ImportError as error:
-            print(json.dumps({"peer": measure.__name__.removeprefix("measure_"), "left out": str(error)}))
+            left_out = {"peer": measure.__name__.removeprefix("measure_"), "left out": str(error)}
+            sys.stdout.write(json.dumps(left_out) + "\n")
 
 
 def timed(run: Callable[[], object], repeat: int) -> dict[str, float]:
