@@ -83,7 +83,7 @@ def test_a_run_and_a_preset_are_starts(working_directory, capsys, run_folder):
         (
             ["camera.width_px=64"],
             "command line (rig.freeze=front_bumper): rig.freeze: expected cameras with the image and the lens of the "
-            "others, but for a pinhole's field of view, got front_bumper with 96 x 96 px (pinhole) beside 64 x 96 px "
+            "others, but for the field of view, got front_bumper with 96 x 96 px (pinhole) beside 64 x 96 px "
             "(pinhole); set camera.width_px=96 camera.height_px=96 camera.lens=pinhole, or",
         ),
         (

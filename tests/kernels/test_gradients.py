@@ -9,6 +9,8 @@ import warp as wp
 from warp.autograd import gradcheck
 
 from tests.architecture.kernel_style import read_modules
+from warpav.raster.buffers import lens_of
+from warpav.raster.camera import CameraModel
 from warpav_kernels.detection import detection_probability
 from warpav_kernels.experiments import benchmark
 from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose, placement_losses
@@ -74,7 +76,8 @@ def place_on_surface(new):
 def place_windows(new):
     # near the axes of views that are turned by half a turn; neither straight ahead nor straight up
     views = CAMERAS * ROTATIONS
-    inputs = [new.rotations(views), new(size=views), ROTATIONS, wp.vec2(1.0, 0.6)]
+    fisheye = lens_of(CameraModel(64, 64, 2.0, lens="fisheye", distortion=(0.05, -0.01, 0.0, 0.0)))
+    inputs = [new.rotations(views), new(size=views), ROTATIONS, fisheye, wp.vec2(1.0, 0.6)]
     return CAMERAS, inputs, [new(np.zeros((views, 4)), wp.vec4)]
 
 

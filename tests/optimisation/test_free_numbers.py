@@ -26,6 +26,13 @@ from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(64, 64, math.pi / 2)
+FOLDS = (-0.3, 0.0, 0.0, 0.0)
+LENSES = [
+    MODEL,
+    CameraModel(64, 48, math.radians(90.0), lens="brown_conrady", distortion=(-0.1, 0.01, 0.0, 0.0)),
+    CameraModel(64, 48, math.radians(100.0), lens="fisheye", distortion=(0.02, -0.01, 0.0, 0.0)),
+    CameraModel(64, 48, math.radians(105.0), lens="panorama"),
+]
 OFFSET_M = 0.25
 FREE = FreeRanges(
     pitch_rad=(math.radians(-20.0), math.radians(20.0)),
@@ -85,7 +92,7 @@ def test_each_number_is_freed_alone(name, number, low, high):
         (lambda: FreeRanges(height_m=(0.1, math.nan)), "height_m must be a range"),
         (lambda: mount_of(FreeRanges(height_m=(0.3, 0.4))), "must hold what is configured"),
         (lambda: mount_of(FreeRanges(fov_rad=(1.0, 1.5))), "must hold what is configured"),
-        (lambda: mount_of(FREE, model=CameraModel(64, 64, lens=Lens.FISHEYE)), "of a fisheye lens cannot be free"),
+        (lambda: mount_of(FREE, model=CameraModel(64, 64, lens=Lens.BROWN_CONRADY, distortion=FOLDS)), "at most 1.6"),
     ],
 )
 def test_ranges_that_make_no_sense_are_refused(free, message):
@@ -140,6 +147,42 @@ def test_windows_are_as_wide_and_high_as_the_image_of_any_lens(model, half_width
     mount = mount_of(free=None, model=model)
     window = mount.windows(mount.place(wp.array(START.astype(np.float32), dtype=float))).numpy()
     np.testing.assert_allclose(np.degrees(window[:, 2:]), [[half_width_deg, half_height_deg]] * len(window), atol=1e-3)
+
+
+@pytest.mark.parametrize("model", LENSES, ids=lambda model: model.lens.value)
+def test_any_lens_zooms_between_the_ends_of_its_field_of_view(model):
+    mount = mount_of(FreeRanges(fov_rad=FREE.fov_rad), model=model)
+    pose = np.repeat(START.astype(np.float32)[:1], 3, axis=0)
+    pose[:, LOG_ZOOM] = mount.low[LOG_ZOOM], 0.0, mount.high[LOG_ZOOM]
+    models = [camera.model for camera in mount.rig(pose).cameras]
+    widest, narrowest = FREE.fov_rad[::-1]
+    np.testing.assert_allclose([each.fov_rad for each in models], [widest, model.fov_rad, narrowest], atol=1e-5)
+    window = mount.windows(mount.place(wp.array(pose, dtype=float))).numpy().reshape(3, mount.rotation_count, 4)
+    for zoomed, of_camera in zip(models, window, strict=True):
+        # the right edge and the lower edge of the image, on the principal axes
+        ray = zoomed.rays(np.array([[64.0, 0.5 * model.height_px], [32.0, model.height_px]]))
+        half_width, half_height = np.arctan2(ray[0, 0], ray[0, 2]), np.arctan2(ray[1, 1], ray[1, 2])
+        np.testing.assert_allclose(of_camera[:, 2:], [[half_width, half_height]] * len(of_camera), atol=1e-5)
+
+
+def test_the_gradient_to_the_zoom_of_a_fisheye_goes_on_through_its_window():
+    mount = mount_of(FreeRanges(fov_rad=FREE.fov_rad), model=LENSES[2])
+    pose = START.astype(np.float32)
+    pose[:, LOG_ZOOM] = 0.1
+
+    def half_width_rad(zoom):
+        at = pose.copy()
+        at[:, LOG_ZOOM] = zoom
+        return mount.windows(mount.place(wp.array(at, dtype=float))).numpy()[0, 2]
+
+    start = wp.array(pose, dtype=float, requires_grad=True)
+    with wp.Tape() as tape:
+        window = mount.windows(mount.place(start))
+    seed = np.zeros((*window.shape, 4), np.float32)
+    seed[0, 2] = 1.0
+    tape.backward(grads={window: wp.array(seed, dtype=wp.vec4)})
+    expected = (half_width_rad(0.11) - half_width_rad(0.09)) / 0.02
+    assert start.grad.numpy()[0, LOG_ZOOM] == pytest.approx(expected, rel=1e-3)
 
 
 # --- steps and samples stay within -----------------------------------------------------------------------------------

@@ -289,7 +289,7 @@ FILE_MISTAKES = [
     ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
     (
         "rig:\n  free:\n    fov_deg: [110, 60]\n",
-        "mine.yaml:3: rig.free.fov_deg: expected two angles from 10 deg to 170 deg, the lower one first, such as "
+        "mine.yaml:3: rig.free.fov_deg: expected two angles from 10 deg to 360 deg, the lower one first, such as "
         "[60, 110], or null, got [110, 60]",
     ),
     ("rig: {free: {pitch_deg: 5}}\n", "mine.yaml:1: rig.free.pitch_deg: expected two angles from -60 deg to 60 deg"),
@@ -313,8 +313,8 @@ FILE_MISTAKES = [
         "mine.yaml:2: rig.free.pitch_deg: expected null, as the thesis moves x, y and yaw alone, got [-5.0, 5.0];",
     ),
     (
-        "camera: {lens: fisheye}\nrig: {free: {fov_deg: [60, 110]}}\n",
-        "mine.yaml:2: rig.free.fov_deg: expected null or a pinhole, got [60.0, 110.0] for a fisheye lens",
+        "camera: {lens: fisheye, distortion: [0, 0, 0, 0]}\nrig: {free: {fov_deg: [60, 355]}}\n",
+        "mine.yaml:2: rig.free.fov_deg: expected at most 350 deg, the widest for this fisheye lens, got [60.0, 355.0]",
     ),
     (
         "losses: {angular_coverage: 1}\nrig: {free: {fov_deg: [60, 110]}}\n",

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
-from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
 from warpav_kernels.placement import mount_pose as kernels
@@ -65,7 +65,7 @@ class FreeRanges:
     Attributes:
         pitch_rad: Pitch, nose-down positive [rad].
         height_m: Height of the camera's centre above the mount surface [m].
-        fov_rad: Horizontal field of view [rad], of a pinhole alone.
+        fov_rad: Horizontal field of view [rad]; a zoom of the lens gives it.
     """
 
     pitch_rad: tuple[float, float] | None = None
@@ -126,16 +126,13 @@ class CameraMount:
             free: What else may differ from camera to camera; None: nothing.
 
         Raises:
-            ValueError: A range of ``free`` does not hold what is configured, or the lens is no pinhole and its field of
-                view is free.
+            ValueError: A range of ``free`` does not hold what is configured, or the lens cannot see that wide.
         """
         self.surface = surface
         self.camera = camera
         self.height_offset_m = height_offset_m
         self.device = device
         self.free = free = free or FreeRanges()
-        if free.fov_rad is not None and camera.lens is not Lens.PINHOLE:
-            raise ValueError(f"the field of view of a {camera.lens} lens cannot be free")
         narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
         self.frozen: FrozenCameras | None = None
         self._narrowest_rad = narrowest_rad
@@ -153,11 +150,7 @@ class CameraMount:
         if free.height_m is not None:
             ranges[HEIGHT_DELTA_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
         if free.fov_rad is not None:
-            tangent = math.tan(0.5 * camera.fov_rad)
-            ranges[LOG_ZOOM] = (
-                math.log(tangent / math.tan(0.5 * free.fov_rad[1])),
-                math.log(tangent / math.tan(0.5 * free.fov_rad[0])),
-            )
+            ranges[LOG_ZOOM] = (camera.log_zoom_to(free.fov_rad[1]), camera.log_zoom_to(free.fov_rad[0]))
         for number, (least, greatest) in ranges.items():
             if least > _ROUNDING or greatest < -_ROUNDING:
                 raise ValueError(f"the free ranges must hold what is configured, got {free}")
@@ -290,7 +283,8 @@ class CameraMount:
                 views.camera_from_ego,
                 views.log_zoom,
                 view_count // camera_count,
-                wp.vec2(*self.camera.half_field_rad),
+                lens_of(self.camera),
+                wp.vec2(*self.camera.half_field),
             ],
             outputs=[window_rad],
             device=self.device,

@@ -237,7 +237,7 @@ class Buffers:
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
-        wp.copy(self._lens, wp.array([_lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
+        wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
         bent = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
         if bent != self.bent:
             for module in (trace, ray_space, ray_kernels) if self.device.is_cpu else (trace,):
@@ -398,7 +398,7 @@ class Buffers:
         return groups
 
 
-def _lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
+def lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
     """The model's lens as the kernels take it."""
     result = lens.Lens()
     result.kind = LENS_KINDS[model.lens]

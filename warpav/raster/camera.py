@@ -118,12 +118,14 @@ class CameraModel:
         return float(angle[1] - angle[0])
 
     @property
-    def half_field_rad(self) -> tuple[float, float]:
-        """Angles from the optical axis to the sides and to the top of an image around it [rad]."""
-        fy = self._lens_px[1]
-        tangent = np.array([0.5 * self.height_px / fy])
-        angle = tangent if self.lens is Lens.PANORAMA else self.shape.angle(tangent)
-        return 0.5 * self.fov_rad, float(angle[0] if self.lens is Lens.FISHEYE else np.arctan(angle[0]))
+    def half_field(self) -> tuple[float, float]:
+        """Half the width and half the height of an image around the optical axis [focal lengths]."""
+        return self._radius_at(0.5 * self.fov_rad), 0.5 * self.height_px / self._lens_px[1]
+
+    def _radius_at(self, angle_rad: float) -> float:
+        """Radius of the image at an angle from the optical axis [focal lengths]."""
+        half = angle_rad if self.shape.has_unit_rays else math.tan(angle_rad)
+        return float(self.shape.radius(np.array(half))[0])
 
     @property
     def _middle_px(self) -> tuple[float, float]:
@@ -134,11 +136,7 @@ class CameraModel:
         """fx, fy, cx, cy [px]."""
         if self.focal_px is not None and self.centre_px is not None:
             return (*self.focal_px, *self.centre_px)
-        if self.lens is Lens.PANORAMA:
-            focal = self.width_px / self.fov_rad
-        else:
-            half = 0.5 * self.fov_rad if self.lens is Lens.FISHEYE else math.tan(0.5 * self.fov_rad)
-            focal = 0.5 * self.width_px / float(self.shape.radius(np.array(half))[0])
+        focal = 0.5 * self.width_px / self._radius_at(0.5 * self.fov_rad)
         return (focal, focal, *self._middle_px)
 
     @cached_property
@@ -199,6 +197,20 @@ class CameraModel:
         zoomed = dataclasses.replace(self, fov_rad=None, focal_px=focal_px)  # pyright: ignore[reportArgumentType]
         return zoomed if self.focal_px is not None else dataclasses.replace(self, fov_rad=zoomed.fov_rad)
 
+    def log_zoom_to(self, fov_rad: float) -> float:
+        """The zoom that gives this camera another field of view; see `zoomed`.
+
+        Of a calibrated camera it is that of an image around the optical axis.
+
+        Args:
+            fov_rad: Horizontal field of view [rad].
+
+        Raises:
+            ValueError: The lens cannot have it.
+        """
+        dataclasses.replace(self, fov_rad=fov_rad, focal_px=None, centre_px=None)
+        return math.log(self._radius_at(0.5 * self.fov_rad) / self._radius_at(0.5 * fov_rad))
+
     def log_zoom_over(self, other: CameraModel) -> float:
         """Logarithm of the focal length over another camera's."""
         return 0.0 if self == other else math.log(self._lens_px[0] / other._lens_px[0])
@@ -212,8 +224,8 @@ class CameraModel:
         return own[2:] == others[2:] and math.isclose(own[0] * others[1], own[1] * others[0], rel_tol=1e-9)
 
     def fits_beside(self, other: CameraModel) -> bool:
-        """Whether both can be cameras of one rig that is optimised: the same, or pinholes that differ in zoom alone."""
-        return self == other or (self.lens is Lens.PINHOLE and self.is_zoom_of(other))
+        """Whether both can be cameras of one rig that is optimised: the same, or of one lens at different zooms."""
+        return self == other or self.is_zoom_of(other)
 
     def resized(self, width_px: int, height_px: int) -> CameraModel:
         """The same camera with another number of pixels: calibrated focal lengths and principal point grow with it."""

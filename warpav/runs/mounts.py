@@ -132,7 +132,7 @@ def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
         if not model.fits_beside(shared):
             raise OptionError(
                 "rig.freeze",
-                "expected cameras with the image and the lens of the others, but for a pinhole's field of view, got "
+                "expected cameras with the image and the lens of the others, but for the field of view, got "
                 f"{name} with {model.width_px} x {model.height_px} px ({model.lens}"
                 f"{', calibrated' if model.focal_px else ''}) beside {shared.width_px} x {shared.height_px} px "
                 f"({shared.lens}); {_as_frozen(model)}",

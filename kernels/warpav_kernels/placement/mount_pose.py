@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpav_kernels.raster.lens import BROWN_CONRADY, FISHEYE, PANORAMA, Lens, angle_at, radius_and_growth
+
 
 @wp.func
 def bilinear_m(x_m: float, y_m: float, raster_m: wp.array2d[float], origin_m: wp.vec2, cell_m: float) -> float:
@@ -87,21 +89,49 @@ def place_on_surface_kernel(
         log_zoom[v] = mount_pose[camera, LOG_ZOOM]
 
 
+@wp.func
+def angle_at_edge(lens: Lens, radius: float) -> float:
+    """Angle from the optical axis to the edge of an image [rad] that is a radius [focal lengths] away.
+
+    Differentiable to the radius, by the lens's growth: the inverse of a lens is found by steps that have no adjoint.
+    """
+    if lens.kind == FISHEYE:
+        return angle_at(lens, wp.min(radius, lens.edge))
+    if lens.kind == BROWN_CONRADY:
+        return wp.atan(angle_at(lens, wp.min(radius, lens.edge)))
+    return wp.atan(radius)
+
+
+@wp.func_grad(angle_at_edge)
+def adj_angle_at_edge(lens: Lens, radius: float, adj_angle: float):
+    """The adjoint of `angle_at_edge`: 1 over the growth of the radius."""
+    slope = 1.0 / (1.0 + radius * radius)
+    if lens.kind == FISHEYE:
+        slope = 1.0 / radius_and_growth(lens, angle_at(lens, wp.min(radius, lens.edge)))[1]
+    elif lens.kind == BROWN_CONRADY:
+        tangent = angle_at(lens, wp.min(radius, lens.edge))
+        slope = 1.0 / (radius_and_growth(lens, tangent)[1] * (1.0 + tangent * tangent))
+    if (lens.kind == FISHEYE or lens.kind == BROWN_CONRADY) and radius > lens.edge:
+        slope = 0.0
+    wp.adjoint[radius] += slope * adj_angle
+
+
 @wp.kernel
 def place_windows_kernel(
     # in
     camera_from_ego: wp.array[wp.mat33],
     log_zoom: wp.array[float],
     rotation_count: int,
-    half_field_rad: wp.vec2,
+    lens: Lens,
+    half_field: wp.vec2,
     # out
     window_rad: wp.array[wp.vec4],
 ):
     """The field of view of every camera as a window in each view of its panorama.
 
-    ``half_field_rad`` holds half the width and half the height of the field of view at zoom 0, each in (0, pi); a zoom
-    divides their tangents, as a pinhole's. A window is the azimuth (to the left) and the elevation of its centre, in
-    the axes of the view, its half width and its half height.
+    ``half_field`` holds half the width and half the height of the image at zoom 0 [focal lengths]; a zoom divides both.
+    A window is the azimuth (to the left) and the elevation of its centre, in the axes of the view, its half width and
+    its half height.
 
     Launch: ``dim=camera_count``; one thread per camera, so that its gradient is summed in a fixed order.
     Writes: every element of ``window_rad`` [view] once.
@@ -114,9 +144,12 @@ def place_windows_kernel(
         axis = camera_from_ego[v] * (wp.transpose(camera_from_ego[ahead]) * wp.vec3(0.0, 0.0, 1.0))
         level = wp.sqrt(axis[0] * axis[0] + axis[2] * axis[2])
         shrink = wp.exp(-log_zoom[v])
+        half_width_rad = half_field[0] * shrink
+        if lens.kind != PANORAMA:
+            half_width_rad = angle_at_edge(lens, half_field[0] * shrink)
         window_rad[v] = wp.vec4(
             wp.atan2(-axis[0], axis[2]),
             wp.atan2(-axis[1], level),
-            wp.atan2(wp.sin(half_field_rad[0]) * shrink, wp.cos(half_field_rad[0])),
-            wp.atan2(wp.sin(half_field_rad[1]) * shrink, wp.cos(half_field_rad[1])),
+            half_width_rad,
+            angle_at_edge(lens, half_field[1] * shrink),
         )

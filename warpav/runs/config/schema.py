@@ -281,7 +281,7 @@ class ReconstructionConfig(Section):
 
 _PITCHES_TEXT = "two angles from -60 deg to 60 deg, the lower one first, such as [-20, 20]"
 _HEIGHTS_TEXT = "two heights from 0 m to 2 m, the lower one first, such as [0.05, 0.4]"
-_FOVS_TEXT = "two angles from 10 deg to 170 deg, the lower one first, such as [60, 110]"
+_FOVS_TEXT = "two angles from 10 deg to 360 deg, the lower one first, such as [60, 110]"
 _RANGE_AS_LIST = PlainSerializer(lambda value: None if value is None else list(value))
 _RANGE_SCHEMA = WithJsonSchema(
     {"anyOf": [{"type": "array", "items": NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
@@ -304,7 +304,7 @@ HeightRange = Annotated[
 ]
 FovRange = Annotated[
     Range,
-    range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=170.0),
+    range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=360.0),
     _RANGE_AS_LIST,
     Expectation(_FOVS_TEXT),
     _RANGE_SCHEMA,
@@ -374,19 +374,26 @@ class CameraConfig(Section):
     def _check(self) -> CameraConfig:
         lens = Lens(self.lens)
         try:
-            shape = LensShape(lens, checked_distortion(lens, self.distortion))
+            checked_distortion(lens, self.distortion)
         except ValueError as error:
             mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
+        if self.fov_deg > self.widest_deg:
+            text = f"expected an angle in degrees from 10 deg to {self.widest_deg:g} deg, the widest for this {lens}"
+            mistake(f"{text} lens, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
+        return self
+
+    @property
+    def widest_deg(self) -> float:
+        """The widest field of view that the lens can have [deg]."""
+        lens = Lens(self.lens)
+        shape = LensShape(lens, self.distortion)
         widest_deg = 170.0
         if shape.has_unit_rays:
             widest_deg = 360.0 if lens is Lens.PANORAMA else 350.0
         if shape.is_radial:
-            # rounded down, so that the angle in the message is one that is taken
+            # rounded down, so that the angle in a message is one that is taken
             widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
-        if self.fov_deg > widest_deg:
-            text = f"expected an angle in degrees from 10 deg to {widest_deg:g} deg, the widest for this {lens} lens"
-            mistake(f"{text}, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
-        return self
+        return widest_deg
 
 
 class MountConfig(Section):
@@ -632,9 +639,10 @@ class ConfigTree(Section):
                 )
         if free.fov_deg is None:
             return
-        if self.camera.lens != "pinhole":
-            text = f"expected null or a pinhole, got {shown(free.fov_deg)} for a {self.camera.lens} lens"
-            mistake(text, "rig.free.fov_deg", "camera.lens")
+        widest_deg = self.camera.widest_deg
+        if free.fov_deg[1] > widest_deg:
+            text = f"expected at most {widest_deg:g} deg, the widest for this {self.camera.lens} lens"
+            mistake(f"{text}, got {shown(free.fov_deg)}", "rig.free.fov_deg", "camera.lens", "camera.distortion")
         alike = self.losses.one_field
         if alike:
             mistake(
