@@ -181,6 +181,37 @@ def test_jacobians_of_areas_match_differences(device, name):
     assert np.abs(truth[:, :, VISIBLE_AREA] - truth[:, :, AMODAL_AREA]).max() > 10.0  # one car hides the other
 
 
+def recalibrated(model, number, step):
+    """A model with another fx, fy, cx, cy [px] or coefficient."""
+    fx, fy, cx, cy = model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]
+    numbers = np.r_[fx, fy, cx, cy, np.pad(model.distortion, (0, 8 - len(model.distortion)))]
+    numbers[number] += step
+    distortion = numbers[4 : {"pinhole": 4, "brown_conrady": 12, "fisheye": 8, "panorama": 4}[model.lens]]
+    return dataclasses.replace(
+        model, fov_rad=None, focal_px=tuple(numbers[:2]), centre_px=tuple(numbers[2:4]), distortion=tuple(distortion)
+    )
+
+
+@pytest.mark.parametrize("name", ["pinhole", "brown_conrady", "fisheye", "part"])
+def test_jacobians_to_the_calibration_match_differences(device, name):
+    model = MODELS.get(name) or CameraModel(SIZE, SIZE, focal_px=(75.0, 72.0), centre_px=(61.5, 66.0))
+    if name == "brown_conrady":  # one that sees the whole image, whatever is added to a coefficient
+        model = dataclasses.replace(model, fov_rad=None, distortion=(-0.03, 0.01, 0.002, -0.001, 0.001, 0.01, 0.0, 0.0))
+    scene, poses = DeviceScene.pack(two_cars(), device=device).raster, poses_round_the_cars(3)
+    renderer = Renderer([model] * 3, supersampling=2, device=device)
+    ours = renderer.render(scene, *on_device(poses, device)).calibration_jacobian().numpy()
+    count = {"pinhole": 4, "brown_conrady": 12, "fisheye": 8, "part": 4}[name]
+    for number in range(count):
+        step = 1.5 if number < 4 else 0.01
+        models = [recalibrated(model, number, sign * step) for sign in (1, -1) for _ in poses]
+        value = measured(scene, np.r_[poses, poses], models, 6, device).value.numpy()[..., [VISIBLE_AREA, AMODAL_AREA]]
+        truth = (value[:3] - value[3:]) / (2.0 * step)
+        # differences of two areas are sure to about 1.5 px^2
+        tolerance = 0.05 * np.linalg.norm(truth) + 1.5 / (2.0 * step)
+        assert np.linalg.norm(ours[..., number] - truth) <= tolerance, number
+    assert not ours[..., count:].any()
+
+
 @pytest.mark.parametrize("name", ["brown_conrady", "fisheye", "part"])
 def test_cars_are_cut_by_distance_or_depth(device, name):
     """The near plane of a fisheye and of a panorama is a sphere, that of a Brown-Conrady lens is none."""

@@ -11,7 +11,7 @@ from warpav.core.errors import InputError
 from warpav.raster.buffers import Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import coverage, extent, linearise, measure, shade, window
+from warpav_kernels.raster import calibration, coverage, extent, linearise, measure, outline, shade, window
 
 VISIBLE_AREA = int(measure.VISIBLE_AREA)
 AMODAL_AREA = int(measure.AMODAL_AREA)
@@ -229,6 +229,26 @@ def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
         outputs=[result.value, result.solid_angle_sr],
     )
     return result
+
+
+def measure_calibration(buffers: Buffers, scene: Scene) -> wp.array:
+    """See `Frame.calibration_jacobian`."""
+    size = int(calibration.CALIBRATION_SIZE)
+    kind = wp.array([int(outline.VISIBLE), int(outline.ALONE)], dtype=wp.int32, device=buffers.device)
+    jacobian = buffers.zeros((buffers.view_count, scene.object_count, len(kind), size), float)
+    buffers.over_views(
+        buffers.view_count,
+        lambda first, count: buffers.launch(
+            calibration.measure_calibration_kernel,
+            (count, scene.object_count, len(kind)),
+            inputs=[
+                buffers.view, scene.triangles, buffers.layers, buffers.hiding, kind, buffers.width, buffers.height,
+                buffers.supersampling, first,
+            ],
+            outputs=[jacobian],
+        ),
+    )  # fmt: skip
+    return jacobian
 
 
 def measure_contrast(buffers: Buffers, scene: Scene, value: wp.array) -> wp.array:

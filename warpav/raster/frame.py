@@ -151,6 +151,21 @@ class Frame:
         self._require(Content.OBJECTS)
         return areas.measure_all(self._buffers, self.scene, box_px, into)
 
+    def calibration_jacobian(self) -> wp.array:
+        """Jacobian of the visible and the amodal area of every object to its view's calibration.
+
+        What a calibration's error does to what is seen; the poses stay. A pass of its own, in which no gradient flows.
+
+        Returns:
+            float [view, object, 2, 12]: to fx, fy, cx and cy [px^2/px], then to the lens's coefficients in the order of
+            `CameraModel.distortion` [px^2], 0 where it has none.
+
+        Raises:
+            InputError: The frame is stale or holds no objects.
+        """
+        self._require(Content.OBJECTS)
+        return areas.measure_calibration(self._buffers, self.scene)
+
     def coverage(self) -> Coverage:
         """Areas, extents and solid angles of every object in every view, without Jacobians.
 
