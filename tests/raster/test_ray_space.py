@@ -10,10 +10,11 @@ import warp as wp
 from tests.driving_scene import camera_pose, on_device
 from tests.raster.test_lenses import MODELS
 from warpav.raster.camera import CameraModel
-from warpav.raster.lens import NEARBY_RAD, TABLE_ENTRIES, Lens, image_table
+from warpav.raster.lens import TABLE_ENTRIES, Lens, image_table
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
+from warpav_kernels.raster.candidates import WIDE as WIDE_CHORD
 
 NEAR_M = 0.1
 POSE = camera_pose([0.3, -0.2, 0.1], 0.4, 0.2, -0.3)
@@ -79,6 +80,42 @@ def test_every_sample_has_the_nearest_triangle(device, name, lens):
     assert np.median(np.abs(found_m[hit] * inverse[hit] - 1.0)) < 1e-5
 
 
+def degenerate():
+    """Triangles with a corner, an edge or their inside at the camera's centre, without area, and very large ones."""
+    right, down, ahead = POSE[:3, :3]  # of ego_from_camera these are columns; any three directions will do
+    centre = POSE[:3, 3]
+    corners = [
+        (0.0 * ahead, ahead + right, ahead - right),
+        (ahead, -ahead, right),
+        (ahead - down, -ahead - down, 2.0 * down),
+        (ahead, ahead, ahead),
+        (ahead, 2.0 * ahead, 3.0 * ahead),
+        (1e5 * ahead, 1e5 * right, 1e5 * down),
+        (1e-7 * ahead, 1e-7 * right, 1e-7 * down),
+        (0.1 * ahead, 0.1 * ahead + right, 0.1 * ahead + down),
+    ]
+    return (np.array(corners) + centre).astype(np.float32)
+
+
+@pytest.mark.parametrize("supersampling", [1, 2])
+@pytest.mark.parametrize("lens", ["pinhole", *LENSES])
+def test_triangles_at_the_camera_s_centre_leave_numbers(device, lens, supersampling):
+    model = LENSES.get(lens) or CameraModel(96, 96)
+    meshes = {f"{k}": Mesh.create(each, np.array([[0, 1, 2]]), [200, 100, 0]) for k, each in enumerate(degenerate())}
+    scene = Scene(meshes, device=device)
+    frame = Renderer([model], supersampling=supersampling, device=device).render(scene, *on_device([POSE], device))
+    measures, coverage = frame.measure(), frame.coverage()
+    window = frame.window_area(None, softness_rad=0.05, visible=True)
+    for found in (
+        frame.rgb, frame.object_id, frame.silhouettes(visible=True), measures.value, measures.jacobian, coverage.value,
+        coverage.solid_angle_sr, frame.contrast(measures.value), frame.calibration_jacobian(), window.value,
+    ):  # fmt: skip
+        assert np.isfinite(found.numpy()).all()
+    depth_m = frame.depth_m.numpy()
+    assert not np.isnan(depth_m).any()
+    assert (depth_m > 0.0).all()
+
+
 RADIAL = [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA]
 
 
@@ -120,7 +157,7 @@ def test_arcs_bend_less_than_the_table_says(name):
     rng = np.random.default_rng(1)
     start = rng.normal(size=(3000, 3))
     start /= np.linalg.norm(start, axis=1, keepdims=True)
-    end = start + 0.5 * NEARBY_RAD * rng.uniform(-1.0, 1.0, size=(3000, 3))
+    end = start + float(WIDE_CHORD) / math.sqrt(3.0) * rng.uniform(-1.0, 1.0, size=(3000, 3))
     end /= np.linalg.norm(end, axis=1, keepdims=True)
     share = np.linspace(0.0, 1.0, 9)[:, None, None]
     between = (1.0 - share) * start + share * end
