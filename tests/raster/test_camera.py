@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from warpav.raster.camera import CameraModel, rotational_additions
-from warpav.raster.lens import Lens
+from warpav.raster.lens import Lens, LensShape
 
 # coefficients of calibrated cameras: a dashboard camera, a wide one, two fisheyes
 BARREL = (-0.31, 0.11, 0.0008, -0.0005, -0.017)
@@ -89,7 +89,8 @@ def test_a_panorama_unrolls_a_cylinder():
 @pytest.mark.parametrize("lens", list(Lens))
 @pytest.mark.parametrize("fov_deg", [30.0, 100.0, 150.0])
 def test_a_field_of_view_ends_at_the_images_edges(lens, fov_deg):
-    model = CameraModel(320, 200, math.radians(fov_deg), lens=lens, distortion=KB4 if lens is Lens.FISHEYE else ())
+    distortion = {Lens.FISHEYE: KB4, Lens.EUCM: (0.6, 1.1), Lens.DOUBLE_SPHERE: (-0.2, 0.6)}.get(lens, ())
+    model = CameraModel(320, 200, math.radians(fov_deg), lens=lens, distortion=distortion)
     left, right = model.rays([[0.0, 100.0], [320.0, 100.0]])
     for ray, sign in ((left, -1.0), (right, 1.0)):
         assert math.degrees(math.atan2(ray[0], ray[2])) == pytest.approx(sign * fov_deg / 2, abs=1e-9)
@@ -111,6 +112,8 @@ kannala = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.05, 0.05), st.floats(-0
     st.one_of(
         st.tuples(st.just("brown_conrady"), brown),
         st.tuples(st.just("fisheye"), kannala),
+        st.tuples(st.just("eucm"), st.tuples(st.floats(0.0, 1.0), st.floats(0.3, 3.0))),
+        st.tuples(st.just("double_sphere"), st.tuples(st.floats(-0.9, 0.9), st.floats(0.0, 1.0))),
         st.tuples(st.sampled_from(["pinhole", "panorama"]), st.just(())),
     ),
     st.floats(150.0, 500.0),
@@ -141,6 +144,12 @@ def test_images_of_rays_are_where_the_rays_began(lens_and_distortion, focal_px):
         # t (1 + k1 t^2) likewise
         ("fisheye", (-0.2, 0.0, 0.0, 0.0), math.degrees(0.995 / math.sqrt(0.6))),
         ("fisheye", (0.1, 0.0, 0.0, 0.0), 180.0),
+        # alpha of one half sees all round; beyond it the image turns where cos t / d is -(1 - alpha) / alpha
+        ("eucm", (0.5, 1.3), 0.995 * 180.0),
+        ("eucm", (0.75, 1.0), 0.995 * math.degrees(math.acos(-1.0 / 3.0))),
+        # without a second sphere, alpha alone
+        ("double_sphere", (0.0, 0.75), 0.995 * math.degrees(math.acos(-1.0 / 3.0))),
+        ("double_sphere", (0.0, 0.0), 0.995 * 90.0),
         # a pole of the rational model, 1 + k4 r^2 = 0
         ("brown_conrady", (0.5, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0), math.degrees(math.atan(0.995))),
     ],
@@ -160,6 +169,29 @@ def test_lenses_see_nothing_where_their_image_stops_growing(lens, distortion, li
         assert np.isnan(rays[1]).all()
         # the calibrated model's field of view ends there as well
         assert model.fov_rad < 2.0 * limit + 1e-9
+
+
+def test_unified_models_have_the_rays_of_their_papers(rng):
+    """Their closed forms of unprojection, which the product does not use."""
+    place = rng.uniform(-0.5, 0.5, size=(200, 2))
+    squared = (place**2).sum(axis=1)
+    alpha, beta = 0.6, 1.2
+    z = (1.0 - beta * alpha**2 * squared) / (alpha * np.sqrt(1.0 - (2.0 * alpha - 1.0) * beta * squared) + 1.0 - alpha)
+    by_eucm = np.c_[place, z] / np.linalg.norm(np.c_[place, z], axis=1)[:, None]
+    np.testing.assert_allclose(LensShape(Lens.EUCM, (alpha, beta)).ray(place), by_eucm, atol=1e-12)
+    xi, alpha = -0.25, 0.58
+    z = (1.0 - alpha**2 * squared) / (alpha * np.sqrt(1.0 - (2.0 * alpha - 1.0) * squared) + 1.0 - alpha)
+    scale = (z * xi + np.sqrt(z**2 + (1.0 - xi**2) * squared)) / (z**2 + squared)
+    by_spheres = scale[:, None] * np.c_[place, z] - [0.0, 0.0, xi]
+    np.testing.assert_allclose(LensShape(Lens.DOUBLE_SPHERE, (xi, alpha)).ray(place), by_spheres, atol=1e-12)
+
+
+def test_an_equirectangular_image_holds_azimuth_and_elevation():
+    model = CameraModel(360, 180, 2.0 * math.pi, lens="equirectangular")
+    ray = model.rays([[270.0, 90.0], [180.0, 45.0], [180.0, 181.0]])
+    np.testing.assert_allclose(ray[0], [1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(ray[1], [0.0, -math.sqrt(0.5), math.sqrt(0.5)], atol=1e-12)
+    assert np.isnan(ray[2]).all()  # below the nadir
 
 
 def test_another_size_shows_the_same():
@@ -186,7 +218,10 @@ def test_a_camera_that_sees_all_round_need_not_turn():
         ({"fov_rad": math.nan}, "fov_rad .* got nan"),
         ({"fov_rad": 7.0, "lens": "panorama"}, "between 0 and 2 pi, got 7.0"),
         ({"fov_rad": 2.0, "lens": "brown_conrady", "distortion": (-0.5, 0, 0, 0)}, r"fov_rad must be at most 1\.\d+ "),
-        ({"lens": "mirror"}, "lens must be one of pinhole, brown_conrady, fisheye, panorama, got 'mirror'"),
+        ({"lens": "mirror"}, "lens must be one of pinhole, .*, got 'mirror'"),
+        ({"lens": "eucm", "distortion": (1.2, 1.0)}, "alpha of a eucm lens must lie between 0 and 1, got 1.2"),
+        ({"lens": "double_sphere", "distortion": (-1.0, 0.5)}, "xi of a double_sphere lens must lie between -0.99"),
+        ({"lens": "eucm"}, "a eucm lens has 2 distortion coefficients, got 0"),
         ({"lens": "fisheye", "distortion": (0.1, 0.2)}, "a fisheye lens has 0 or 4 distortion coefficients, got 2"),
         ({"distortion": (0.1,) * 4}, "a pinhole lens has 0 distortion coefficients, got 4"),
         ({"lens": "fisheye", "distortion": (0, 0, math.inf, 0)}, r"distortion\[2\] must be finite, got inf"),

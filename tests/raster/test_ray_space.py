@@ -116,7 +116,7 @@ def test_triangles_at_the_camera_s_centre_leave_numbers(device, lens, supersampl
     assert (depth_m > 0.0).all()
 
 
-RADIAL = [name for name, model in MODELS.items() if model.lens is not Lens.PANORAMA]
+RADIAL = [name for name, model in MODELS.items() if model.shape.is_radial]
 
 
 def in_table(shape, direction, column):

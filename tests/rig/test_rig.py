@@ -182,7 +182,8 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         (
             "fov_deg: 90",
             "fov_deg: 90\n    lens: fish_eye",
-            r":9: cameras\[0\]\.lens: expected one of pinhole, brown_conrady, fisheye, panorama, got 'fish_eye'; "
+            r":9: cameras\[0\]\.lens: expected one of pinhole, brown_conrady, fisheye, eucm, double_sphere, panorama, "
+            r"equirectangular, got 'fish_eye'; "
             r"did you mean fisheye\?",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    lens:", r":9: cameras\[0\]\.lens: expected one of pinhole, .*, got nothing"),

@@ -246,7 +246,8 @@ FILE_MISTAKES = [
     ),
     (
         "camera: {lens: fish}\n",
-        "mine.yaml:1: camera.lens: expected pinhole, brown_conrady, fisheye or panorama, got 'fish'",
+        "mine.yaml:1: camera.lens: expected pinhole, brown_conrady, fisheye, eucm, double_sphere, panorama or "
+        "equirectangular, got 'fish'",
     ),
     ("camera: {lens: fisheye, distortion: [0.1]}\n", "mine.yaml:1: camera.distortion: expected as many numbers as the"),
     ("camera: {distortion: [a]}\n", "mine.yaml:1: camera.distortion: expected a list of numbers, such as"),

@@ -20,8 +20,8 @@ def bench(
     workload: Annotated[Path | None, Parameter(help="Workload (.npz of format 1); by default the embedded.")] = None,
     truth: Annotated[Path | None, Parameter(help="Truth of the workload (.npz), to score the results.")] = None,
     lens: Annotated[
-        Literal["pinhole", "brown_conrady", "fisheye", "panorama"],
-        Parameter(help="What the cameras look through: fields of view of 100, 190 and 360 degrees but for a pinhole."),
+        Literal["pinhole", "brown_conrady", "fisheye", "eucm", "double_sphere", "panorama", "equirectangular"],
+        Parameter(help="What the cameras look through: fields of view of 100, 190 or 360 degrees but for a pinhole."),
     ] = "pinhole",
     device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
     items: Annotated[str, Parameter(help="W1 silhouettes, W2 depth and objects, W3 colours.")] = "w1,w2,w3",

@@ -22,11 +22,16 @@ from warpav_kernels.raster import layers, lens, measure, outline, ray_space, tra
 from warpav_kernels.raster import rays as ray_kernels
 
 LENS_KINDS = {
-    Lens.PINHOLE: int(lens.PINHOLE),
-    Lens.BROWN_CONRADY: int(lens.BROWN_CONRADY),
-    Lens.FISHEYE: int(lens.FISHEYE),
-    Lens.PANORAMA: int(lens.PANORAMA),
+    Lens.PINHOLE: (int(lens.PINHOLE), 0),
+    Lens.BROWN_CONRADY: (int(lens.BROWN_CONRADY), 0),
+    Lens.FISHEYE: (int(lens.FISHEYE), 0),
+    Lens.EUCM: (int(lens.FISHEYE), int(lens.EUCM)),
+    Lens.DOUBLE_SPHERE: (int(lens.FISHEYE), int(lens.DOUBLE_SPHERE)),
+    Lens.PANORAMA: (int(lens.PANORAMA), 0),
+    Lens.EQUIRECTANGULAR: (int(lens.PANORAMA), int(lens.SPHERE)),
 }
+"""Kind and formula of every lens in the kernels."""
+
 GUARD = int(view.GUARD)
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
@@ -401,7 +406,7 @@ class Buffers:
 def lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
     """The model's lens as the kernels take it."""
     result = lens.Lens()
-    result.kind = LENS_KINDS[model.lens]
+    result.kind, result.formula = LENS_KINDS[model.lens]
     result.limit, result.edge = model.shape.limit, model.shape.edge
     result.distortion = lens.vec8(*model.shape.coefficients)
     return result

@@ -35,7 +35,8 @@ class CameraModel:
         centre_px: Principal point (cx, cy) [px], from the image's upper left corner: pixel centres lie at +0.5, so it
             is OpenCV's plus 0.5. Only together with ``focal_px``; None: the middle.
         distortion: Coefficients in OpenCV's order: of a Brown-Conrady lens ``k1 k2 p1 p2``, also with ``k3`` or with
-            ``k3 k4 k5 k6``; of a fisheye (Kannala-Brandt) ``k1 k2 k3 k4``.
+            ``k3 k4 k5 k6``; of a fisheye (Kannala-Brandt) ``k1 k2 k3 k4``; ``alpha beta`` of eucm, ``xi alpha`` of
+            double_sphere.
 
     Raises:
         ValueError: A number out of its range, or numbers that contradict each other.
@@ -77,11 +78,11 @@ class CameraModel:
 
     def _check_fov(self) -> None:
         widest_rad = 2.0 * math.pi if self.shape.has_unit_rays else math.pi
-        is_within = 0.0 < self.fov_rad < widest_rad or (self.lens is Lens.PANORAMA and self.fov_rad == widest_rad)
+        is_within = 0.0 < self.fov_rad < widest_rad or (self.shape.is_panorama and self.fov_rad == widest_rad)
         if not is_within:
             widest = f"{2 if self.shape.has_unit_rays else ''} pi".strip()
             raise ValueError(f"fov_rad of a {self.lens} lens must lie between 0 and {widest}, got {self.fov_rad}")
-        if self.lens in (Lens.BROWN_CONRADY, Lens.FISHEYE) and 0.5 * self.fov_rad > self.shape.limit_rad:
+        if (self.lens is Lens.BROWN_CONRADY or self.shape.is_by_angle) and 0.5 * self.fov_rad > self.shape.limit_rad:
             raise ValueError(
                 f"fov_rad must be at most {2.0 * self.shape.limit_rad:.4f} for these distortion coefficients, beyond "
                 f"which the image does not grow, got {self.fov_rad}"
@@ -96,7 +97,7 @@ class CameraModel:
         seen_rad = self._seen_angle_rad()
         if seen_rad <= 0.0:
             raise ValueError(f"centre_px {centre_px} lies so far from the image that nothing is seen in it")
-        if self.lens is Lens.PANORAMA and seen_rad > 2.0 * math.pi + _SAME_ANGLE_RAD:
+        if self.shape.is_panorama and seen_rad > 2.0 * math.pi + _SAME_ANGLE_RAD:
             least_px = 0.5 * self.width_px / math.pi
             raise ValueError(
                 f"a panorama {self.width_px} px wide has a focal length of at least {least_px:.3f} px, got focal_px[0] "
@@ -110,10 +111,10 @@ class CameraModel:
         """Angle along the principal point's row between the image's left and right edge."""
         fx, _, cx, _ = self._lens_px
         left, right = -cx / fx, (self.width_px - cx) / fx
-        if self.lens is Lens.PANORAMA:
+        if self.shape.is_panorama:
             return right - left
         angle = np.sign([left, right]) * self.shape.angle(np.abs([left, right]))
-        if self.lens is not Lens.FISHEYE:
+        if not self.shape.is_by_angle:
             angle = np.arctan(angle)
         return float(angle[1] - angle[0])
 
@@ -166,7 +167,7 @@ class CameraModel:
         """
         fx, fy, cx, cy = self._lens_px
         place = self.shape.place(point_m)
-        if self.lens is Lens.PANORAMA:
+        if self.shape.is_panorama:
             middle = (0.5 * self.width_px - cx) / fx
             place[..., 0] = middle + (place[..., 0] - middle + math.pi) % (2.0 * math.pi) - math.pi
         return place * [fx, fy] + [cx, cy]

@@ -7,9 +7,14 @@ coefficients in OpenCV's order:
   k5 r^4 + k6 r^6)`` and sideways by ``p1`` and ``p2``;
 * fisheye (Kannala-Brandt, KB4): a direction at the angle t from the optical axis at the radius ``t (1 + k1 t^2 +
   k2 t^4 + k3 t^6 + k4 t^8)``, also behind the camera;
-* panorama: a cylinder about the camera's y axis; x is the azimuth, y the tangent of the angle below the horizon.
+* eucm (enhanced unified camera model, ``alpha beta``): a direction at the angle t at the radius ``sin t / (alpha d +
+  (1 - alpha) cos t)`` with ``d^2 = beta sin^2 t + cos^2 t`` (Khomutenko, Garcia and Martinet 2016);
+* double_sphere (``xi alpha``): at the radius ``sin t / (alpha d + (1 - alpha) c)`` with ``c = xi + cos t`` and
+  ``d^2 = sin^2 t + c^2`` (Usenko, Demmel and Cremers 2018);
+* panorama: a cylinder about the camera's y axis; x is the azimuth, y the tangent of the angle below the horizon;
+* equirectangular: a sphere; x is the azimuth, y the angle below the horizon.
 
-The first two grow along the radius only up to some angle. Beyond it the polynomial says nothing about the lens, so
+All but the last two grow along the radius only up to some angle. Beyond it the formula says nothing about the lens, so
 directions beyond have no image, and places of the image beyond see nothing.
 """
 
@@ -45,14 +50,20 @@ class Lens(StrEnum):
     PINHOLE = "pinhole"
     BROWN_CONRADY = "brown_conrady"
     FISHEYE = "fisheye"
+    EUCM = "eucm"
+    DOUBLE_SPHERE = "double_sphere"
     PANORAMA = "panorama"
+    EQUIRECTANGULAR = "equirectangular"
 
 
 COEFFICIENT_COUNTS = {
     Lens.PINHOLE: (0,),
     Lens.BROWN_CONRADY: (0, 4, 5, 8),
     Lens.FISHEYE: (0, 4),
+    Lens.EUCM: (2,),
+    Lens.DOUBLE_SPHERE: (2,),
     Lens.PANORAMA: (0,),
+    Lens.EQUIRECTANGULAR: (0,),
 }
 """How many coefficients each lens may have."""
 
@@ -64,7 +75,7 @@ class LensShape:
     Attributes:
         lens: Which kind.
         distortion: Coefficients: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` of Brown-Conrady, ``k1 k2 k3 k4`` of a fisheye, in
-            OpenCV's order; none counts as zeros.
+            OpenCV's order (none counts as zeros); ``alpha beta`` of eucm, ``xi alpha`` of double_sphere.
     """
 
     lens: Lens
@@ -73,12 +84,22 @@ class LensShape:
     @property
     def is_radial(self) -> bool:
         """Whether the image lies on a radius that depends on the angle from the optical axis."""
-        return self.lens is not Lens.PANORAMA
+        return not self.is_panorama
+
+    @property
+    def is_panorama(self) -> bool:
+        """Whether columns are azimuths, which go round."""
+        return self.lens in (Lens.PANORAMA, Lens.EQUIRECTANGULAR)
+
+    @property
+    def is_by_angle(self) -> bool:
+        """Whether the radius is a function of the angle from the optical axis itself, also behind the camera."""
+        return self.lens in (Lens.FISHEYE, Lens.EUCM, Lens.DOUBLE_SPHERE)
 
     @property
     def has_unit_rays(self) -> bool:
         """Whether depths are distances from the camera's centre; else they lie along the optical axis."""
-        return self.lens in (Lens.FISHEYE, Lens.PANORAMA)
+        return self.is_by_angle or self.is_panorama
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -87,7 +108,9 @@ class LensShape:
 
     @cached_property
     def limit(self) -> float:
-        """The angle from the axis [rad] up to which a fisheye's image grows, at most pi; for the others its tangent."""
+        """The angle from the axis [rad] up to which the image grows, at most pi; its tangent where z is the depth."""
+        if self.lens in (Lens.EUCM, Lens.DOUBLE_SPHERE):
+            return self._two_spheres_limit_rad
         growth = _polynomial([1.0])
         end = MAX_TANGENT
         if self.lens is Lens.BROWN_CONRADY:
@@ -107,9 +130,22 @@ class LensShape:
     @property
     def limit_rad(self) -> float:
         """The angle from the axis up to which the lens sees [rad]; pi where nothing ends it."""
-        if self.lens is Lens.PANORAMA:
+        if self.is_panorama:
             return math.pi
-        return self.limit if self.lens is Lens.FISHEYE else math.atan(self.limit)
+        return self.limit if self.is_by_angle else math.atan(self.limit)
+
+    @property
+    def _two_spheres_limit_rad(self) -> float:
+        """Where an image by eucm or double_sphere stops growing, or has no end."""
+        if self.lens is Lens.EUCM:
+            alpha, beta = self.distortion
+            ratio = min(alpha, 1.0 - alpha) / max(alpha, 1.0 - alpha)
+            return _TURN_SHARE * (math.pi - math.atan(math.sqrt((1.0 - ratio**2) / beta) / max(ratio, 1e-300)))
+        xi, alpha = self.distortion
+        ratio = min(alpha, 1.0 - alpha) / max(alpha, 1.0 - alpha)
+        half = xi * (1.0 - ratio**2)
+        cosine = -half - math.sqrt(max(half**2 - xi**2 + ratio**2 * (1.0 + xi**2), 0.0))
+        return _TURN_SHARE * math.acos(max(cosine, -1.0))
 
     @cached_property
     def edge(self) -> float:
@@ -132,9 +168,28 @@ class LensShape:
         elif self.lens is Lens.FISHEYE:
             series = _polynomial([1.0, *self.coefficients[:4]])
             factor, slope = series(squared), series.deriv()(squared)
+        elif self.is_by_angle:
+            return self._two_spheres_radius(angle)
         else:
             factor, slope = np.ones_like(angle), np.zeros_like(angle)
         return factor * angle, factor + 2.0 * squared * slope
+
+    def _two_spheres_radius(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        sine, cosine = np.sin(angle), np.cos(angle)
+        if self.lens is Lens.EUCM:
+            alpha, beta = self.distortion
+            across = np.sqrt(beta * sine**2 + cosine**2)
+            below = alpha * across + (1.0 - alpha) * cosine
+            return sine / below, (alpha * cosine / across + 1.0 - alpha) / below**2
+        xi, alpha = self.distortion
+        across = np.sqrt(sine**2 + (xi + cosine) ** 2)
+        below = alpha * across + (1.0 - alpha) * (xi + cosine)
+        return sine / below, (1.0 + xi * cosine) * (alpha * (cosine + xi) / across + 1.0 - alpha) / below**2
+
+    @cached_property
+    def growth_on_axis(self) -> float:
+        """How much longer the image is near the optical axis than a pinhole's of the same focal length."""
+        return float(self.radius(np.array(0.0))[1])
 
     def angle(self, radius: np.ndarray) -> np.ndarray:
         """The inverse of `radius`, at most `limit`: Newton's steps, halvings where these do not settle."""
@@ -157,13 +212,14 @@ class LensShape:
         """Image of points in camera coordinates, [..., 3] -> [..., 2]; NaN where there is none."""
         x, y, z = np.moveaxis(np.asarray(point, np.float64), -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            if self.lens is Lens.PANORAMA:
+            if self.is_panorama:
                 level = np.hypot(x, z)
-                found, seen = np.stack([np.arctan2(x, z), y / level], axis=-1), level > 0.0
-            elif self.lens is Lens.FISHEYE:
+                row = y / level if self.lens is Lens.PANORAMA else np.arctan2(y, level)
+                found, seen = np.stack([np.arctan2(x, z), row], axis=-1), level > 0.0
+            elif self.is_by_angle:
                 across = np.hypot(x, y)
                 angle = np.arctan2(across, z)
-                factor = np.where(across > 0.0, self.radius(angle)[0] / across, 1.0 / z)
+                factor = np.where(across > 0.0, self.radius(angle)[0] / across, self.growth_on_axis / z)
                 found = np.stack([factor * x, factor * y], axis=-1)
                 seen = (angle <= self.limit) & ((across > 0.0) | (z > 0.0))
             else:
@@ -182,12 +238,15 @@ class LensShape:
         x, y = np.moveaxis(place, -1, 0)
         if self.lens is Lens.PINHOLE:
             return np.stack([x, y, np.ones_like(x)], axis=-1)
+        if self.lens is Lens.EQUIRECTANGULAR:
+            ray = np.stack([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)], axis=-1)
+            return np.where((np.abs(y) <= 0.5 * math.pi)[..., None], ray, np.nan)
         if self.lens is Lens.PANORAMA:
             ray = np.stack([np.sin(x), y, np.cos(x)], axis=-1)
             return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
         radius = np.hypot(x, y)
         angle = self.angle(radius)
-        if self.lens is Lens.FISHEYE:
+        if self.is_by_angle:
             share = np.where(radius > 0.0, np.sin(angle) / np.maximum(radius, 1e-300), 1.0)
             ray = np.stack([share * x, share * y, np.cos(angle)], axis=-1)
             return np.where((radius <= self.edge)[..., None], ray, np.nan)
@@ -238,6 +297,13 @@ def checked_distortion(lens: Lens, distortion: Sequence[float]) -> tuple[float, 
     for i, value in enumerate(distortion):
         if not math.isfinite(value):
             raise ValueError(f"distortion[{i}] must be finite, got {value}")
+    ranges = {
+        Lens.EUCM: (("alpha", 0.0, 1.0), ("beta", 1e-3, 1e3)),
+        Lens.DOUBLE_SPHERE: (("xi", -0.99, 0.99), ("alpha", 0.0, 1.0)),
+    }.get(lens, ())
+    for (name, low, high), value in zip(ranges, distortion, strict=False):
+        if not low <= value <= high:
+            raise ValueError(f"{name} of a {lens} lens must lie between {low:g} and {high:g}, got {value}")
     return tuple(float(value) for value in distortion)
 
 
@@ -260,7 +326,9 @@ def image_table(shape: LensShape) -> np.ndarray:
         return np.zeros((TABLE_ENTRIES, 2), np.float32)
     angle = np.arccos(np.clip(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES), -1.0, 1.0))
     sine = np.maximum(np.sin(angle), 1e-3)
-    share = np.where(angle > 1e-4, _radius_beyond(shape, np.maximum(angle, 1e-4)) / np.maximum(sine, 1e-4), 1.0)
+    share = np.where(
+        angle > 1e-4, _radius_beyond(shape, np.maximum(angle, 1e-4)) / np.maximum(sine, 1e-4), shape.growth_on_axis
+    )
     # second differences along great circles in several directions
     at, step = np.linspace(0.0, math.pi, 721), 0.01
     direction = np.stack([np.sin(at), np.zeros_like(at), np.cos(at)], axis=-1)
@@ -280,9 +348,9 @@ def _radius_beyond(shape: LensShape, angle: np.ndarray) -> np.ndarray:
     """Radius at an angle from the axis [rad], beyond the limit as well."""
     limit_rad = min(shape.limit_rad, _LAST_RAD)
     inside = np.minimum(angle, limit_rad)
-    tangent = inside if shape.lens is Lens.FISHEYE else np.tan(inside)
+    tangent = inside if shape.is_by_angle else np.tan(inside)
     radius, growth = shape.radius(tangent)
-    if shape.lens is not Lens.FISHEYE:
+    if not shape.is_by_angle:
         growth = growth * (1.0 + tangent * tangent)
     return radius + growth * (angle - inside)
 

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpav_kernels.raster.lens import BROWN_CONRADY, FISHEYE, PANORAMA, Lens, angle_at, radius_and_growth
+from warpav_kernels.raster.lens import BROWN_CONRADY, FISHEYE, PANORAMA, SPHERE, Lens, angle_at, radius_and_growth
 
 
 @wp.func
@@ -145,11 +145,14 @@ def place_windows_kernel(
         level = wp.sqrt(axis[0] * axis[0] + axis[2] * axis[2])
         shrink = wp.exp(-log_zoom[v])
         half_width_rad = half_field[0] * shrink
+        half_height_rad = half_field[1] * shrink
         if lens.kind != PANORAMA:
             half_width_rad = angle_at_edge(lens, half_field[0] * shrink)
+        if lens.kind != PANORAMA or lens.formula != SPHERE:
+            half_height_rad = angle_at_edge(lens, half_field[1] * shrink)
         window_rad[v] = wp.vec4(
             wp.atan2(-axis[0], axis[2]),
             wp.atan2(-axis[1], level),
             half_width_rad,
-            angle_at_edge(lens, half_field[1] * shrink),
+            half_height_rad,
         )

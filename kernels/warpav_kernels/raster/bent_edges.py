@@ -8,7 +8,7 @@ import warp as wp
 
 from warpav_kernels.raster.candidates import STEEP, TABLE_ERROR, WHOLE, Candidate, wide_bounds
 from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, moved_place
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
 from warpav_kernels.raster.rasterise import line_after, raise_crossing
 from warpav_kernels.raster.rays import Rays, table_entry
 from warpav_kernels.raster.triangles import Triangles, faces, may_be_outline
@@ -54,6 +54,8 @@ def corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
     if camera.lens.kind == PANORAMA:
         level = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
         corner.place = wp.vec2(wp.atan2(direction[0], direction[2]), direction[1] / wp.max(level, 1.0e-6))
+        if camera.lens.formula == SPHERE:
+            corner.place[1] = wp.atan2(direction[1], level)
         corner.bend = wp.abs(direction[1])
     else:
         entry = table_entry(rays, table, direction[2])

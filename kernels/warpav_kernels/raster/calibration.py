@@ -7,7 +7,7 @@ segments of its outline, see `measure`; only the flow is another. It is asked fo
 import warp as wp
 
 from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, FISHEYE, Lens, radial_factor
+from warpav_kernels.raster.lens import BROWN_CONRADY, EUCM, FISHEYE, Lens, radial_factor
 from warpav_kernels.raster.measure import frame_weight
 from warpav_kernels.raster.outline import Hiding, cell_of, cell_segment, mask_corners, pair_of, segment_cuts
 from warpav_kernels.raster.triangles import Triangles
@@ -19,6 +19,29 @@ CALIBRATION_SIZE = wp.constant(12)  # fx, fy, cx, cy and eight coefficients of t
 
 vec12 = wp.types.vector(length=12, dtype=float)
 mat28 = wp.types.matrix(shape=(2, 8), dtype=float)
+
+
+@wp.func
+def radius_change(lens: Lens, angle: float) -> wp.vec4:
+    """Derivatives of a fisheye's radius at an angle to its coefficients."""
+    squared = angle * angle
+    power = squared * angle
+    if lens.formula == 0:
+        return power * wp.vec4(1.0, squared, squared * squared, squared * squared * squared)
+    sine = wp.sin(angle)
+    cosine = wp.cos(angle)
+    if lens.formula == EUCM:
+        alpha = lens.distortion[0]
+        across = wp.sqrt(lens.distortion[1] * sine * sine + cosine * cosine)
+        below = alpha * across + (1.0 - alpha) * cosine
+        shrink = -sine / (below * below)
+        return shrink * wp.vec4(across - cosine, 0.5 * alpha * sine * sine / across, 0.0, 0.0)
+    xi = lens.distortion[0]
+    alpha = lens.distortion[1]
+    across = wp.sqrt(sine * sine + (xi + cosine) * (xi + cosine))
+    below = alpha * across + (1.0 - alpha) * (xi + cosine)
+    shrink = -sine / (below * below)
+    return shrink * wp.vec4(alpha * (xi + cosine) / across + 1.0 - alpha, across - xi - cosine, 0.0, 0.0)
 
 
 @wp.func
@@ -50,11 +73,10 @@ def distortion_flow(lens: Lens, ray: wp.vec3) -> mat28:
         across = wp.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
         if across > 0.0:
             angle = wp.atan2(across, ray[2])
-            power = angle * angle * angle
+            change = radius_change(lens, angle)
             for i in range(4):
-                flow[0, i] = power * ray[0] / across
-                flow[1, i] = power * ray[1] / across
-                power *= angle * angle
+                flow[0, i] = change[i] * ray[0] / across
+                flow[1, i] = change[i] * ray[1] / across
     return flow
 
 

@@ -62,6 +62,7 @@ _FIND_CANDIDATES = """
     const auto most = [](float p, float q) { return p > q ? p : q; };
     const float half_turn = 3.14159265f;
     const bool is_flat = camera.lens.kind == brown_conrady, is_panorama = camera.lens.kind == panorama;
+    const bool is_sphere = camera.lens.formula == sphere;
 
     // vertices: direction, distance, depth, place in the image and how much great circles bend there
     const wp::vec2i vertices = scene.cluster_vertices.data[cluster];
@@ -89,7 +90,8 @@ _FIND_CANDIDATES = """
     if (is_panorama) {
         for (int i = 0; i < vertices[1]; ++i) {
             u[i] = atan2f(dx[i], dz[i]);
-            v[i] = dy[i] / most(sqrtf(dx[i] * dx[i] + dz[i] * dz[i]), 1.0e-6f);
+            const float level = sqrtf(dx[i] * dx[i] + dz[i] * dz[i]);
+            v[i] = is_sphere ? atan2f(dy[i], level) : dy[i] / most(level, 1.0e-6f);
             bend[i] = wp::abs(dy[i]);
         }
     } else {
@@ -243,6 +245,7 @@ def find_candidates(
     has_outline: bool,
     brown_conrady: int,
     panorama: int,
+    sphere: int,
     least_distance_m: float,
     least_volume: float,
     wide: float,

@@ -14,8 +14,13 @@ wp.set_module_options({"enable_backward": False})
 # kinds of lenses
 PINHOLE = wp.constant(0)
 BROWN_CONRADY = wp.constant(1)
-FISHEYE = wp.constant(2)
+FISHEYE = wp.constant(2)  # any whose radius is a function of the angle from the axis
 PANORAMA = wp.constant(3)
+# formulas of a FISHEYE, but for the polynomial 0
+EUCM = wp.constant(1)
+DOUBLE_SPHERE = wp.constant(2)
+# formula of a PANORAMA, but for the cylinder 0
+SPHERE = wp.constant(1)
 
 # Newton's steps at most, and the step after which the error is far below single precision, being that step's square
 RADIUS_STEPS = wp.constant(32)
@@ -35,12 +40,15 @@ class Lens:
 
     Attributes:
         kind: PINHOLE, BROWN_CONRADY, FISHEYE or PANORAMA.
+        formula: Which FISHEYE or PANORAMA.
         limit: Up to which the radius grows: the angle from the axis of a FISHEYE [rad], its tangent for BROWN_CONRADY.
         edge: The radius there; places beyond see nothing.
-        distortion: k1 k2 p1 p2 k3 k4 k5 k6 of BROWN_CONRADY, k1 k2 k3 k4 of a FISHEYE.
+        distortion: k1 k2 p1 p2 k3 k4 k5 k6 of BROWN_CONRADY, k1 k2 k3 k4 of a FISHEYE by polynomial, alpha beta of
+            EUCM, xi alpha of DOUBLE_SPHERE.
     """
 
     kind: int
+    formula: int
     limit: float
     edge: float
     distortion: vec8
@@ -73,10 +81,30 @@ def radial_factor(lens: Lens, squared: float) -> Factor:
     return factor
 
 
+@wp.func(inline=False)
+def radius_by_spheres(lens: Lens, angle: float) -> wp.vec2:
+    """Radius of an image by EUCM or DOUBLE_SPHERE at an angle from the axis, and its derivative."""
+    sine = wp.sin(angle)
+    cosine = wp.cos(angle)
+    if lens.formula == EUCM:
+        alpha = lens.distortion[0]
+        across = wp.sqrt(lens.distortion[1] * sine * sine + cosine * cosine)
+        below = alpha * across + (1.0 - alpha) * cosine
+        return wp.vec2(sine / below, (alpha * cosine / across + 1.0 - alpha) / (below * below))
+    xi = lens.distortion[0]
+    alpha = lens.distortion[1]
+    across = wp.sqrt(sine * sine + (xi + cosine) * (xi + cosine))
+    below = alpha * across + (1.0 - alpha) * (xi + cosine)
+    growth = (1.0 + xi * cosine) * (alpha * (cosine + xi) / across + 1.0 - alpha)
+    return wp.vec2(sine / below, growth / (below * below))
+
+
 @wp.func
 def radius_and_growth(lens: Lens, angle: float) -> wp.vec2:
     """Radius of the image at an angle from the axis (FISHEYE) or at its tangent, and its derivative."""
     squared = angle * angle
+    if lens.kind == FISHEYE and lens.formula != 0:
+        return radius_by_spheres(lens, angle)
     if lens.kind == FISHEYE:
         k = lens.distortion
         series = 1.0 + squared * (k[0] + squared * (k[1] + squared * (k[2] + squared * k[3])))
@@ -166,7 +194,8 @@ def fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     if radius > lens.edge:
         return wp.vec3(0.0, 0.0, 0.0)
     if radius < LEAST_ACROSS:
-        return wp.vec3(x, y, 1.0) / wp.sqrt(1.0 + radius * radius)
+        growth = radius_and_growth(lens, 0.0)[1]
+        return wp.vec3(x / growth, y / growth, 1.0)
     angle = angle_at(lens, radius)
     share = wp.sin(angle) / radius
     return wp.vec3(share * x, share * y, wp.cos(angle))
@@ -179,6 +208,10 @@ def lens_ray(lens: Lens, x: float, y: float) -> wp.vec3:
         return brown_conrady_ray(lens, x, y)
     if lens.kind == FISHEYE:
         return fisheye_ray(lens, x, y)
+    if lens.formula == SPHERE:
+        if wp.abs(y) > 0.5 * wp.pi:
+            return wp.vec3(0.0, 0.0, 0.0)
+        return wp.vec3(wp.sin(x) * wp.cos(y), wp.sin(y), wp.cos(x) * wp.cos(y))
     return wp.vec3(wp.sin(x), y, wp.cos(x)) / wp.sqrt(1.0 + y * y)
 
 
@@ -190,7 +223,8 @@ def fisheye_gradient(lens: Lens, point: wp.vec3) -> mat23:
     z = point[2]
     across = wp.sqrt(x * x + y * y)
     if across < LEAST_ACROSS * z:
-        return mat23(1.0 / z, 0.0, -x / (z * z), 0.0, 1.0 / z, -y / (z * z))
+        growth = radius_and_growth(lens, 0.0)[1]
+        return growth * mat23(1.0 / z, 0.0, -x / (z * z), 0.0, 1.0 / z, -y / (z * z))
     squared = across * across + z * z
     radius = radius_and_growth(lens, wp.atan2(across, z))
     # along the radius the angle turns, across it the image goes round the principal point
@@ -220,6 +254,10 @@ def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
     if lens.kind == PANORAMA:
         squared = x * x + z * z
         level = wp.sqrt(squared)
+        if lens.formula == SPHERE:
+            whole = squared + y * y
+            drop = -y / (whole * level)
+            return mat23(z / squared, 0.0, -x / squared, drop * x, level / whole, drop * z)
         drop = -y / (squared * level)
         return mat23(z / squared, 0.0, -x / squared, drop * x, 1.0 / level, drop * z)
     w = 1.0 / z
@@ -270,6 +308,8 @@ def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
             return everything
         azimuth = wp.atan2(x, z)
         half = wp.asin(wp.min(wp.sin(half_angle) / wp.cos(drop), 1.0))
+        if lens.formula == SPHERE:
+            return wp.vec4(azimuth - half, drop - half_angle, azimuth + half, drop + half_angle)
         return wp.vec4(azimuth - half, wp.tan(drop - half_angle), azimuth + half, wp.tan(drop + half_angle))
     angle = wp.atan2(wp.sqrt(x * x + y * y), z)
     low = angle - half_angle

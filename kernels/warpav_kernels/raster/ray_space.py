@@ -21,7 +21,7 @@ from warpav_kernels.raster.candidates import (
     find_candidates,
 )
 from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, cone_bounds
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
 from warpav_kernels.raster.rays import Rays
 from warpav_kernels.raster.triangles import Triangles, behind_m, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera
@@ -287,7 +287,7 @@ def scatter_bent_triangles_kernel(
         turn_samples = 2.0 * wp.pi * camera.focal[0]
     count = find_candidates(
         camera, scene, cluster, frame, rays, table, widest_cosine, is_front_only, behind_m(camera), has_outline,
-        BROWN_CONRADY, PANORAMA, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v, candidate,
+        BROWN_CONRADY, PANORAMA, SPHERE, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v, candidate,
     )  # fmt: skip
     for k in range(count):
         triangle = candidate[v, k].triangle

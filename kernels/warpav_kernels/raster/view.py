@@ -9,7 +9,7 @@ guard sample on every side. Sample (row, column) has its centre at (column + 0.5
 
 import warp as wp
 
-from warpav_kernels.raster.lens import FISHEYE, PANORAMA, PINHOLE, Lens, lens_ray, place_gradient
+from warpav_kernels.raster.lens import FISHEYE, PANORAMA, PINHOLE, SPHERE, Lens, lens_ray, place_gradient
 
 wp.set_module_options({"enable_backward": False})
 
@@ -77,7 +77,7 @@ def sample_ray(view: View, row: int, column: int) -> wp.vec3:
 @wp.func
 def sees(view: View, row: int, column: int) -> bool:
     """Whether the lens sees anything at a sample."""
-    if view.lens.kind == PINHOLE or view.lens.kind == PANORAMA:
+    if view.lens.kind == PINHOLE or (view.lens.kind == PANORAMA and view.lens.formula != SPHERE):
         return True
     return wp.length_sq(sample_ray(view, row, column)) > 0.0
 

@@ -119,7 +119,7 @@ CORRUPT = {
         (
             "camera_model: pinhole",
             "camera_model: omni",
-            "yaml:8: cam0.camera_model: expected pinhole, got 'omni'",
+            "yaml:8: cam0.camera_model: expected one of pinhole, eucm, ds, got 'omni'",
         ),
         (
             "distortion_model: radtan",

@@ -216,6 +216,20 @@ def test_kalibr_follows_its_chain_and_its_lenses(tmp_path):
     assert "cam0" in notes[1]
 
 
+@pytest.mark.parametrize(
+    ("model", "own", "lens"), [("eucm", (0.6, 1.1), "eucm"), ("ds", (-0.2, 0.58), "double_sphere")]
+)
+def test_kalibr_s_unified_models_begin_with_their_own_numbers(tmp_path, model, own, lens):
+    file = write_sample("kalibr", tmp_path)
+    text = file.read_text().replace("camera_model: pinhole", f"camera_model: {model}", 1)
+    text = text.replace("distortion_coeffs: [-0.28, 0.07, 0.0002, 1.8e-05]", "distortion_coeffs: []")
+    text = text.replace("distortion_model: radtan", "distortion_model: none")
+    file.write_text(text.replace("intrinsics: [320.0, 321.0", f"intrinsics: [{own[0]}, {own[1]}, 320.0, 321.0"))
+    found = import_rig_with_notes(file, "kalibr")[0].cameras[0].model
+    assert (found.lens, found.distortion) == (lens, own)
+    np.testing.assert_allclose(found.intrinsics, [[320.0, 0, 320.0], [0, 321.0, 240.0], [0, 0, 1.0]])
+
+
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="needs pyarrow")
 def test_argoverse2_reads_and_writes_the_known_camera(tmp_path):
     from pyarrow import feather

@@ -38,7 +38,10 @@ LENSES: dict[str, tuple[float | None, tuple[float, ...]]] = {
     "pinhole": (None, ()),
     "brown_conrady": (100.0, (-0.21, 0.06, 0.002, -0.001, -0.008)),
     "fisheye": (190.0, (-0.013, 0.0021, -0.0042, 0.0007)),
+    "eucm": (190.0, (0.62, 1.15)),
+    "double_sphere": (190.0, (-0.2, 0.59)),
     "panorama": (360.0, ()),
+    "equirectangular": (360.0, ()),
 }
 """Field of view [deg], None: the workload's, and distortion of every lens that a workload can be looked at through."""
 

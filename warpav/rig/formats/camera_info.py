@@ -83,8 +83,8 @@ def camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
         InputError: ROS has no model for its lens.
     """
     model = camera.model
-    if model.lens is Lens.PANORAMA:
-        raise losses.unsupported(camera.name, "a panorama lens")
+    if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY, Lens.FISHEYE):
+        raise losses.unsupported(camera.name, f"a {model.lens} lens")
     wanted = {Lens.FISHEYE: 4}.get(model.lens, 8 if len(model.distortion) == 8 else 5)
     distortion = [*model.distortion, *(0.0,) * (wanted - len(model.distortion))]
     name = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}[wanted]

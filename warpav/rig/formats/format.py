@@ -286,7 +286,7 @@ def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False
         InputError: The camera is something else, and that may not be left out.
     """
     model = camera.model
-    if model.lens in (Lens.FISHEYE, Lens.PANORAMA):
+    if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY):
         raise losses.unsupported(camera.name, f"a {model.lens} lens")
     if any(model.distortion):
         losses.leave_out(camera.name, "the lens's distortion")

@@ -18,6 +18,7 @@ _DISTORTION = {
     "radtan": (Lens.BROWN_CONRADY, 4),
     "equidistant": (Lens.FISHEYE, 4),
 }
+_UNIFIED = {"eucm": Lens.EUCM, "ds": Lens.DOUBLE_SPHERE}
 _CAMERA = re.compile(r"cam(\d+)")
 
 
@@ -50,16 +51,17 @@ def read(path: Path, part: str | None) -> Found:
 
 def _optics(entry: Record) -> Optics:
     model, distortion = entry.at("camera_model"), entry.at("distortion_model")
-    if model.value != "pinhole":
-        raise model.error("pinhole")
-    if distortion.value not in _DISTORTION:
-        raise distortion.error(f"one of {', '.join(_DISTORTION)}")
-    lens, count = _DISTORTION[distortion.value]
+    if model.value not in ("pinhole", *_UNIFIED):
+        raise model.error(f"one of pinhole, {', '.join(_UNIFIED)}")
+    known = _DISTORTION if model.value == "pinhole" else {"none": (_UNIFIED[model.value], 0)}
+    if distortion.value not in known:
+        raise distortion.error(f"one of {', '.join(known)}")
+    lens, count = known[distortion.value]
     width_px, height_px = (record.whole() for record in entry.at("resolution").items("[width, height]")[:2])
     values = entry.at("intrinsics")
-    fx, fy, cx, cy = values.numbers(4)
+    *own, fx, fy, cx, cy = values.numbers(4 if model.value == "pinhole" else 6)
     matrix = Record(values.location, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
-    coefficients = entry.at("distortion_coeffs").numbers(count) if count else ()
+    coefficients = entry.at("distortion_coeffs").numbers(count) if count else own
     return optics_of_matrix(matrix, lens=lens, distortion=coefficients, width_px=width_px, height_px=height_px)
 
 

@@ -126,8 +126,8 @@ def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict
     files = {}
     for file, camera in zip(file_for_each(cameras, target, (".yaml", ".yml")), cameras, strict=True):
         model = camera.model
-        if model.lens is Lens.PANORAMA:
-            raise losses.unsupported(camera.name, "a panorama lens")
+        if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY, Lens.FISHEYE):
+            raise losses.unsupported(camera.name, f"a {model.lens} lens")
         is_fisheye = model.lens is Lens.FISHEYE
         count = 4 if is_fisheye else max(5, len(model.distortion))
         distortion = np.pad(np.array(model.distortion, np.float64), (0, count - len(model.distortion)))

@@ -360,15 +360,19 @@ class CameraConfig(Section):
     height_px: int = Field(default=256, ge=16, le=4096, description="image height")
     near_m: Metres = Field(default=0.1, gt=0.0, le=10.0, description="what is nearer than this is cut away")
     supersampling: Literal[1, 2, 4, 8] = Field(default=1, description="samples per pixel edge of the renderer")
-    lens: Literal["pinhole", "brown_conrady", "fisheye", "panorama"] = Field(
-        default="pinhole", description="how directions become places in the image"
+    lens: Literal["pinhole", "brown_conrady", "fisheye", "eucm", "double_sphere", "panorama", "equirectangular"] = (
+        Field(default="pinhole", description="how directions become places in the image")
     )
     distortion: Annotated[
         tuple[float, ...],
         BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
         PlainSerializer(list),
         Expectation("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]"),
-    ] = Field(default=(), description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye")
+    ] = Field(
+        default=(),
+        description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye; alpha beta of "
+        "eucm, xi alpha of double_sphere",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> CameraConfig:
@@ -389,7 +393,7 @@ class CameraConfig(Section):
         shape = LensShape(lens, self.distortion)
         widest_deg = 170.0
         if shape.has_unit_rays:
-            widest_deg = 360.0 if lens is Lens.PANORAMA else 350.0
+            widest_deg = 360.0 if shape.is_panorama else 350.0
         if shape.is_radial:
             # rounded down, so that the angle in a message is one that is taken
             widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
