@@ -108,11 +108,18 @@ def test_another_lens_cannot_be_held():
     for model in (CameraModel(64, 32, math.pi / 2), fisheye):
         with pytest.raises(ValueError, match="camera 'odd' must differ from the mount's in zoom alone"):
             frozen_mount(camera("odd", [0.5, 0.0, 1.8], model=model), ROOF, names=("odd",))
-    frozen = frozen_mount(camera("odd", [0.5, 0, 1.8], model=fisheye), ROOF, names=("odd",), model=fisheye)
-    assert frozen.has_model(fisheye)
-    other = CameraModel(64, 64, math.radians(150.0), lens=Lens.FISHEYE)
+    other = CameraModel(64, 64, math.radians(150.0), lens=Lens.FISHEYE, distortion=(0.01, 0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="must differ from the mount's in zoom alone"):
         frozen_mount(camera("odd", [0.5, 0, 1.8], model=other), ROOF, names=("odd",), model=fisheye)
+
+
+@pytest.mark.parametrize("fov_deg", [190.0, 150.0])
+def test_a_fisheye_is_held_beside_others_of_its_lens(fov_deg):
+    fisheye = CameraModel(64, 64, math.radians(190.0), lens=Lens.FISHEYE)
+    held = CameraModel(64, 64, math.radians(fov_deg), lens=Lens.FISHEYE)
+    frozen = frozen_mount(camera("odd", [0.5, 0, 1.8], model=held), ROOF, names=("odd",), model=fisheye)
+    assert frozen.has_model(held)
+    assert frozen.frozen.mount_pose[0, LOG_ZOOM] == pytest.approx(math.log(190.0 / fov_deg))
 
 
 @pytest.mark.parametrize("names", [("none",), ("bumper", "none"), ("bumper", "roof")])
