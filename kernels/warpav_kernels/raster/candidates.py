@@ -157,13 +157,23 @@ _FIND_CANDIDATES = """
         return 1;
     };
 
+    // backs that fronts hide are left out first
+    wp::int32 is_front[64], front[64];
+    for (int k = 0; k < count; ++k) {
+        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
+        is_front[k] = !is_front_only | (height >= -behind_m);
+    }
+    int front_count = 0;
+    for (int k = 0; k < count; ++k) {
+        front[front_count] = k;
+        front_count += is_front[k];
+    }
     // where they may be, without branches, many at once
     wp::int32 first_column[64], last_column[64], first_row[64], last_row[64], is_wide[64], is_seen[64];
     #pragma clang loop vectorize(enable)
-    for (int k = 0; k < count; ++k) {
+    for (int i = 0; i < front_count; ++i) {
+        const int k = front[i];
         const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
-        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
-        const int is_hidden = is_front_only & (height < -behind_m);
         const int is_near = (most(depth[a], most(depth[b], depth[c])) < camera.near_m)
             | (least(distance[a], least(distance[b], distance[c])) < least_distance_m);
         const auto squared_chord = [&](int p, int q) {
@@ -172,7 +182,7 @@ _FIND_CANDIDATES = """
         };
         const float chord = most(squared_chord(a, b), most(squared_chord(b, c), squared_chord(c, a)));
         const float most_bend = most(bend[a], most(bend[b], bend[c]));
-        is_wide[k] = (chord > wide * wide) | (is_panorama & (most_bend > steep));
+        is_wide[i] = (chord > wide * wide) | (is_panorama & (most_bend > steep));
         // an arc of length s bends away from its chord by at most an eighth of s^2 times its curvature
         float bulge = 0.14f * chord * most_bend + table_error;
         float u1 = u[b], u2 = u[c];
@@ -196,33 +206,33 @@ _FIND_CANDIDATES = """
         const int is_all_round = is_panorama & (right - left >= turn);
         left = is_all_round ? frame_left : left;
         right = is_all_round ? frame_right : right;
-        first_column[k] = floorf(left + 0.5f);
-        last_column[k] = wp::int32(floorf(right + 0.5f)) - 1;
-        first_row[k] = top + 0.5f;
-        last_row[k] = wp::int32(bottom + 0.5f) - 1;
-        const int has_column = first_column[k] <= last_column[k], has_row = first_row[k] <= last_row[k];
+        first_column[i] = floorf(left + 0.5f);
+        last_column[i] = wp::int32(floorf(right + 0.5f)) - 1;
+        first_row[i] = top + 0.5f;
+        last_row[i] = wp::int32(bottom + 0.5f) - 1;
+        const int has_column = first_column[i] <= last_column[i], has_row = first_row[i] <= last_row[i];
         const int is_ahead = is_panorama | (most(dz[a], most(dz[b], dz[c])) >= widest_cosine);
         const int is_reached = (has_column & has_row) | (has_outline & (has_column | has_row));
-        is_seen[k] = (is_wide[k] | (is_ahead & is_reached)) & (is_hidden ^ 1) & (is_near ^ 1);
+        is_seen[i] = (is_wide[i] | (is_ahead & is_reached)) & (is_near ^ 1);
     }
     wp::int32 chosen[64];
     int chosen_count = 0;
-    for (int k = 0; k < count; ++k) {
-        chosen[chosen_count] = k;
-        chosen_count += is_seen[k];
+    for (int i = 0; i < front_count; ++i) {
+        chosen[chosen_count] = i;
+        chosen_count += is_seen[i];
     }
 
     auto* slot = candidate.data + view * candidate.shape[1];
     int found = 0;
     for (int j = 0; j < chosen_count; ++j) {
-        const int k = chosen[j];
+        const int i = chosen[j], k = front[i];
         auto& each = slot[found];
-        each.first_column = first_column[k];
-        each.last_column = last_column[k];
-        each.first_row = first_row[k];
-        each.last_row = last_row[k];
+        each.first_column = first_column[i];
+        each.last_column = last_column[i];
+        each.first_row = first_row[i];
+        each.last_row = last_row[i];
         each.triangle = first_triangle + k;
-        each.is_wide = is_wide[k];
+        each.is_wide = is_wide[i];
         found += set_planes(
             each, corner[k][0] - vertices[0], corner[k][1] - vertices[0], corner[k][2] - vertices[0]);
     }
