@@ -51,6 +51,14 @@ def test_images_can_be_written_over(device, rng):
     assert frame.colours(into=old[2]) is old[2]
     for one, other in zip(fresh, old, strict=True):
         np.testing.assert_array_equal(one, other.numpy())
+    # parts of larger images, and every other of their columns
+    large_m = wp.full((2, 50, 140), -7.0, dtype=float, device=device)
+    large_id = wp.full((2, 50, 140), -7, dtype=wp.int32, device=device)
+    part = (slice(None), slice(1, 49), slice(3, 131, 2))
+    frame.depths_and_ids(into=(large_m[part], large_id[part]))
+    for one, other in zip(fresh, (large_m, large_id), strict=False):
+        np.testing.assert_array_equal(one, other.numpy()[part])
+        assert np.count_nonzero(other.numpy() == -7) == other.size - one.size
     with pytest.raises(ValueError, match=r"expected images of shape \(1, 48, 64\), got \(2, 48, 64\)"):
         frame.colours(views=[0], into=old[2])
 

@@ -14,22 +14,24 @@ wp.set_module_options({"enable_backward": False})
 COLOUR_POINTS = wp.constant(24)
 
 
-# A row lies in one piece, so a compiler uses its vectors.
+# Rows mostly lie in one piece, so a compiler uses its vectors; images that were handed over may have any strides.
 _RESOLVE_ROW = """
     const wp::int64* nearest = &wp::index(key, v, middle + row * supersampling, middle);
     const int* body = scene.triangle_body.data;
     float* depth = &wp::index(depth_m, v, row, 0);
     int* id = &wp::index(object_id, v, row, 0);
     const int width = depth_m.shape[2];
+    const int depth_step = depth_m.strides[2] / int64_t(sizeof(float));
+    const int id_step = object_id.strides[2] / int64_t(sizeof(wp::int32));
     for (int column = lane; column < width; column += lane_count) {
         const wp::int64 found = nearest[column * supersampling];
         const bool is_hit = found != 0;
         const int bits = found >> 32, triangle = found;
         float w;
         memcpy(&w, &bits, sizeof(float));
-        depth[column] = is_hit ? 1.0f / w : background_m;
+        depth[column * depth_step] = is_hit ? 1.0f / w : background_m;
         const int k = is_hit ? body[triangle] : -1;
-        id[column] = is_hit ? (k >= first_object ? k - first_object : -2 - k) : -1;
+        id[column * id_step] = is_hit ? (k >= first_object ? k - first_object : -2 - k) : -1;
     }
 """
 
