@@ -19,6 +19,7 @@ wp.set_module_options({"enable_backward": False})
 PIECE = wp.constant(0.05)  # chord of the directions of a piece of an edge
 PIECE_SAMPLES = wp.constant(8.0)  # its length
 MAX_PIECES = wp.constant(256)  # of an edge
+PLACE_SLACK = wp.constant(0.02)  # by which a place in the image may be off by rounding [samples]
 END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [rad]
 
 
@@ -190,17 +191,19 @@ def cross_bent_edge(
         turn = int(0)
         if camera.lens.kind == PANORAMA:
             turn = 1
-        # half a sample more for rounding
-        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - 0.5, rectangle[1], bottom)
-        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + 0.5, rectangle[1], bottom) - 1
+        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - PLACE_SLACK, rectangle[1], bottom)
+        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + PLACE_SLACK, rectangle[1], bottom) - 1
         for n in range(-turn, turn + 1):
-            if first_row <= last_row:
+            if first_row <= last_row + 1:  # it may cross columns alone
                 shift = 2.0 * wp.pi * camera.focal[0] * float(n)
                 first_column = line_after(
-                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - 0.5, rectangle[0], right
+                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - PLACE_SLACK, rectangle[0], right
                 )
                 last_column = (
-                    line_after(camera.centre[0] + camera.focal[0] * bounds[2] + shift + 0.5, rectangle[0], right) - 1
+                    line_after(
+                        camera.centre[0] + camera.focal[0] * bounds[2] + shift + PLACE_SLACK, rectangle[0], right
+                    )
+                    - 1
                 )
                 for row in range(wp.max(first_row - 1, 0), last_row + 1):
                     for column in range(wp.max(first_column - 1, 0), last_column + 1):

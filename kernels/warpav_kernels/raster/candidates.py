@@ -40,6 +40,7 @@ class Candidate:
         last_row: Last such row; below the first where there is none.
         triangle: Its number in the scene.
         is_wide: Whether it reaches so far that a cone has to bound its image, which is not done yet.
+        is_outline: Whether an outline may run along one of its sides or along the near cut, where that is asked for.
     """
 
     edge0: wp.vec3
@@ -52,6 +53,7 @@ class Candidate:
     last_row: int
     triangle: int
     is_wide: int
+    is_outline: int
 
 
 _FIND_CANDIDATES = """
@@ -125,7 +127,11 @@ _FIND_CANDIDATES = """
 
     const int first_triangle = scene.cluster_first.data[cluster], count = scene.cluster_count.data[cluster];
     const wp::vec3i* corner = scene.triangle.data + first_triangle;
-    const wp::vec4* plane = scene.triangle_plane.data + first_triangle;
+    const wp::vec3i* neighbour = scene.neighbour.data + first_triangle;
+    const wp::vec4* plane = scene.triangle_plane.data;
+    const auto height_above = [&](int t) {
+        return plane[t][0] * place[0] + plane[t][1] * place[1] + plane[t][2] * place[2] - plane[t][3];
+    };
     const float frame_left = frame[0], frame_top = frame[1], frame_right = frame[2], frame_bottom = frame[3];
     const float low = is_panorama ? -far_away : frame_left, high = is_panorama ? far_away : frame_right;
     const float turn = 2.0f * half_turn * camera.focal[0];
@@ -160,8 +166,7 @@ _FIND_CANDIDATES = """
     // backs that fronts hide are left out first
     wp::int32 is_front[64], front[64];
     for (int k = 0; k < count; ++k) {
-        const float height = plane[k][0] * place[0] + plane[k][1] * place[1] + plane[k][2] * place[2] - plane[k][3];
-        is_front[k] = !is_front_only | (height >= -behind_m);
+        is_front[k] = !is_front_only | (height_above(first_triangle + k) >= -behind_m);
     }
     int front_count = 0;
     for (int k = 0; k < count; ++k) {
@@ -233,8 +238,18 @@ _FIND_CANDIDATES = """
         each.last_row = last_row[i];
         each.triangle = first_triangle + k;
         each.is_wide = is_wide[i];
-        found += set_planes(
-            each, corner[k][0] - vertices[0], corner[k][1] - vertices[0], corner[k][2] - vertices[0]);
+        const int a = corner[k][0] - vertices[0], b = corner[k][1] - vertices[0], c = corner[k][2] - vertices[0];
+        each.is_outline = 0;
+        if (has_outline) {
+            each.is_outline = !is_front_only & (least(depth[a], least(depth[b], depth[c])) < camera.near_m);
+            const bool is_facing = height_above(first_triangle + k) > 0.0f;
+            for (int e = 0; e < 3; ++e) {
+                const int other = neighbour[k][e];
+                each.is_outline |= other < 0 || (height_above(other) > 0.0f) != is_facing;
+            }
+        }
+        const bool has_samples = (first_column[i] <= last_column[i]) & (first_row[i] <= last_row[i]);
+        if (is_wide[i] | each.is_outline | has_samples) found += set_planes(each, a, b, c);
     }
     return found;
 #endif

@@ -292,14 +292,14 @@ def scatter_bent_triangles_kernel(
     for k in range(count):
         triangle = candidate[v, k].triangle
         of_triangle = scene.triangle[triangle]
-        if candidate[v, k].is_wide == 1 or has_outline:
+        if candidate[v, k].is_wide == 1 or candidate[v, k].is_outline == 1:
             p = point_in_camera(camera, scene.vertex_world_m[of_triangle[0]])
             q = point_in_camera(camera, scene.vertex_world_m[of_triangle[1]])
             r = point_in_camera(camera, scene.vertex_world_m[of_triangle[2]])
             found = candidate[v, k]
             if found.is_wide == 1:
                 candidate[v, k] = bound_wide(camera, found, p, q, r, frame)
-            if has_outline:
+            if found.is_outline == 1:
                 cross_outline(
                     found, p, q, r, camera, scene, rays, table, widest_cosine, is_front_only, rectangle,
                     offset, layers,
