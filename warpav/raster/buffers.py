@@ -35,13 +35,14 @@ LENS_KINDS = {
 GUARD = int(view.GUARD)
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
-CUDA_CLUSTER_LANES = 64  # share one cluster of triangles
+CUDA_CLUSTER_LANES = 32  # share one cluster of triangles
 CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
 CUDA_SUM_LANES = 16  # of them are summed first
 CUDA_ROW_LANES = 128  # share one row of an image
 FLOW_LANES, CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads that share the flow of one image
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
-CUDA_STRIPS = 1 << 18  # room in their queue
+CUDA_STRIPS = 1 << 18, 1 << 22  # room in their queue, at least and at most
+CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the views
 
 # Warp's arrays have strides of 32 bits, in bytes; see `Buffers.reserve_samples`.
 MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
@@ -172,7 +173,9 @@ class Buffers:
         self.key = self.zeros((0, 0, 0), wp.int64)
         self._sample_count = self.zeros(1, wp.int64)
         self.needed_samples = self.zeros(1, wp.int64)
-        self.strip = self.zeros(0 if self.device.is_cpu else CUDA_STRIPS, wp.vec4i)
+        least, most = CUDA_STRIPS
+        strips = min(max(self.view_count * self.height * self.width // CUDA_STRIP_SAMPLES, least), most)
+        self.strip = self.zeros(0 if self.device.is_cpu else strips, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = layers.Layers()
         self.hiding, self.foreground_hiding = outline.Hiding(), outline.Hiding()

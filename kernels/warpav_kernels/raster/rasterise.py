@@ -421,7 +421,8 @@ def clear_keys_kernel(
             key[v, row, column] = wp.int64(0)
 
 
-@wp.kernel(enable_backward=False)
+# Registers for four blocks on a multiprocessor: with all that a compiler would take, half as many threads run.
+@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
 def scatter_triangles_kernel(
     # in
     view: wp.array[View],

@@ -53,7 +53,7 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
     return hit
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
 def trace_keys_kernel(
     # in
     view: wp.array[View],
@@ -82,7 +82,7 @@ def trace_keys_kernel(
     key[v, row, column] = nearest
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
 def trace_layers_kernel(
     # in
     view: wp.array[View],
@@ -131,7 +131,7 @@ def trace_layers_kernel(
             layers.inverse_depth_bits[layers.offset[v, layer] + row * rectangle[2] + column] = bits
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
 def trace_crossings_kernel(
     # in
     view: wp.array[View],
