@@ -7,7 +7,7 @@ segments of its outline, see `measure`; only the flow is another. It is asked fo
 import warp as wp
 
 from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, EUCM, FISHEYE, Lens, radial_factor
+from warpav_kernels.raster.lens import BROWN_CONRADY, EUCM, FISHEYE, Lens, radial_factor, sphere_terms
 from warpav_kernels.raster.measure import frame_weight
 from warpav_kernels.raster.outline import Hiding, cell_of, cell_segment, mask_corners, pair_of, segment_cuts
 from warpav_kernels.raster.triangles import Triangles
@@ -30,17 +30,14 @@ def radius_change(lens: Lens, angle: float) -> wp.vec4:
         return power * wp.vec4(1.0, squared, squared * squared, squared * squared * squared)
     sine = wp.sin(angle)
     cosine = wp.cos(angle)
+    terms = sphere_terms(lens, angle)
+    across = terms[0]
+    shrink = -sine / (terms[1] * terms[1])
     if lens.formula == EUCM:
         alpha = lens.distortion[0]
-        across = wp.sqrt(lens.distortion[1] * sine * sine + cosine * cosine)
-        below = alpha * across + (1.0 - alpha) * cosine
-        shrink = -sine / (below * below)
         return shrink * wp.vec4(across - cosine, 0.5 * alpha * sine * sine / across, 0.0, 0.0)
     xi = lens.distortion[0]
     alpha = lens.distortion[1]
-    across = wp.sqrt(sine * sine + (xi + cosine) * (xi + cosine))
-    below = alpha * across + (1.0 - alpha) * (xi + cosine)
-    shrink = -sine / (below * below)
     return shrink * wp.vec4(alpha * (xi + cosine) / across + 1.0 - alpha, across - xi - cosine, 0.0, 0.0)
 
 

@@ -81,22 +81,36 @@ def radial_factor(lens: Lens, squared: float) -> Factor:
     return factor
 
 
-@wp.func(inline=False)
-def radius_by_spheres(lens: Lens, angle: float) -> wp.vec2:
-    """Radius of an image by EUCM or DOUBLE_SPHERE at an angle from the axis, and its derivative."""
+@wp.func
+def sphere_terms(lens: Lens, angle: float) -> wp.vec2:
+    """Of EUCM or DOUBLE_SPHERE at an angle from the axis: its root d, and what the angle's sine is divided by."""
     sine = wp.sin(angle)
     cosine = wp.cos(angle)
     if lens.formula == EUCM:
         alpha = lens.distortion[0]
         across = wp.sqrt(lens.distortion[1] * sine * sine + cosine * cosine)
-        below = alpha * across + (1.0 - alpha) * cosine
-        return wp.vec2(sine / below, (alpha * cosine / across + 1.0 - alpha) / (below * below))
-    xi = lens.distortion[0]
+        return wp.vec2(across, alpha * across + (1.0 - alpha) * cosine)
     alpha = lens.distortion[1]
-    across = wp.sqrt(sine * sine + (xi + cosine) * (xi + cosine))
-    below = alpha * across + (1.0 - alpha) * (xi + cosine)
-    growth = (1.0 + xi * cosine) * (alpha * (cosine + xi) / across + 1.0 - alpha)
-    return wp.vec2(sine / below, growth / (below * below))
+    ahead = lens.distortion[0] + cosine
+    across = wp.sqrt(sine * sine + ahead * ahead)
+    return wp.vec2(across, alpha * across + (1.0 - alpha) * ahead)
+
+
+@wp.func(inline=False)
+def radius_by_spheres(lens: Lens, angle: float) -> wp.vec2:
+    """Radius of an image by EUCM or DOUBLE_SPHERE at an angle from the axis, and its derivative."""
+    cosine = wp.cos(angle)
+    terms = sphere_terms(lens, angle)
+    below = terms[1]
+    growth = float(0.0)
+    if lens.formula == EUCM:
+        alpha = lens.distortion[0]
+        growth = alpha * cosine / terms[0] + 1.0 - alpha
+    else:
+        xi = lens.distortion[0]
+        alpha = lens.distortion[1]
+        growth = (1.0 + xi * cosine) * (alpha * (cosine + xi) / terms[0] + 1.0 - alpha)
+    return wp.vec2(wp.sin(angle) / below, growth / (below * below))
 
 
 @wp.func
