@@ -7,8 +7,8 @@ import pytest
 
 from tests.driving_scene import camera_pose, on_device, random_poses, street
 from tests.raster.bodies import FAR_AWAY, cuboid
+from tests.raster.ray_queries import trace_crossings
 from tests.raster.test_lenses import MODELS
-from warpav.raster import decide
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
@@ -51,7 +51,7 @@ def both_ways(scene, poses, model):
     buffers = renderer._buffers
     ours = crossings(buffers.layers)
     buffers.layers.crossing_key.zero_()
-    decide._trace_crossings(buffers, scene, scene.object_count)
+    trace_crossings(buffers, scene, scene.object_count)
     traced = crossings(buffers.layers)
     return ours, traced, outline(buffers.layers) & (traced[0] > 0.0)
 

@@ -35,13 +35,14 @@ class Recording:
 
     def __call__(self) -> None:
         """Run the function."""
-        if not self._enabled or self._generation != self._renderer.generation:
+        renderer = self._renderer
+        if not self._enabled or not renderer.is_recordable or self._generation != renderer.generation:
             self._graph = None
             self._function()
-            self._generation = self._renderer.generation
+            self._generation = renderer.generation
             return
         if self._graph is None:
-            self._graph = record_graph(self._function, self._renderer.device)
-            self._state = self._renderer.state
+            self._graph = record_graph(self._function, renderer.device)
+            self._state = renderer.state
         wp.capture_launch(self._graph)
-        self._renderer.state = self._state
+        renderer.state = self._state

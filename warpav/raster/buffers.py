@@ -18,7 +18,7 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import layers, lens, measure, outline, ray_space, trace, view
+from warpav_kernels.raster import layers, lens, measure, outline, ray_space, view
 from warpav_kernels.raster import rays as ray_kernels
 
 LENS_KINDS = {
@@ -117,7 +117,8 @@ class Buffers:
         all_directions: Windows that hold every direction, vec4 [view].
         bent: Numbers of the views whose lenses are no pinholes.
         bent_view: The same on the device.
-        rays: Their rays (struct of the kernels), on the CPU.
+        rays: Their rays (struct of the kernels).
+        is_recordable: Whether the last render can be recorded: on the CPU the host looks at zooms of bent lenses.
         generation: Grows when arrays that recorded launches refer to have moved.
         state: What the last render has left; None before the first.
     """
@@ -163,6 +164,9 @@ class Buffers:
         self.rays.ray = self.zeros((0, 3, self.height, self.width), float)
         self.rays.set_of_view = self._no_set = wp.full(self.view_count, -1, dtype=wp.int32, device=self.device)
         self._rays_of: list[tuple[int, CameraModel, float]] = []
+        self._view_of_set = self._no_set
+        self._are_rays_placed = True
+        self.is_recordable = True
         self.generation = 0
         self.set_lenses(models)
         self.view = self.zeros(self.view_count, view.View)
@@ -241,18 +245,19 @@ class Buffers:
             raise InputError(f"models: expected {self.view_count} camera models of {size[0]} x {size[1]} pixels")
         if list(models) == self._models:
             return
+        bent = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
+        # recorded launches do not place rays again
+        self.generation += int({i: models[i] for i in bent} != {i: self._models[i] for i in self.bent})
         self._models = list(models)
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
         wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
-        bent = [i for i, model in enumerate(models) if model.lens is not Lens.PINHOLE]
         if bent != self.bent:
-            for module in (trace, ray_space, ray_kernels) if self.device.is_cpu else (trace,):
+            for module in (ray_space, ray_kernels):
                 wp.load_module(module, device=self.device)  # takes seconds to compile, so only where it is needed
             self.bent = bent
             self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
-            self.generation += 1
 
     def place_views(self, position_world_m: wp.array, camera_from_world: wp.array, log_focal: wp.array | None) -> None:
         """Set the poses of the views, and their focal lengths."""
@@ -272,7 +277,10 @@ class Buffers:
             self.log_focal.zero_()
         else:
             wp.copy(self.log_focal, log_focal)
-        of_set = self._reserve_rays() if self.bent and self.device.is_cpu else None
+        is_zoomed = log_focal is not None
+        self.is_recordable = not (is_zoomed and self.bent and self.device.is_cpu)
+        if self.bent:
+            self._reserve_rays(is_zoomed=is_zoomed)
         self.launch(
             view.place_views_kernel,
             self.view_count,
@@ -282,16 +290,23 @@ class Buffers:
             ],
             outputs=[self.view],
         )  # fmt: skip
-        if of_set is not None:
-            self._place_rays(of_set)
+        if self.bent:
+            self._place_rays(is_zoomed=is_zoomed)
 
-    def _reserve_rays(self) -> wp.array | None:
-        """Room for the rays of the views that are no pinholes: a view of each set of rays; None: they are there."""
-        zoom = self.log_focal.numpy()[self.bent]
-        rays_of = [(v, self._models[v], float(each)) for v, each in zip(self.bent, zoom, strict=True)]
+    def _reserve_rays(self, *, is_zoomed: bool) -> None:
+        """Room for the rays of the views that are no pinholes: views of one lens and zoom share them.
+
+        A GPU is not asked what the zooms are, so that launches can be recorded: there views that may be zoomed have
+        rays of their own.
+        """
+        zoom = self.bent if is_zoomed else [0.0] * len(self.bent)
+        if is_zoomed and self.device.is_cpu:
+            zoom = self.log_focal.numpy()[self.bent].tolist()
+        rays_of = [(v, self._models[v], each) for v, each in zip(self.bent, zoom, strict=True)]
         if rays_of == self._rays_of:
-            return None
-        self._rays_of = rays_of
+            return
+        self._rays_of, self._are_rays_placed = rays_of, False
+        self.generation += 1
         of_view = [each[1:] for each in rays_of]
         sets, shapes = list(dict.fromkeys(of_view)), list(dict.fromkeys(model.shape for model, _ in of_view))
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
@@ -307,12 +322,19 @@ class Buffers:
         rays.block_row = self.zeros((count, 7, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
         rays.is_flat = self.zeros(count, wp.int32)
-        return wp.array([self.bent[of_view.index(each)] for each in sets], dtype=wp.int32, device=self.device)
+        self._view_of_set = wp.array(
+            [self.bent[of_view.index(each)] for each in sets], dtype=wp.int32, device=self.device
+        )
 
-    def _place_rays(self, view_of_set: wp.array) -> None:
-        """The rays of the views that are no pinholes, and what bounds them."""
-        rays = self.rays
+    def _place_rays(self, *, is_zoomed: bool) -> None:
+        """The rays of the views that are no pinholes, and what bounds them, unless they are there."""
+        if self._are_rays_placed and (self.device.is_cpu or not is_zoomed):
+            return
+        self._are_rays_placed = True
+        rays, view_of_set = self.rays, self._view_of_set
         count, _, rows, columns = rays.block.shape
+        rays.widest_cosine.fill_(1.0)
+        rays.is_flat.fill_(1)
         self.launch(
             ray_kernels.place_rays_kernel,
             (count, self.height, self.width),
@@ -327,7 +349,7 @@ class Buffers:
         )
         self.launch(
             ray_kernels.bound_rays_kernel,
-            count,
+            (count, self.height),
             inputs=[rays.ray, rays.block],
             outputs=[rays.widest_cosine, rays.is_flat],
         )

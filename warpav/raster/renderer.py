@@ -83,6 +83,11 @@ class Renderer:
         return self._buffers.generation
 
     @property
+    def is_recordable(self) -> bool:
+        """Whether the launches of the last render can be recorded: not where the host had to look at zooms."""
+        return self._buffers.is_recordable
+
+    @property
     def state(self) -> RenderState | None:
         """What the last render has left in the buffers; None before the first.
 

@@ -6,7 +6,17 @@ solved, not searched for.
 
 import warp as wp
 
-from warpav_kernels.raster.candidates import STEEP, TABLE_ERROR, WHOLE, Candidate, wide_bounds
+from warpav_kernels.raster.candidates import (
+    LEAST_DISTANCE_M,
+    LEAST_VOLUME,
+    STEEP,
+    TABLE_ERROR,
+    WHOLE,
+    WIDE,
+    Candidate,
+    wide_bounds,
+    with_bounds,
+)
 from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
 from warpav_kernels.raster.rasterise import line_after, raise_crossing
@@ -71,37 +81,97 @@ def corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
 
 
 @wp.func
-def piece_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner) -> wp.vec4:
-    """Bounds (left, top, right, bottom) in focal lengths of the image of a short arc; see `find_candidates`.
+def short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner) -> wp.vec4:
+    """Bounds (left, top, right, bottom) in focal lengths of the image of a small triangle, or of an arc where b is c.
 
-    Columns of a panorama may lie a turn or two beside its image.
+    As `find_candidates` bounds them. Columns of a panorama may lie a turn or two beside its image.
     """
-    squared = wp.length_sq(b.direction - a.direction)
-    bend = wp.max(a.bend, b.bend)
+    squared = wp.max(wp.length_sq(b.direction - a.direction), wp.length_sq(c.direction - b.direction))
+    squared = wp.max(squared, wp.length_sq(a.direction - c.direction))
+    bend = wp.max(a.bend, wp.max(b.bend, c.bend))
     if camera.lens.kind == PANORAMA and bend > STEEP:
-        return wide_bounds(camera, a.direction, b.direction, b.direction)
+        return wide_bounds(camera, a.direction, b.direction, c.direction)
     bulge = 0.14 * squared * bend + TABLE_ERROR
-    u = b.place[0]
+    u1 = b.place[0]
+    u2 = c.place[0]
     if camera.lens.kind == PANORAMA:
         level = wp.sqrt(1.0 - bend * bend)
         bulge = 0.5 * squared / (level * level * level)
-        u -= 2.0 * wp.pi * wp.round((u - a.place[0]) / (2.0 * wp.pi))
-    elif wp.max(a.direction[2], b.direction[2]) < widest_cosine:
+        u1 -= 2.0 * wp.pi * wp.round((u1 - a.place[0]) / (2.0 * wp.pi))
+        u2 -= 2.0 * wp.pi * wp.round((u2 - a.place[0]) / (2.0 * wp.pi))
+    elif wp.max(a.direction[2], wp.max(b.direction[2], c.direction[2])) < widest_cosine:
         return wp.vec4(WHOLE, WHOLE, -WHOLE, -WHOLE)
     if camera.lens.kind == BROWN_CONRADY:
         sideways = 3.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3]))
         limit = camera.lens.limit * camera.lens.limit
-        widest = squared_secant(wp.min(a.direction[2], b.direction[2]))
+        widest = squared_secant(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])))
         if widest <= 1.0 + limit:
             bulge += 0.84 * squared * sideways * widest * (1.0 + limit)
         else:
             bulge += 1.4 * sideways * limit
     return wp.vec4(
-        wp.min(a.place[0], u) - bulge,
-        wp.min(a.place[1], b.place[1]) - bulge,
-        wp.max(a.place[0], u) + bulge,
-        wp.max(a.place[1], b.place[1]) + bulge,
+        wp.min(a.place[0], wp.min(u1, u2)) - bulge,
+        wp.min(a.place[1], wp.min(b.place[1], c.place[1])) - bulge,
+        wp.max(a.place[0], wp.max(u1, u2)) + bulge,
+        wp.max(a.place[1], wp.max(b.place[1], c.place[1])) + bulge,
     )
+
+
+@wp.func
+def edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
+    """Normal of the plane through the camera's centre and an edge, turned by ``side`` [m^2].
+
+    It is computed from the same end whichever way the edge runs: triangles that share it share every bit of it.
+    """
+    is_turned = p[0] > q[0] or (p[0] == q[0] and (p[1] > q[1] or (p[1] == q[1] and p[2] > q[2])))
+    if is_turned:
+        return wp.cross(q, p - q) * -side
+    return wp.cross(p, q - p) * side
+
+
+@wp.func(inline=False)
+def candidate_of(
+    camera: View,
+    rays: Rays,
+    table: int,
+    widest_cosine: float,
+    triangle: int,
+    p: wp.vec3,
+    q: wp.vec3,
+    r: wp.vec3,
+    frame: wp.vec4i,
+    has_outline: bool,
+) -> Candidate:
+    """One triangle of corners p, q and r as `find_candidates` finds it; its number is -1 where it is not seen."""
+    found = Candidate()
+    found.triangle = -1
+    depth = wp.vec3(wp.length(p), wp.length(q), wp.length(r))
+    volume = wp.dot(p, wp.cross(q - p, r - p))
+    if wp.min(depth) < LEAST_DISTANCE_M or wp.abs(volume) < LEAST_VOLUME * depth[0] * depth[1] * depth[2]:
+        return found
+    if camera.lens.kind == BROWN_CONRADY:
+        depth = wp.vec3(p[2], q[2], r[2])
+    if wp.max(depth) < camera.near_m:
+        return found
+    a = corner_of(camera, rays, table, p)
+    b = corner_of(camera, rays, table, q)
+    c = corner_of(camera, rays, table, r)
+    chord = wp.max(wp.length_sq(b.direction - a.direction), wp.length_sq(c.direction - b.direction))
+    chord = wp.max(chord, wp.length_sq(a.direction - c.direction))
+    if chord > WIDE * WIDE:
+        found = with_bounds(camera, found, wide_bounds(camera, a.direction, b.direction, c.direction), frame)
+    else:
+        found = with_bounds(camera, found, short_bounds(camera, widest_cosine, a, b, c), frame)
+    has_column = found.first_column <= found.last_column
+    has_row = found.first_row <= found.last_row
+    if (has_column and has_row) or (has_outline and (has_column or has_row)):
+        side = wp.sign(volume)
+        found.triangle = triangle
+        found.edge0 = edge_plane(p, q, side)
+        found.edge1 = edge_plane(q, r, side)
+        found.edge2 = edge_plane(r, p, side)
+        found.inverse_depth = wp.cross(q - p, r - p) / volume
+    return found
 
 
 @wp.func
@@ -187,7 +257,7 @@ def cross_bent_edge(
         if piece + 1 < pieces:
             share = float(piece + 1) / float(pieces)
             b = corner_of(camera, rays, table, (1.0 - share) * p.direction + share * q.direction)
-        bounds = piece_bounds(camera, widest_cosine, a, b)
+        bounds = short_bounds(camera, widest_cosine, a, b, b)
         turn = int(0)
         if camera.lens.kind == PANORAMA:
             turn = 1

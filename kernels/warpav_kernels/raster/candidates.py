@@ -309,11 +309,10 @@ def wide_bounds(camera: View, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec4:
     return cone_bounds(camera.lens, axis, half)
 
 
-@wp.func(inline=False)
-def bound_wide(camera: View, candidate: Candidate, p: wp.vec3, q: wp.vec3, r: wp.vec3, frame: wp.vec4i) -> Candidate:
-    """A wide triangle with its bounds."""
+@wp.func
+def with_bounds(camera: View, candidate: Candidate, place: wp.vec4, frame: wp.vec4i) -> Candidate:
+    """A triangle with the rows and columns of its bounds (left, top, right, bottom) in focal lengths."""
     found = candidate
-    place = wide_bounds(camera, wp.normalize(p), wp.normalize(q), wp.normalize(r))
     low = float(frame[0])
     high = float(frame[2])
     if camera.lens.kind == PANORAMA:
@@ -329,3 +328,10 @@ def bound_wide(camera: View, candidate: Candidate, p: wp.vec3, q: wp.vec3, r: wp
     found.first_column = int(wp.floor(left + 0.5))
     found.last_column = int(wp.floor(right + 0.5)) - 1
     return found
+
+
+@wp.func(inline=False)
+def bound_wide(camera: View, candidate: Candidate, p: wp.vec3, q: wp.vec3, r: wp.vec3, frame: wp.vec4i) -> Candidate:
+    """A wide triangle with its bounds."""
+    place = wide_bounds(camera, wp.normalize(p), wp.normalize(q), wp.normalize(r))
+    return with_bounds(camera, candidate, place, frame)

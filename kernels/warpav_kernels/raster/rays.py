@@ -171,23 +171,22 @@ def bound_rays_kernel(
 ):
     """See `Rays.widest_cosine` and `Rays.is_flat`.
 
-    Launch: ``dim=set_count``; one thread per set. Not taped.
-    Writes: every element of ``widest_cosine`` and ``is_flat`` once.
+    Launch: ``dim=(set_count, height)``; one thread per row of samples, and for each of the first also one of blocks.
+    Not taped.
+    Writes: ``widest_cosine`` and ``is_flat`` by atomic minimum; the caller fills them with ones.
     """
-    i = wp.tid()
-    others = int(0)
-    for row in range(ray.shape[2]):
-        for column in range(ray.shape[3]):
-            others += int(ray[i, 2, row, column] != 1.0)
-    is_flat[i] = int(others == 0)
-    widest = float(0.0)
-    for row in range(block.shape[2]):
+    i, row = wp.tid()
+    for column in range(ray.shape[3]):
+        if ray[i, 2, row, column] != 1.0 and is_flat[i] == 1:
+            wp.atomic_min(is_flat, i, 0)
+    if row < block.shape[2]:
+        widest = float(0.0)
         for column in range(block.shape[3]):
             mean = ray_at(block, i, row, column)
             if wp.length_sq(mean) > 0.0:
                 angle = wp.atan2(wp.sqrt(mean[0] * mean[0] + mean[1] * mean[1]), mean[2])
                 widest = wp.max(widest, angle + 2.0 * wp.asin(wp.min(block[i, 3, row, column] / wp.length(mean), 1.0)))
-    widest_cosine[i] = wp.cos(wp.min(widest + SPARE_RAD, wp.pi))
+        wp.atomic_min(widest_cosine, i, wp.cos(wp.min(widest + SPARE_RAD, wp.pi)))
 
 
 @wp.func

@@ -1,7 +1,4 @@
-"""Decide, for lenses that are no pinholes: the buffers of `rasterise` by ray queries, those that `ray_space` leaves.
-
-A straight edge is no straight line in such an image, so every sample sends a ray through the lens instead. The scene is
-one mesh whose triangles are grouped by object: a ray for a layer only asks that object's group.
+"""Where outlines cross between samples, by ray queries: an oracle for crossings in the space of rays.
 
 Where a layer ends between two samples, or its front does and a farther part of it begins, is found by halving the way
 from the last ray that hits it to the first that does not.
@@ -9,9 +6,10 @@ from the last ray that hits it to the first that does not.
 
 import warp as wp
 
+from warpav.raster.buffers import Buffers
+from warpav.raster.scene import Scene
 from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, NEAR_CUT, Layers, place_in, step_of
 from warpav_kernels.raster.rasterise import LEAST_OFFSET
-from warpav_kernels.raster.triangles import Triangles
 from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
@@ -20,7 +18,6 @@ FARTHEST_M = wp.constant(1.0e6)
 CROSSING_STEPS = wp.constant(12)  # halvings of a sample
 NEAR_TOLERANCE = wp.constant(3.0e-4)  # of 1/z, by which a surface ends where it is too near
 LEAST_STEP = wp.constant(0.1)  # of 1/z, from a layer's front to a part behind it
-WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 
 @wp.struct
@@ -53,111 +50,25 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
     return hit
 
 
-@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
-def trace_keys_kernel(
-    # in
-    view: wp.array[View],
-    mesh: wp.uint64,
-    bent_view: wp.array[wp.int32],
-    scissor: wp.array[wp.vec4i],
-    first: int,
-    # out
-    key: wp.array3d[wp.int64],
-):
-    """Nearest surface of every sample of these views inside their scissors, as `rasterise` keeps it.
-
-    Launch: ``dim=(bent views of this chunk, height, width)``; one thread per sample. Not taped.
-    Writes: the keys of these views inside their scissors once.
-    """
-    i, row, column = wp.tid()
-    v = bent_view[first + i]
-    frame = scissor[v]
-    if column < frame[0] or row < frame[1] or column >= frame[2] or row >= frame[3]:
-        return
-    camera = view[v]
-    hit = first_hit(camera, mesh, WHOLE_SCENE, sample_ray(camera, row, column))
-    nearest = wp.int64(0)
-    if hit.triangle >= 0:
-        nearest = (wp.int64(wp.cast(hit.inverse_depth, wp.int32)) << wp.int64(32)) | wp.int64(hit.triangle)
-    key[v, row, column] = nearest
-
-
-@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
-def trace_layers_kernel(
-    # in
-    view: wp.array[View],
-    scene: Triangles,
-    mesh: wp.uint64,
-    layer_body: wp.array[wp.int32],
-    bent_view: wp.array[wp.int32],
-    key: wp.array3d[wp.int64],
-    has_key: int,
-    first: int,
-    row_lanes: int,
-    column_lanes: int,
-    # out
-    layers: Layers,
-):
-    """Nearest surface of every layer alone, at every sample of its rectangle.
-
-    Where the key buffer (``has_key`` 1) holds the layer's own object, or nothing, no ray is needed.
-
-    Launch: ``dim=(bent views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
-    samples. Not taped.
-    Writes: ``layers.inverse_depth_bits`` of these views where the layers cover them; the caller zeroes it.
-    """
-    i, layer, lane = wp.tid()
-    v = bent_view[first + i]
-    camera = view[v]
-    rectangle = layers.rectangle[v, layer]
-    root = wp.mesh_get_group_root(mesh, layer_body[layer])
-    for row in range(lane / column_lanes, rectangle[3], row_lanes):
-        for column in range(lane % column_lanes, rectangle[2], column_lanes):
-            nearest = wp.int64(0)
-            is_asked = True
-            if has_key == 1:
-                nearest = key[v, rectangle[1] + row, rectangle[0] + column]
-                is_asked = nearest != wp.int64(0)
-            bits = wp.int32(0)
-            if is_asked:
-                is_own = False
-                if nearest != wp.int64(0):
-                    is_own = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))] == layer_body[layer]
-                if is_own:
-                    bits = wp.int32(nearest >> wp.int64(32))
-                else:
-                    ray = sample_ray(camera, rectangle[1] + row, rectangle[0] + column)
-                    bits = wp.cast(first_hit(camera, mesh, root, ray).inverse_depth, wp.int32)
-            layers.inverse_depth_bits[layers.offset[v, layer] + row * rectangle[2] + column] = bits
-
-
-@wp.kernel(enable_backward=False, launch_bounds=(256, 4))
+@wp.kernel(enable_backward=False)
 def trace_crossings_kernel(
     # in
     view: wp.array[View],
     mesh: wp.uint64,
     layer_body: wp.array[wp.int32],
     bent_view: wp.array[wp.int32],
-    first: int,
-    row_lanes: int,
-    column_lanes: int,
     # out
     layers: Layers,
 ):
-    """How far every layer's front goes on from its outermost samples towards the neighbours that it does not cover.
-
-    Launch: ``dim=(bent views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its
-    samples. Not taped.
-    Writes: ``layers.crossing_key`` of these views at outlines; the caller zeroes it.
-    """
-    i, layer, lane = wp.tid()
-    v = bent_view[first + i]
+    """How far every layer's front goes on from its outermost samples towards the neighbours that it does not cover."""
+    i, layer = wp.tid()
+    v = bent_view[i]
     camera = view[v]
     rectangle = layers.rectangle[v, layer]
     offset = layers.offset[v, layer]
     root = wp.mesh_get_group_root(mesh, layer_body[layer])
-    for r in range(lane / column_lanes, rectangle[3], row_lanes):
-        for c in range(lane % column_lanes, rectangle[2], column_lanes):
+    for r in range(rectangle[3]):
+        for c in range(rectangle[2]):
             row = rectangle[1] + r
             column = rectangle[0] + c
             place = offset + r * rectangle[2] + c
@@ -196,3 +107,14 @@ def trace_crossings_kernel(
                                 end = NEAR_CUT | wp.int64(end_triangle)
                             offset_bits = wp.cast(wp.max(0.5 * (inside + outside), LEAST_OFFSET), wp.int32)
                             layers.crossing_key[direction, place] = (wp.int64(offset_bits) << wp.int64(32)) | end
+
+
+def trace_crossings(buffers: Buffers, scene: Scene, layer_count: int) -> None:
+    """Raise ``buffers.layers.crossing_key``, which the caller zeroes, at the outlines of the first layers."""
+    wp.launch(
+        trace_crossings_kernel,
+        (len(buffers.bent), layer_count),
+        inputs=[buffers.view, scene.mesh.id, scene.layer_body, buffers.bent_view],
+        outputs=[buffers.layers],
+        device=buffers.device,
+    )
