@@ -39,7 +39,7 @@ def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
 
     Args:
         device: Warp device.
-        but: Modules that are left out: those of ``warpav_kernels`` whose names begin so, such as ``raster.ray_space``.
+        but: Modules that are left out: those of ``warpav_kernels`` whose names begin so, such as ``raster.trace``.
 
     Raises:
         Exception: Of the compiler.

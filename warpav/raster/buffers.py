@@ -18,7 +18,7 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import layers, lens, measure, outline, ray_space, view
+from warpav_kernels.raster import bent_edges, layers, lens, measure, outline, ray_space, trace, view
 from warpav_kernels.raster import rays as ray_kernels
 
 LENS_KINDS = {
@@ -254,7 +254,7 @@ class Buffers:
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
         wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
         if bent != self.bent:
-            for module in (ray_space, ray_kernels):
+            for module in (ray_kernels, *((ray_space,) if self.device.is_cpu else (trace, bent_edges))):
                 wp.load_module(module, device=self.device)  # takes seconds to compile, so only where it is needed
             self.bent = bent
             self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
@@ -317,7 +317,8 @@ class Buffers:
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
         rays.table = wp.array([image_table(shape) for shape in shapes], dtype=wp.vec2, device=self.device)
         rays.ray = self.zeros((count, 3, self.height, self.width), float)
-        blocks = -(-self.height // block), -(-self.width // block)
+        # a GPU does not draw by blocks
+        blocks = (-(-self.height // block), -(-self.width // block)) if self.device.is_cpu else (0, 0)
         rays.block = self.zeros((count, 4, *blocks), float)
         rays.block_row = self.zeros((count, 7, math.prod(blocks), block), float)
         rays.widest_cosine = self.zeros(count, float)
@@ -339,19 +340,13 @@ class Buffers:
             ray_kernels.place_rays_kernel,
             (count, self.height, self.width),
             inputs=[self.view, view_of_set],
-            outputs=[rays.ray],
+            outputs=[rays.ray, rays.widest_cosine, rays.is_flat],
         )
         self.launch(
             ray_kernels.place_blocks_kernel,
             (count, rows, columns),
             inputs=[rays.ray],
             outputs=[rays.block, rays.block_row],
-        )
-        self.launch(
-            ray_kernels.bound_rays_kernel,
-            (count, self.height),
-            inputs=[rays.ray, rays.block],
-            outputs=[rays.widest_cosine, rays.is_flat],
         )
 
     def reserve_samples(self, sample_count: int) -> None:

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, Buffers, Content, RenderState
 from warpav.raster.scene import CLUSTER_SIZE, Scene
-from warpav_kernels.raster import hide, rasterise, ray_space
+from warpav_kernels.raster import bent_edges, hide, rasterise, ray_space, trace
 
 
 class Occlusion(Enum):
@@ -90,7 +90,12 @@ def decide(
             outputs=[buffers.key, buffers.layers],
         )  # fmt: skip
     if buffers.bent:
-        _scatter_bent(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
+        if buffers.device.is_cpu:
+            _scatter_bent(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
+        else:
+            _trace(buffers, scene, layer_count, has_key=has_key)
+            if layer_count and has_outlines:
+                _cross_bent(buffers, scene, layer_count)
     if scene.object_count and content in (Content.ALL, Content.COVERAGE):
         _hide(buffers, scene, occlusion)
     return state
@@ -98,31 +103,61 @@ def decide(
 
 def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
     """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
-    candidates = (buffers.view_count if buffers.device.is_cpu else 0, CLUSTER_SIZE)
-    candidate = buffers.kept("candidate", candidates, ray_space.Candidate)
-    buffers.strip_count.zero_()
+    candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), ray_space.Candidate)
     buffers.over_views(
         len(buffers.bent),
         lambda first, count: buffers.launch(
             ray_space.scatter_bent_triangles_kernel,
-            (count, scene.cluster_count, buffers.cluster_lanes),
+            (count, scene.cluster_count),
             inputs=[
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
-                int(has_key), int(has_outlines), buffers.cluster_lanes,
+                int(has_key), int(has_outlines),
             ],
-            outputs=[candidate, buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
+            outputs=[candidate, buffers.key, buffers.layers],
         ),
     )  # fmt: skip
-    if buffers.strip.size:
-        buffers.launch(
-            ray_space.fill_bent_strips_kernel,
-            (CUDA_STRIP_GROUPS, CUDA_STRIP_LANES),
-            inputs=[
-                buffers.view, scene.triangles, buffers.rays, layer_count, buffers.scissor, int(has_key), buffers.strip,
-                buffers.strip_count, CUDA_STRIP_GROUPS, CUDA_STRIP_LANES,
-            ],
-            outputs=[buffers.key, buffers.layers],
+
+
+def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+    """Fill the keys and layers of the views whose lenses are no pinholes, by ray queries."""
+    mesh, bent, count = scene.mesh.id, buffers.bent_view, len(buffers.bent)
+    rows, columns = buffers.lanes
+    if has_key:
+        buffers.over_views(
+            count,
+            lambda first, count: buffers.launch(
+                trace.trace_keys_kernel,
+                (count, buffers.height, buffers.width),
+                inputs=[buffers.view, mesh, bent, buffers.scissor, first],
+                outputs=[buffers.key],
+            ),
+        )
+    if layer_count:
+        buffers.over_views(
+            count,
+            lambda first, count: buffers.launch(
+                trace.trace_layers_kernel,
+                (count, layer_count, rows * columns),
+                inputs=[
+                    buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key, int(has_key), first,
+                    rows, columns,
+                ],
+                outputs=[buffers.layers],
+            ),
         )  # fmt: skip
+
+
+def _cross_bent(buffers: Buffers, scene: Scene, layer_count: int) -> None:
+    """The edge crossings of the layers in the views whose lenses are no pinholes, on a GPU."""
+    buffers.launch(
+        bent_edges.scatter_bent_crossings_kernel,
+        (len(buffers.bent), scene.cluster_count, buffers.cluster_lanes),
+        inputs=[
+            buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor,
+            buffers.cluster_lanes,
+        ],
+        outputs=[buffers.layers],
+    )  # fmt: skip
 
 
 def _hide(buffers: Buffers, scene: Scene, occlusion: Occlusion) -> None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.ray_space", "reconstruction")
+RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.trace", "reconstruction")
 """Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 EGO_TOLERANCE_M = 0.2

@@ -21,8 +21,8 @@ from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, p
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
 from warpav_kernels.raster.rasterise import line_after, raise_crossing
 from warpav_kernels.raster.rays import Rays, table_entry
-from warpav_kernels.raster.triangles import Triangles, faces, may_be_outline
-from warpav_kernels.raster.view import View, ray_between, sample_ray
+from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
+from warpav_kernels.raster.view import View, point_in_camera, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -140,9 +140,8 @@ def candidate_of(
     q: wp.vec3,
     r: wp.vec3,
     frame: wp.vec4i,
-    has_outline: bool,
 ) -> Candidate:
-    """One triangle of corners p, q and r as `find_candidates` finds it; its number is -1 where it is not seen."""
+    """One triangle of corners p, q and r as `find_candidates` finds it for its outline; numbered -1 where unseen."""
     found = Candidate()
     found.triangle = -1
     depth = wp.vec3(wp.length(p), wp.length(q), wp.length(r))
@@ -164,7 +163,7 @@ def candidate_of(
         found = with_bounds(camera, found, short_bounds(camera, widest_cosine, a, b, c), frame)
     has_column = found.first_column <= found.last_column
     has_row = found.first_row <= found.last_row
-    if (has_column and has_row) or (has_outline and (has_column or has_row)):
+    if has_column or has_row:
         side = wp.sign(volume)
         found.triangle = triangle
         found.edge0 = edge_plane(p, q, side)
@@ -379,3 +378,59 @@ def cross_outline(
             )  # fmt: skip
     if not is_front_only and least_depth(camera, p, q, r) < camera.near_m:
         cross_near_cut(image, camera, rectangle, offset, layers)
+
+
+@wp.kernel(enable_backward=False)
+def scatter_bent_crossings_kernel(
+    # in
+    view: wp.array[View],
+    scene: Triangles,
+    rays: Rays,
+    bent_view: wp.array[wp.int32],
+    layer_count: int,
+    scissor: wp.array[wp.vec4i],
+    lane_count: int,
+    # out
+    layers: Layers,
+):
+    """The edge crossings of the layers below ``layer_count`` in the views whose lenses are no pinholes, on a GPU.
+
+    Launch: ``dim=(such views, cluster_count, lane_count)``; thread (view, cluster, lane) takes the cluster's triangles
+    lane, lane + lane_count, ... Not taped.
+    Writes: ``layers.crossing_key`` by atomic maximum; the caller zeroes it.
+    """
+    i, cluster, lane = wp.tid()
+    v = bent_view[i]
+    layer = scene.cluster_layer[cluster]
+    if layer < 0 or layer >= layer_count:
+        return
+    rectangle = layers.rectangle[v, layer]
+    if rectangle[2] == 0:
+        return
+    camera = view[v]
+    frame = scissor[v]
+    is_front_only = shows_no_back(camera, scene, cluster, frame)
+    first = scene.cluster_first[cluster]
+    for triangle in range(first + lane, first + scene.cluster_count[cluster], lane_count):
+        plane = scene.triangle_plane[triangle]
+        if is_front_only and is_behind(camera, plane):
+            continue
+        neighbour = scene.neighbour[triangle]
+        is_facing = faces(camera, plane)
+        is_outline = may_be_outline(camera, scene, is_facing, neighbour[0])
+        is_outline = is_outline or may_be_outline(camera, scene, is_facing, neighbour[1])
+        is_outline = is_outline or may_be_outline(camera, scene, is_facing, neighbour[2])
+        if is_outline or not is_front_only:
+            corner = scene.triangle[triangle]
+            p = point_in_camera(camera, scene.vertex_world_m[corner[0]])
+            q = point_in_camera(camera, scene.vertex_world_m[corner[1]])
+            r = point_in_camera(camera, scene.vertex_world_m[corner[2]])
+            if is_outline or least_depth(camera, p, q, r) < camera.near_m:
+                table = rays.table_of_view[v]
+                widest_cosine = rays.widest_cosine[rays.set_of_view[v]]
+                image = candidate_of(camera, rays, table, widest_cosine, triangle, p, q, r, frame)
+                if image.triangle >= 0:
+                    cross_outline(
+                        image, p, q, r, camera, scene, rays, table, widest_cosine, is_front_only, rectangle,
+                        layers.offset[v, layer], layers,
+                    )  # fmt: skip

@@ -4,14 +4,11 @@ A straight edge is no straight line in such an image, but the rays through it st
 centre. So a triangle covers a sample if the sample's ray lies on the inner side of three planes, and the inverse depth
 is linear in the ray. Nothing is inverted, cut or divided up: corners may be behind the camera. The rays of all samples
 are kept (see `rays`), and blocks of them are passed over whole.
-
-On the CPU one thread draws a view, a cluster at a time in C++; on a GPU a thread draws a triangle, and a large one goes
-to a queue, from which many threads fill it.
 """
 
 import warp as wp
 
-from warpav_kernels.raster.bent_edges import candidate_of, cross_outline
+from warpav_kernels.raster.bent_edges import cross_outline
 from warpav_kernels.raster.candidates import (
     LEAST_DISTANCE_M,
     LEAST_VOLUME,
@@ -23,11 +20,10 @@ from warpav_kernels.raster.candidates import (
     bound_wide,
     find_candidates,
 )
-from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers, place_in
+from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
-from warpav_kernels.raster.rasterise import LARGE_SAMPLES, raise_bits
-from warpav_kernels.raster.rays import BLOCK, Rays, ray_at
-from warpav_kernels.raster.triangles import Triangles, behind_m, is_behind, shows_no_back
+from warpav_kernels.raster.rays import Rays
+from warpav_kernels.raster.triangles import Triangles, behind_m, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -234,61 +230,6 @@ def misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp
     return left > float(scissor[2]) or right < float(scissor[0])
 
 
-@wp.func
-def fill_block(
-    image: Candidate,
-    first_row: int,
-    end_row: int,
-    column: int,
-    rays: Rays,
-    ray_set: int,
-    farthest: float,
-    v: int,
-    has_key: bool,
-    rectangle: wp.vec4i,
-    offset: int,
-    layers: Layers,
-    key: wp.array3d[wp.int64],
-):
-    """Scatter a triangle's samples of some rows of a column, as `fill_triangle`, by atomic operations."""
-    for row in range(first_row, end_row):
-        ray = ray_at(rays.ray, ray_set, row, column)
-        w = wp.dot(image.inverse_depth, ray)
-        inner = wp.min(wp.dot(image.edge0, ray), wp.min(wp.dot(image.edge1, ray), wp.dot(image.edge2, ray)))
-        if w > 0.0 and w <= farthest and inner >= 0.0:
-            bits = wp.cast(wp.max(w, LEAST_INVERSE_DEPTH), wp.int32)
-            if has_key:
-                value = (wp.int64(bits) << wp.int64(32)) | wp.int64(image.triangle)
-                if key[v, row, column] < value:
-                    wp.atomic_max(key, v, row, column, value)
-            if offset >= 0:
-                place = place_in(rectangle, offset, row, column)
-                if place >= 0:
-                    raise_bits(layers.inverse_depth_bits, place, bits)
-
-
-@wp.func
-def turned_columns(image: Candidate, turn: int, turn_samples: float, frame: wp.vec4i) -> wp.vec2i:
-    """First and last column of a candidate so many turns of a panorama further, inside a frame; of other lenses its."""
-    shift = int(wp.rint(float(turn) * turn_samples))
-    spare = int(turn_samples > 0.0)
-    return wp.vec2i(
-        wp.max(image.first_column + shift - spare, frame[0]), wp.min(image.last_column + shift + spare, frame[2] - 1)
-    )
-
-
-@wp.func
-def reaches_block(image: Candidate, rays: Rays, ray_set: int, row: int, column: int) -> bool:
-    """Whether a triangle may cover a sample of a block of samples."""
-    mean = ray_at(rays.block, ray_set, row, column)
-    spread = 1.0001 * rays.block[ray_set, 3, row, column]
-    if spread < 0.0 or wp.dot(image.edge0, mean) < -spread * wp.length(image.edge0):
-        return False
-    if wp.dot(image.edge1, mean) < -spread * wp.length(image.edge1):
-        return False
-    return wp.dot(image.edge2, mean) >= -spread * wp.length(image.edge2)
-
-
 @wp.kernel(enable_backward=False)
 def scatter_bent_triangles_kernel(
     # in
@@ -301,25 +242,20 @@ def scatter_bent_triangles_kernel(
     first: int,
     has_key: int,
     has_outlines: int,
-    lane_count: int,
     # out
     candidate: wp.array2d[Candidate],
     key: wp.array3d[wp.int64],
     layers: Layers,
-    strip: wp.array[wp.vec4i],
-    strip_count: wp.array[wp.int32],
 ):
     """Scatter every triangle into the key buffer and, where its object has one below ``layer_count``, into its layer.
 
     As `rasterise.scatter_triangles_kernel`, for the views whose lenses are no pinholes.
 
-    Launch: ``dim=(such views of this chunk, cluster_count, lane_count)``; thread (view, cluster, lane) draws the
-    cluster's triangles lane, lane + lane_count, ... Not taped.
-    Writes: ``key`` and ``layers`` by atomic maximum, ``strip_count[0]`` by atomic add; the caller zeroes them; the
-        queue ``strip`` as (view, triangle, first row, 0); ``candidate`` [view, triangle of a cluster], which nobody
-        else reads. Where it is not empty one thread draws a view, without atomic operations.
+    Launch: ``dim=(such views of this chunk, cluster_count)``; one thread per cluster of a view. Not taped.
+    Writes: ``key`` and ``layers``, which the caller zeroes; ``candidate`` [view, triangle of a cluster], which nobody
+        else reads. So all clusters of a view must be drawn by one thread, as on a CPU.
     """
-    i, cluster, lane = wp.tid()
+    i, cluster = wp.tid()
     v = bent_view[first + i]
     layer = scene.cluster_layer[cluster]
     if layer >= layer_count:
@@ -349,124 +285,26 @@ def scatter_bent_triangles_kernel(
     turn_samples = float(0.0)
     if camera.lens.kind == PANORAMA:
         turn_samples = 2.0 * wp.pi * camera.focal[0]
-    farthest = 1.0 / camera.near_m
-    is_drawn = candidate.shape[0] > 0
-    count = scene.cluster_count[cluster]
-    if is_drawn:
-        count = find_candidates(
-            camera, scene, cluster, frame, rays, table, widest_cosine, is_front_only, behind_m(camera), has_outline,
-            BROWN_CONRADY, PANORAMA, SPHERE, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v,
-            candidate,
-        )  # fmt: skip
-    for k in range(lane, count, lane_count):
-        triangle = scene.cluster_first[cluster] + k
-        if is_drawn:
-            triangle = candidate[v, k].triangle
-        elif is_front_only and is_behind(camera, scene.triangle_plane[triangle]):
-            continue
-        if not is_drawn or candidate[v, k].is_wide == 1 or candidate[v, k].is_outline == 1:
-            of_triangle = scene.triangle[triangle]
+    count = find_candidates(
+        camera, scene, cluster, frame, rays, table, widest_cosine, is_front_only, behind_m(camera), has_outline,
+        BROWN_CONRADY, PANORAMA, SPHERE, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v, candidate,
+    )  # fmt: skip
+    for k in range(count):
+        triangle = candidate[v, k].triangle
+        of_triangle = scene.triangle[triangle]
+        if candidate[v, k].is_wide == 1 or candidate[v, k].is_outline == 1:
             p = point_in_camera(camera, scene.vertex_world_m[of_triangle[0]])
             q = point_in_camera(camera, scene.vertex_world_m[of_triangle[1]])
             r = point_in_camera(camera, scene.vertex_world_m[of_triangle[2]])
-            found = Candidate()
-            if is_drawn:
-                found = candidate[v, k]
-                if found.is_wide == 1:
-                    candidate[v, k] = bound_wide(camera, found, p, q, r, frame)
-            else:
-                found = candidate_of(camera, rays, table, widest_cosine, triangle, p, q, r, frame, has_outline)
-                found.is_outline = int(has_outline and found.triangle >= 0)
+            found = candidate[v, k]
+            if found.is_wide == 1:
+                candidate[v, k] = bound_wide(camera, found, p, q, r, frame)
             if found.is_outline == 1:
                 cross_outline(
                     found, p, q, r, camera, scene, rays, table, widest_cosine, is_front_only, rectangle,
                     offset, layers,
                 )  # fmt: skip
-            rows = found.last_row - found.first_row + 1
-            columns = found.last_column - found.first_column + 1
-            if not is_drawn and found.triangle >= 0 and rows > 0 and columns > 0:
-                room = int(-1)
-                if rows * columns > LARGE_SAMPLES:
-                    first_block = found.first_row / BLOCK
-                    strips = found.last_row / BLOCK - first_block + 1
-                    room = wp.atomic_add(strip_count, 0, strips)
-                    for s in range(strips):
-                        if room + s < strip.shape[0]:
-                            strip[room + s] = wp.vec4i(v, triangle, (first_block + s) * BLOCK, 0)
-                    if room + strips > strip.shape[0]:
-                        room = -1
-                if room < 0:
-                    turns = int(turn_samples > 0.0)
-                    for turn in range(-turns, turns + 1):
-                        between = turned_columns(found, turn, turn_samples, frame)
-                        for column in range(between[0], between[1] + 1):
-                            fill_block(
-                                found, found.first_row, found.last_row + 1, column, rays, ray_set, farthest, v,
-                                has_key == 1, rectangle, offset, layers, key,
-                            )  # fmt: skip
-        if is_drawn:
-            fill_triangle(
-                candidate, v, k, rays, ray_set, turn_samples, frame, BLOCK_SAMPLES,
-                LEAST_INVERSE_DEPTH, farthest, has_key == 1, rectangle, offset, layers, key,
-            )  # fmt: skip
-
-
-@wp.kernel(enable_backward=False)
-def fill_bent_strips_kernel(
-    # in
-    view: wp.array[View],
-    scene: Triangles,
-    rays: Rays,
-    layer_count: int,
-    scissor: wp.array[wp.vec4i],
-    has_key: int,
-    strip: wp.array[wp.vec4i],
-    strip_count: wp.array[wp.int32],
-    group_count: int,
-    lane_count: int,
-    # out
-    key: wp.array3d[wp.int64],
-    layers: Layers,
-):
-    """Fill the strips of large triangles that `scatter_bent_triangles_kernel` has queued.
-
-    Launch: ``dim=(group_count, lane_count)``; group g takes the strips g, g + group_count, ..., its lanes share the
-    columns. Blocks that the triangle does not reach are passed over. Not taped.
-    Writes: ``key`` and ``layers`` by atomic maximum.
-    """
-    group, lane = wp.tid()
-    for s in range(group, wp.min(strip_count[0], strip.shape[0]), group_count):
-        entry = strip[s]
-        v = entry[0]
-        camera = view[v]
-        frame = scissor[v]
-        triangle = entry[1]
-        layer = scene.body_layer[scene.triangle_body[triangle]]
-        rectangle = wp.vec4i(0, 0, 0, 0)
-        offset = int(-1)
-        if layer >= 0 and layer < layer_count:
-            rectangle = layers.rectangle[v, layer]
-            offset = layers.offset[v, layer]
-            if rectangle[2] == 0:
-                offset = -1
-        table = rays.table_of_view[v]
-        ray_set = rays.set_of_view[v]
-        of_triangle = scene.triangle[triangle]
-        p = point_in_camera(camera, scene.vertex_world_m[of_triangle[0]])
-        q = point_in_camera(camera, scene.vertex_world_m[of_triangle[1]])
-        r = point_in_camera(camera, scene.vertex_world_m[of_triangle[2]])
-        image = candidate_of(camera, rays, table, rays.widest_cosine[ray_set], triangle, p, q, r, frame, False)
-        turn_samples = float(0.0)
-        if camera.lens.kind == PANORAMA:
-            turn_samples = 2.0 * wp.pi * camera.focal[0]
-        turns = int(turn_samples > 0.0)
-        first_row = wp.max(entry[2], image.first_row)
-        end_row = wp.min(entry[2] + BLOCK, image.last_row + 1)
-        for turn in range(-turns, turns + 1):
-            between = turned_columns(image, turn, turn_samples, frame)
-            for column in range(between[0] + lane, between[1] + 1, lane_count):
-                if reaches_block(image, rays, ray_set, entry[2] / BLOCK, column / BLOCK):
-                    fill_block(
-                        image, first_row, end_row, column, rays, ray_set, 1.0 / camera.near_m, v, has_key == 1,
-                        rectangle, offset, layers, key,
-                    )  # fmt: skip
+        fill_triangle(
+            candidate, v, k, rays, ray_set, turn_samples, frame, BLOCK_SAMPLES,
+            LEAST_INVERSE_DEPTH, 1.0 / camera.near_m, has_key == 1, rectangle, offset, layers, key,
+        )  # fmt: skip

@@ -51,16 +51,26 @@ def place_rays_kernel(
     view_of_set: wp.array[wp.int32],
     # out
     ray: wp.array4d[float],
+    widest_cosine: wp.array[float],
+    is_flat: wp.array[wp.int32],
 ):
-    """The rays of every set, from one of its views.
+    """The rays of every set, from one of its views, and what bounds all of them.
 
     Launch: ``dim=(set_count, height, width)``; one thread per sample. Not taped.
-    Writes: every element of ``ray`` once.
+    Writes: every element of ``ray`` once; ``widest_cosine`` and ``is_flat`` by atomic minimum, which the caller fills
+        with ones.
     """
     i, row, column = wp.tid()
     each = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
     for axis in range(3):
         ray[i, axis, row, column] = each[axis]
+    if each[2] != 1.0 and is_flat[i] == 1:
+        wp.atomic_min(is_flat, i, 0)
+    if wp.length_sq(each) > 0.0:
+        angle = wp.atan2(wp.sqrt(each[0] * each[0] + each[1] * each[1]), each[2])
+        cosine = wp.cos(wp.min(angle + SPARE_RAD, wp.pi))
+        if cosine < widest_cosine[i]:
+            wp.atomic_min(widest_cosine, i, cosine)
 
 
 @wp.func
@@ -158,35 +168,6 @@ def place_blocks_kernel(
             block_row[i, axis, number, k] = ends.first[axis]
             block_row[i, 3 + axis, number, k] = ends.last[axis]
         block_row[i, 6, number, k] = ends.bulge
-
-
-@wp.kernel(enable_backward=False)
-def bound_rays_kernel(
-    # in
-    ray: wp.array4d[float],
-    block: wp.array4d[float],
-    # out
-    widest_cosine: wp.array[float],
-    is_flat: wp.array[wp.int32],
-):
-    """See `Rays.widest_cosine` and `Rays.is_flat`.
-
-    Launch: ``dim=(set_count, height)``; one thread per row of samples, and for each of the first also one of blocks.
-    Not taped.
-    Writes: ``widest_cosine`` and ``is_flat`` by atomic minimum; the caller fills them with ones.
-    """
-    i, row = wp.tid()
-    for column in range(ray.shape[3]):
-        if ray[i, 2, row, column] != 1.0 and is_flat[i] == 1:
-            wp.atomic_min(is_flat, i, 0)
-    if row < block.shape[2]:
-        widest = float(0.0)
-        for column in range(block.shape[3]):
-            mean = ray_at(block, i, row, column)
-            if wp.length_sq(mean) > 0.0:
-                angle = wp.atan2(wp.sqrt(mean[0] * mean[0] + mean[1] * mean[1]), mean[2])
-                widest = wp.max(widest, angle + 2.0 * wp.asin(wp.min(block[i, 3, row, column] / wp.length(mean), 1.0)))
-        wp.atomic_min(widest_cosine, i, wp.cos(wp.min(widest + SPARE_RAD, wp.pi)))
 
 
 @wp.func
