@@ -9,7 +9,9 @@ import warp as wp
 
 from tests.driving_scene import camera_pose, on_device
 from tests.raster.test_lenses import MODELS
+from warpav.optimisation.recording import Recording
 from warpav.raster.camera import CameraModel
+from warpav.raster.frame import Frame
 from warpav.raster.lens import TABLE_ENTRIES, Lens, image_table
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
@@ -192,3 +194,44 @@ def test_rays_follow_the_zoom(device):
     same = np.isclose(zoomed[1], alone[0], rtol=1e-3)
     assert (same | (np.isinf(zoomed[1]) & np.isinf(alone[0]))).mean() > 0.999
     np.testing.assert_array_equal(renderer.render(scene, *poses).depth_m.numpy(), plain)
+
+
+@pytest.mark.parametrize("lens", ["brown_conrady", "fisheye"])
+def test_recorded_launches_follow_the_zoom(device, lens):
+    """A zoom that changes between two replays changes the picture as it does without a recording."""
+    model = MODELS[lens]
+    corner_m = SOUPS["small"]()
+    scene = Scene(
+        {"soup": Mesh.create(corner_m.reshape(-1, 3), np.arange(corner_m.size // 3).reshape(-1, 3), [9, 9, 9])},
+        device=device,
+    )
+    zoom = wp.zeros(1, dtype=float, device=device)
+    found, poses = {}, on_device([POSE], device)
+    for name, is_recorded in (("recorded", True), ("launched", False)):
+        renderer = Renderer([model], device=device, thread_count=1)
+        depth_m = []
+        draw = Recording(
+            lambda renderer=renderer: renderer.render(scene, *poses, log_focal=zoom), renderer, enabled=is_recorded
+        )
+        for log_zoom in (0.0, 0.0, 0.0, 0.3, -0.1):
+            zoom.fill_(log_zoom)
+            draw()
+            depth_m.append(Frame(renderer._buffers, renderer.state, has_foreground_layer=False).depth_m.numpy())
+        found[name] = np.array(depth_m)
+    assert not np.array_equal(found["recorded"][2], found["recorded"][3])
+    np.testing.assert_array_equal(found["recorded"], found["launched"])
+
+
+@pytest.mark.parametrize("tangential", [0.0, 0.002])
+def test_a_lens_reaches_no_farther_than_its_image(device, tangential):
+    """Of polynomials that go on for long, as most do, only what the image shows counts: bounds grow with the limit."""
+    model = CameraModel(96, 64, math.radians(80.0), lens="brown_conrady", distortion=(-0.1, 0.05, tangential, 0.001))
+    assert model.shape.limit > 10.0
+    renderer = Renderer([model], device=device)
+    corner_m = SOUPS["small"]()
+    scene = Scene({"a": Mesh.create(corner_m[0], np.array([[0, 1, 2]]), [9, 9, 9])}, device=device)
+    renderer.render(scene, *on_device([POSE], device))
+    limit = renderer._buffers.view.numpy()[0]["lens"]["limit"]
+    row, column = np.indices((model.height_px + 1, model.width_px + 1))
+    tangent = np.linalg.norm(model.rays(np.stack([column, row], axis=-1))[..., :2], axis=-1)
+    assert tangent.max() < limit < 1.2 * tangent.max()

@@ -48,6 +48,9 @@ CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the v
 MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
 MAX_VIEW_SAMPLES = 2**27
 
+REACH_STEP_RAD = math.radians(3.0)
+"""Zooms whose images end at nearly the same angle from the axis share a table."""
+
 WIDE_RAD = 50.0
 """Half the size of a window that holds all directions, whatever its softness."""
 
@@ -287,6 +290,7 @@ class Buffers:
             inputs=[
                 self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self._lens,
                 self.log_focal, self.rays.ray, self.rays.set_of_view if self.bent else self._no_set, self.supersampling,
+                self.width, self.height,
             ],
             outputs=[self.view],
         )  # fmt: skip
@@ -299,23 +303,25 @@ class Buffers:
         A GPU is not asked what the zooms are, so that launches can be recorded: there views that may be zoomed have
         rays of their own.
         """
-        zoom = self.bent if is_zoomed else [0.0] * len(self.bent)
-        if is_zoomed and self.device.is_cpu:
-            zoom = self.log_focal.numpy()[self.bent].tolist()
+        is_known = self.device.is_cpu or not is_zoomed
+        zoom = self.log_focal.numpy()[self.bent].tolist() if is_zoomed and is_known else [0.0] * len(self.bent)
+        if not is_known:
+            zoom = self.bent
         rays_of = [(v, self._models[v], each) for v, each in zip(self.bent, zoom, strict=True)]
         if rays_of == self._rays_of:
             return
         self._rays_of, self._are_rays_placed = rays_of, False
         self.generation += 1
         of_view = [each[1:] for each in rays_of]
-        sets, shapes = list(dict.fromkeys(of_view)), list(dict.fromkeys(model.shape for model, _ in of_view))
+        tables_of = [(model.shape, reach_rad(model, each) if is_known else math.pi) for model, each in of_view]
+        sets, tables = list(dict.fromkeys(of_view)), list(dict.fromkeys(tables_of))
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
         set_of_view[self.bent] = [sets.index(each) for each in of_view]
-        table_of_view[self.bent] = [shapes.index(model.shape) for model, _ in of_view]
+        table_of_view[self.bent] = [tables.index(each) for each in tables_of]
         rays, count, block = self.rays, len(sets), int(ray_kernels.BLOCK)
         rays.set_of_view = wp.array(set_of_view, dtype=wp.int32, device=self.device)
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
-        rays.table = wp.array([image_table(shape) for shape in shapes], dtype=wp.vec2, device=self.device)
+        rays.table = wp.array([image_table(*each) for each in tables], dtype=wp.vec2, device=self.device)
         rays.ray = self.zeros((count, 3, self.height, self.width), float)
         # a GPU does not draw by blocks
         blocks = (-(-self.height // block), -(-self.width // block)) if self.device.is_cpu else (0, 0)
@@ -340,7 +346,13 @@ class Buffers:
             ray_kernels.place_rays_kernel,
             (count, self.height, self.width),
             inputs=[self.view, view_of_set],
-            outputs=[rays.ray, rays.widest_cosine, rays.is_flat],
+            outputs=[rays.ray],
+        )
+        self.launch(
+            ray_kernels.bound_rays_kernel,
+            (count, self.height),
+            inputs=[rays.ray],
+            outputs=[rays.widest_cosine, rays.is_flat],
         )
         self.launch(
             ray_kernels.place_blocks_kernel,
@@ -421,6 +433,18 @@ class Buffers:
         groups = self.kept("group derivative", (*sums, lanes // CUDA_SUM_LANES), measure.BoundaryDerivative)
         self.launch(measure.sum_lanes_kernel, groups.shape, inputs=[derivative, CUDA_SUM_LANES], outputs=[groups])
         return groups
+
+
+def reach_rad(model: CameraModel, log_zoom: float) -> float:
+    """Angle from the axis beyond which a zoomed Brown-Conrady lens has no image, in steps [rad]; of others pi."""
+    if model.lens is not Lens.BROWN_CONRADY:
+        return math.pi
+    fx, fy, cx, cy = model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]
+    corner_px = np.array([(x, y) for x in (-1, model.width_px + 1) for y in (-1, model.height_px + 1)], np.float64)
+    ray = model.shape.ray((corner_px - [cx, cy]) / [fx * math.exp(log_zoom), fy * math.exp(log_zoom)])
+    if not np.isfinite(ray).all():
+        return math.pi
+    return REACH_STEP_RAD * (1 + math.ceil(math.atan(np.linalg.norm(ray[:, :2], axis=1).max()) / REACH_STEP_RAD))
 
 
 def lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)

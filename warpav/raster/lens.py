@@ -312,10 +312,15 @@ def _polynomial(coefficient: Sequence[float] | np.ndarray) -> np.polynomial.Poly
 
 
 @cache
-def image_table(shape: LensShape) -> np.ndarray:
+@cache
+def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
     """Where the image of a direction lies, roughly, and how a radial lens bends great circles, over the whole sphere.
 
     Beyond the lens's limit the radius goes on growing as it did there, so that directions keep their order.
+
+    Args:
+        shape: The lens.
+        reach_rad: Angle from the axis beyond which there is no image: the lens's limit, if that is less.
 
     Returns:
         Radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a
@@ -327,7 +332,9 @@ def image_table(shape: LensShape) -> np.ndarray:
     angle = np.arccos(np.clip(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES), -1.0, 1.0))
     sine = np.maximum(np.sin(angle), 1e-3)
     share = np.where(
-        angle > 1e-4, _radius_beyond(shape, np.maximum(angle, 1e-4)) / np.maximum(sine, 1e-4), shape.growth_on_axis
+        angle > 1e-4,
+        _radius_beyond(shape, reach_rad, np.maximum(angle, 1e-4)) / np.maximum(sine, 1e-4),
+        shape.growth_on_axis,
     )
     # second differences along great circles in several directions
     at, step = np.linspace(0.0, math.pi, 721), 0.01
@@ -335,7 +342,9 @@ def image_table(shape: LensShape) -> np.ndarray:
     curvature = np.zeros_like(at)
     for turn in np.linspace(0.0, 0.5 * math.pi, 10):
         ahead = np.stack([math.cos(turn) * np.cos(at), np.full_like(at, math.sin(turn)), -math.cos(turn) * np.sin(at)])
-        place = [_place_beyond(shape, math.cos(s) * direction + math.sin(s) * ahead.T) for s in (-step, 0.0, step)]
+        place = [
+            _place_beyond(shape, reach_rad, math.cos(s) * direction + math.sin(s) * ahead.T) for s in (-step, 0.0, step)
+        ]
         second = np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2
         curvature = np.maximum(curvature, second)
     reach = math.ceil(NEARBY_RAD / (at[1] - at[0]))
@@ -344,9 +353,9 @@ def image_table(shape: LensShape) -> np.ndarray:
     return np.stack([share, 1.1 * np.interp(angle, at, greatest)], axis=-1).astype(np.float32)
 
 
-def _radius_beyond(shape: LensShape, angle: np.ndarray) -> np.ndarray:
+def _radius_beyond(shape: LensShape, reach_rad: float, angle: np.ndarray) -> np.ndarray:
     """Radius at an angle from the axis [rad], beyond the limit as well."""
-    limit_rad = min(shape.limit_rad, _LAST_RAD)
+    limit_rad = min(shape.limit_rad, reach_rad, _LAST_RAD)
     inside = np.minimum(angle, limit_rad)
     tangent = inside if shape.is_by_angle else np.tan(inside)
     radius, growth = shape.radius(tangent)
@@ -355,7 +364,7 @@ def _radius_beyond(shape: LensShape, angle: np.ndarray) -> np.ndarray:
     return radius + growth * (angle - inside)
 
 
-def _place_beyond(shape: LensShape, direction: np.ndarray) -> np.ndarray:
+def _place_beyond(shape: LensShape, reach_rad: float, direction: np.ndarray) -> np.ndarray:
     across = np.hypot(direction[..., 0], direction[..., 1])
-    radius = _radius_beyond(shape, np.arctan2(across, direction[..., 2]))
+    radius = _radius_beyond(shape, reach_rad, np.arctan2(across, direction[..., 2]))
     return direction[..., :2] * (radius / np.maximum(across, 1e-12))[..., None]

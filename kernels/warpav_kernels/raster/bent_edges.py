@@ -20,7 +20,7 @@ from warpav_kernels.raster.candidates import (
 from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
 from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
 from warpav_kernels.raster.rasterise import line_after, raise_crossing
-from warpav_kernels.raster.rays import Rays, table_entry
+from warpav_kernels.raster.rays import SPARE_RAD, Rays, table_entry
 from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera, ray_between, sample_ray
 
@@ -108,7 +108,7 @@ def short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
         if widest <= 1.0 + limit:
             bulge += 0.84 * squared * sideways * widest * (1.0 + limit)
         else:
-            bulge += 1.4 * sideways * limit
+            bulge += 2.0 * sideways * limit
     return wp.vec4(
         wp.min(a.place[0], wp.min(u1, u2)) - bulge,
         wp.min(a.place[1], wp.min(b.place[1], c.place[1])) - bulge,
@@ -250,6 +250,9 @@ def cross_bent_edge(
     else:
         length *= wp.max(1.0, wp.max(camera.focal[0], camera.focal[1]) * PIECE / PIECE_SAMPLES)
     pieces = wp.clamp(int(wp.ceil(length)), 1, MAX_PIECES)
+    # what is spared for a whole triangle is too much for a piece
+    if widest_cosine > -1.0:
+        widest_cosine = wp.cos(wp.max(wp.acos(widest_cosine) - SPARE_RAD + 1.1 * PIECE, 0.0))
     a = p
     for piece in range(pieces):
         b = q

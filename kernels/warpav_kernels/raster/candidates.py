@@ -201,7 +201,7 @@ _FIND_CANDIDATES = """
             // the table knows the radius alone; what moves sideways is at most this times the squared tangent
             const float widest = most(secant[a], most(secant[b], secant[c]));
             // an arc's slope changes by at most three times its second derivative, and it may pass beyond its ends
-            const float within = 0.84f * chord * sideways * widest * (1.0f + limit), beyond = 1.4f * sideways * limit;
+            const float within = 0.84f * chord * sideways * widest * (1.0f + limit), beyond = 2.0f * sideways * limit;
             bulge += widest <= 1.0f + limit ? within : beyond;
         }
         float left = least(most(cx + fx * (least(u[a], least(u1, u2)) - bulge), low), high);

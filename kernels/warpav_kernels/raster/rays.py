@@ -51,26 +51,42 @@ def place_rays_kernel(
     view_of_set: wp.array[wp.int32],
     # out
     ray: wp.array4d[float],
-    widest_cosine: wp.array[float],
-    is_flat: wp.array[wp.int32],
 ):
-    """The rays of every set, from one of its views, and what bounds all of them.
+    """The rays of every set, from one of its views.
 
     Launch: ``dim=(set_count, height, width)``; one thread per sample. Not taped.
-    Writes: every element of ``ray`` once; ``widest_cosine`` and ``is_flat`` by atomic minimum, which the caller fills
-        with ones.
+    Writes: every element of ``ray`` once.
     """
     i, row, column = wp.tid()
     each = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
     for axis in range(3):
         ray[i, axis, row, column] = each[axis]
-    if each[2] != 1.0 and is_flat[i] == 1:
+
+
+@wp.kernel(enable_backward=False)
+def bound_rays_kernel(
+    # in
+    ray: wp.array4d[float],
+    # out
+    widest_cosine: wp.array[float],
+    is_flat: wp.array[wp.int32],
+):
+    """See `Rays.widest_cosine` and `Rays.is_flat`.
+
+    Launch: ``dim=(set_count, height)``; one thread per row. Not taped.
+    Writes: ``widest_cosine`` and ``is_flat`` by atomic minimum; the caller fills them with ones.
+    """
+    i, row = wp.tid()
+    least = float(1.0)
+    others = int(0)
+    for column in range(ray.shape[3]):
+        each = ray_at(ray, i, row, column)
+        others += int(each[2] != 1.0)
+        if wp.length_sq(each) > 0.0:
+            least = wp.min(least, each[2] / wp.length(each))
+    if others > 0:
         wp.atomic_min(is_flat, i, 0)
-    if wp.length_sq(each) > 0.0:
-        angle = wp.atan2(wp.sqrt(each[0] * each[0] + each[1] * each[1]), each[2])
-        cosine = wp.cos(wp.min(angle + SPARE_RAD, wp.pi))
-        if cosine < widest_cosine[i]:
-            wp.atomic_min(widest_cosine, i, cosine)
+    wp.atomic_min(widest_cosine, i, wp.cos(wp.min(wp.acos(least) + SPARE_RAD, wp.pi)))
 
 
 @wp.func

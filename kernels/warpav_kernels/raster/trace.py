@@ -1,8 +1,8 @@
 """Decide, for lenses that are no pinholes: the buffers of `rasterise` by ray queries, those that `ray_space` leaves.
 
 A straight edge is no straight line in such an image, so every sample sends a ray through the lens instead. The scene is
-one mesh whose triangles are grouped by object: a ray for a layer only asks that object's group. Where layers end between
-their samples `bent_edges` finds.
+one mesh whose triangles are grouped by object: a ray for a layer only asks that object's group. Where layers end
+between their samples `bent_edges` finds.
 """
 
 import warp as wp

@@ -9,7 +9,17 @@ guard sample on every side. Sample (row, column) has its centre at (column + 0.5
 
 import warp as wp
 
-from warpav_kernels.raster.lens import FISHEYE, PANORAMA, PINHOLE, SPHERE, Lens, lens_ray, place_gradient
+from warpav_kernels.raster.lens import (
+    BROWN_CONRADY,
+    FISHEYE,
+    PANORAMA,
+    PINHOLE,
+    SPHERE,
+    Lens,
+    lens_ray,
+    place_gradient,
+    radius_and_growth,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -125,6 +135,31 @@ def inverse_depth_of(bits: wp.int32) -> float:
     return wp.cast(bits, float)
 
 
+@wp.func(inline=False)
+def used_lens(view: View, width: int, height: int) -> Lens:
+    """The view's lens, one of BROWN_CONRADY with its limit no farther out than the corners of a grid of that size.
+
+    Its polynomial may go on for long where there is no image, and all bounds grow with the limit.
+    """
+    lens = view.lens
+    if lens.kind != BROWN_CONRADY:
+        return lens
+    farthest = float(0.0)
+    for corner in range(4):
+        ray = ray_in_camera(view, float(width * (corner % 2)), float(height * (corner / 2)))
+        if ray[2] == 0.0:
+            return lens
+        farthest = wp.max(farthest, wp.sqrt(ray[0] * ray[0] + ray[1] * ray[1]))
+    sideways = 6.0 * (wp.abs(lens.distortion[2]) + wp.abs(lens.distortion[3]))
+    used = Lens()
+    used.kind = lens.kind
+    used.formula = lens.formula
+    used.distortion = lens.distortion
+    used.limit = wp.min(1.02 * farthest + sideways * farthest * farthest, lens.limit)
+    used.edge = radius_and_growth(lens, used.limit)[0]
+    return used
+
+
 @wp.kernel(enable_backward=False)
 def place_views_kernel(
     # in
@@ -137,6 +172,8 @@ def place_views_kernel(
     ray: wp.array4d[float],
     ray_set: wp.array[wp.int32],
     supersampling: int,
+    width: int,
+    height: int,
     # out
     view: wp.array[View],
 ):
@@ -144,7 +181,7 @@ def place_views_kernel(
 
     ``intrinsics_px`` holds the focal lengths and the principal point (fx, fy, cx, cy) in pixels; ``log_focal`` is the
     logarithm of what the focal lengths are multiplied by; ``ray_set`` which of the rays ``ray`` are each view's, -1
-    where it has none.
+    where it has none; ``width`` and ``height`` are of the grid.
 
     Launch: ``dim=view_count``; one thread per view. Not taped.
     Writes: every element of ``view`` once.
@@ -160,6 +197,7 @@ def place_views_kernel(
     placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
     placed.lens = lens[i]
+    placed.lens = used_lens(placed, width, height)
     if ray_set[i] >= 0:
         placed.ray = ray[ray_set[i]]
     view[i] = placed
