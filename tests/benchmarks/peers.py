@@ -1,14 +1,16 @@
 """Other renderers on the embedded workload of `warpav bench`, beside warpav in the same run.
 
 A program, not a test: ``pip install deodr mitsuba`` (and an LLVM library for Mitsuba), then
-``python tests/benchmarks/peers.py [--repeat N]``. Each line is JSON: item, peer, median and least time [ms] over all 16
-views, threads, and how far the result is from the truth. The scene is given before the time begins; what a peer
-derives from it for a view is timed.
+``python tests/benchmarks/peers.py [--repeat N]``; on a GPU, with PyTorch and DRTK built from its sources, with
+``--device cuda:0``. Each line is JSON: item, peer, median and least time [ms] over all 16 views, threads, and how far
+the result is from the truth. The scene is given before the time begins; what a peer derives from it for a view is
+timed.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
 import time
@@ -33,14 +35,16 @@ def main() -> None:
     """Measure every peer that is installed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeat", type=int, default=7)
-    repeat = parser.parse_args().repeat
+    parser.add_argument("--device", default="cpu")
+    given = parser.parse_args()
     workload = embedded_workload()
-    for measure in (measure_warpav, measure_embree, measure_mitsuba, measure_deodr):
+    peers = (measure_embree, measure_mitsuba, measure_deodr) if given.device == "cpu" else (measure_drtk,)
+    for measure in (functools.partial(measure_warpav, device=given.device), *peers):
         try:
-            for row in measure(workload, repeat):
+            for row in measure(workload, given.repeat):
                 sys.stdout.write(json.dumps(row) + "\n")
         except ImportError as error:
-            left_out = {"peer": measure.__name__.removeprefix("measure_"), "left out": str(error)}
+            left_out = {"left out": str(error)}
             sys.stdout.write(json.dumps(left_out) + "\n")
 
 
@@ -64,16 +68,22 @@ def image_scores(workload: Workload, object_index: np.ndarray, depth_m: np.ndarr
     return {name: result[name] for name in ("id_share", "depth_median_m")}
 
 
-def measure_warpav(workload: Workload, repeat: int) -> Iterator[dict]:
+def measure_warpav(workload: Workload, repeat: int, *, device: str) -> Iterator[dict]:
     """This project, as `warpav bench` measures it."""
-    bench = Bench(workload, pack_workload(workload))
+    bench = Bench(workload, pack_workload(workload, device=device), device=device)
     for item, timing in (
         ("w1", bench.time_silhouettes(1, repeat=repeat)),
         ("w2", bench.time_depth_and_object(repeat=repeat)),
         ("w3", bench.time_rgb(repeat=repeat)),
     ):
         least = round(min(timing.times_ms), 2)
-        yield {"item": item, "peer": "warpav", "threads": 2, "median_ms": round(timing.median_ms, 2), "min_ms": least}
+        yield {
+            "item": item,
+            "peer": "warpav",
+            "threads": timing.threads,
+            "median_ms": round(timing.median_ms, 2),
+            "min_ms": least,
+        }
 
 
 def measure_embree(workload: Workload, repeat: int) -> Iterator[dict]:
@@ -209,6 +219,112 @@ def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
 
     def step() -> list[np.ndarray]:
         return [gradient(pose, c, workload.weight["white"]) for c, pose in enumerate(workload.pose)]
+
+    yield {
+        "item": "w1",
+        "peer": name,
+        "threads": 1,
+        **timed(step, repeat),
+        **{f"{which} {part}": errors[which][part] for which in ("smooth", "white") for part in ("xzyaw", "xz")},
+    }
+
+
+def measure_drtk(workload: Workload, repeat: int) -> Iterator[dict]:
+    """DRTK on a GPU: all views in one batch, and its gradients at edges for a batch of silhouettes for every camera."""
+    import drtk
+    import torch
+
+    size, device = workload.size_px, torch.device("cuda")
+    vertex_m = torch.tensor(workload.vertex_m, dtype=torch.float32, device=device)
+    triangle = torch.tensor(workload.triangle.astype(np.int32), device=device)
+    triangle_object = torch.tensor(workload.triangle_object.astype(np.int64), device=device)
+    rgb = torch.tensor(workload.vertex_rgb, dtype=torch.float32, device=device)
+    turns = 0.5 * np.pi * torch.arange(ROTATION_COUNT, device=device)
+
+    def placed(pose: torch.Tensor, camera: int) -> torch.Tensor:
+        """Places [px] and depths [m] of all vertices in the views of a camera, [turn, vertex, 3]."""
+        angle = pose[2] + turns
+        sine, cosine, zero = torch.sin(angle), torch.cos(angle), torch.zeros_like(turns)
+        rows = [
+            torch.stack(row, dim=-1) for row in ((-cosine, zero, sine), (zero, zero - 1.0, zero), (sine, zero, cosine))
+        ]
+        height_m = torch.tensor(workload.height_m[camera], dtype=torch.float32, device=device)
+        offset_m = vertex_m - torch.stack([pose[0], height_m, pose[1]])
+        point_m = torch.einsum("tij,vj->tvi", torch.stack(rows, dim=1), offset_m)
+        focal_px = 0.5 * size / np.tan(0.5 * np.radians(workload.fov_deg[camera]))
+        depth_m = point_m[..., 2:]
+        # pixel centres are whole numbers; what is nearer than the cut is behind the camera
+        is_near = depth_m <= workload.near_m[camera]
+        place_px = focal_px * point_m[..., :2] / torch.where(is_near, 1.0, depth_m) + 0.5 * size - 0.5
+        return torch.cat([place_px, torch.where(is_near, -1.0, depth_m)], dim=-1)
+
+    poses = torch.tensor(workload.pose, dtype=torch.float32, device=device)
+    vertices = torch.cat([placed(pose, c) for c, pose in enumerate(poses)]).contiguous()
+
+    def synchronised(run: Callable[[], object]) -> Callable[[], object]:
+        def both() -> object:
+            result = run()
+            torch.cuda.synchronize()
+            return result
+
+        return both
+
+    @synchronised
+    def depths() -> tuple[torch.Tensor, torch.Tensor]:
+        depth_m, index = drtk.rasterize_with_depth(vertices, triangle, size, size)
+        return depth_m, torch.where(index >= 0, triangle_object[index.clamp(min=0).long()], -1)
+
+    @synchronised
+    def colours() -> torch.Tensor:
+        index = drtk.rasterize(vertices, triangle, size, size)
+        _, weight = drtk.render(vertices, triangle, index)
+        image = drtk.interpolate(rgb.expand(len(vertices), -1, -1), triangle, index, weight)
+        return image * (index >= 0)[:, None]
+
+    name = f"DRTK {drtk.__version__}"
+    depth_m, found = depths()
+    scores = image_scores(workload, found.cpu().numpy(), torch.where(found >= 0, depth_m, -1.0).cpu().numpy())
+    yield {"item": "w2", "peer": name, "threads": 1, **timed(depths, repeat), **scores}
+    yield {"item": "w3", "peer": name, "threads": 1, **timed(colours, repeat)}
+
+    # a batch has one silhouette for every turn and vehicle; those of fewer triangles are filled up with empty ones
+    ends = np.cumsum(workload.triangle_count)
+    most = int(max(workload.triangle_count[: workload.vehicle_count]))
+    alone = torch.zeros((workload.vehicle_count, most, 3), dtype=torch.int32, device=device)
+    for k in range(workload.vehicle_count):
+        count = workload.triangle_count[k]
+        alone[k, :count] = triangle[ends[k] - count : ends[k]]
+    alone = alone.repeat(ROTATION_COUNT, 1, 1).contiguous()
+    vehicle_weight = torch.tensor(workload.vehicle_weight, dtype=torch.float32, device=device)
+
+    def gradient(pose: torch.Tensor, camera: int, weight: torch.Tensor) -> torch.Tensor:
+        pose = pose.clone().requires_grad_()
+        vertex = placed(pose, camera).repeat_interleave(workload.vehicle_count, dim=0)
+        with torch.no_grad():
+            index = drtk.rasterize(vertex, alone, size, size)
+            _, share = drtk.render(vertex, alone, index)
+        mask = drtk.edge_grad_estimator(vertex, alone, share, (index >= 0).float()[:, None], index)
+        area = (mask[:, 0] * weight).sum(dim=(1, 2)).reshape(ROTATION_COUNT, -1)
+        (area * vehicle_weight).sum().backward()
+        return pose.grad
+
+    weights = {which: torch.tensor(workload.weight[which], device=device).float() for which in WEIGHT_NAMES}
+    scored = {
+        which: np.array(
+            [
+                gradient(torch.tensor(pose, device=device).float(), i % len(workload.pose), weights[which])
+                .cpu()
+                .numpy()
+                for i, pose in enumerate(workload.scored_pose)
+            ]
+        )
+        for which in WEIGHT_NAMES
+    }
+    errors = gradient_scores(scored, embedded_truth(workload).gradient)
+
+    @synchronised
+    def step() -> list[torch.Tensor]:
+        return [gradient(pose, c, weights["white"]) for c, pose in enumerate(poses)]
 
     yield {
         "item": "w1",
