@@ -64,7 +64,9 @@ def place_on_surface(new):
     # in the middle of cells of half a metre, because the slope jumps between them; and beyond the border
     place = np.array([[0.8, -0.2], [1.2, 4.0]])
     pose = new(np.c_[place, new.rng.uniform(-1.0, 1.0, (CAMERAS, 5))])
-    inputs = [pose, new(size=(5, 4)), wp.vec2(0.0, -1.0), 0.5, 0.2, ROTATIONS, math.pi]
+    zone_of_cell = wp.array(np.arange(20).reshape(5, 4) % 2, dtype=wp.int32, device=new.device)
+    planes = [new(size=(2, 3), dtype=wp.vec3), new.rotations(2)]
+    inputs = [pose, new(size=(5, 4)), wp.vec2(0.0, -1.0), 0.5, zone_of_cell, *planes, 0.2, ROTATIONS, math.pi]
     views = CAMERAS * ROTATIONS
     return (
         CAMERAS,

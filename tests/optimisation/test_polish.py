@@ -106,7 +106,7 @@ def test_the_first_step_comes_near_what_was_promised():
     probability, jacobian = cameras.with_jacobian(pose, streets())
     weight = np.full(10, 0.1)
     before = expected_miss_rate(probability, weight)
-    problem = module._Problem(mount, constraints, 3)
+    problem = module._Problem(mount, constraints, pose)
     model = TangentModel(Rendered(pose, probability, jacobian, before), weight)
     assert model.value(np.zeros((3, 7))) == pytest.approx(before, abs=1e-6)
     tried = problem.feasible(problem.minimised(model, pose, 0.05))

@@ -70,3 +70,22 @@ def vehicle_check(
     command = shlex.join(["warpav", "vehicle", "check", str(file), *words, "--out", str(target)])
     complain(f"{file}: to fix it: {command}")
     return 2
+
+
+@vehicle_app.command(name="zones")
+def vehicle_zones(
+    file: Annotated[Path, Parameter(help="Mesh of the vehicle as scenes.ego takes it, see warpav vehicle check.")],
+    /,
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="YAML to write the zones to, for mount.zones.")] = Path("zones.yaml"),
+    image: Annotated[Path | None, Parameter(help="PNG to draw them into.")] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> int:
+    """Propose zones anywhere on a body, where cameras may stand, in a YAML file to edit."""
+    from warpav.runs.config import placed_config
+    from warpav.runs.vehicle_zones import propose
+
+    with placed_config(config, overrides) as settings:
+        for line in propose(file, settings, out=out, image=image):
+            say(line)
+    return 0

@@ -131,13 +131,14 @@ class Constraints(ABC):
         Exactly 0 if it breaks none. The rig may have any number of cameras. Frozen cameras break none by themselves.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
+        place_m, _ = self.surface.place_of(position_m)
         is_frozen = self._stands_frozen(position_m)
         missing = sum(
             max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
             for i, j in itertools.combinations(range(len(position_m)), 2)
             if not (is_frozen[i] and is_frozen[j])
         )
-        violation = float(self._excess_m(position_m[~is_frozen, :2]).sum() + missing)
+        violation = float(self._excess_m(place_m[~is_frozen]).sum() + missing)
         return violation if violation > _ROUNDING_M else 0.0
 
     def slack_m(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ class Constraints(ABC):
         """
         place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
         is_frozen = self._put_frozen(place, height_delta)
-        point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
+        point_m = self._point_m(place, height_delta)
         one, other = np.triu_indices(len(place), 1)
         counts = ~(is_frozen[one] & is_frozen[other])
         apart_m = np.linalg.norm(point_m[one[counts]] - point_m[other[counts]], axis=-1)
@@ -179,7 +180,8 @@ class Constraints(ABC):
         borders = np.zeros((len(free), count, 3))
         borders[np.arange(len(free)), free, :2] = differences(self._border_distance_m(around))[free]
         rise = differences(self.surface.height_at_m(around))
-        point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
+        point_m = self._point_m(place, height_delta)
+        axes = self.surface.axes[self.surface.zone_at(place)]
         one, other = np.triu_indices(count, 1)
         counts = ~(is_frozen[one] & is_frozen[other])
         one, other = one[counts], other[counts]
@@ -187,8 +189,10 @@ class Constraints(ABC):
         apart /= np.maximum(np.linalg.norm(apart, axis=-1, keepdims=True), 1e-9)
         pairs = np.zeros((len(one), count, 3))
         for camera, sign in ((one, 1.0), (other, -1.0)):
-            pairs[np.arange(len(one)), camera, :2] = sign * (apart[:, :2] + apart[:, 2:] * rise[camera])
-            pairs[np.arange(len(one)), camera, 2] = sign * apart[:, 2]
+            # along the axes of the zone that the camera is in
+            along = np.einsum("pij,pj->pi", axes[camera], apart)
+            pairs[np.arange(len(one)), camera, :2] = sign * (along[:, :2] + along[:, 2:] * rise[camera])
+            pairs[np.arange(len(one)), camera, 2] = sign * along[:, 2]
         slope = np.concatenate([borders, pairs])
         slope[:, is_frozen] = 0.0
         return slope
@@ -200,7 +204,7 @@ class Constraints(ABC):
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
         is_frozen = self._stands_frozen(position_m)
-        border_m = self._border_distance_m(position_m[:, :2])
+        border_m = self._border_distance_m(self.surface.place_of(position_m)[0])
         free = [
             Margin.of("border", [camera], border_m[k], self.margin_m)
             for k, camera in enumerate(rig.cameras)
@@ -243,8 +247,12 @@ class Constraints(ABC):
             for i, j in itertools.combinations(range(len(place)), 2):
                 if is_frozen[i] and is_frozen[j]:
                     continue
-                points = np.c_[place[[i, j]], self.surface.height_at_m(place[[i, j]]) + height_delta[[i, j]]]
+                points = self._point_m(place[[i, j]], height_delta[[i, j]])
                 if math.dist(points[0], points[1]) >= self.min_spacing_m + 1e-6:
+                    continue
+                if len(set(self.surface.zone_at(place[[i, j]]).tolist())) > 1:
+                    self._part_zones(place, i, j, points, is_frozen)
+                    moved = True
                     continue
                 between = place[j] - place[i]
                 distance = float(np.linalg.norm(between))
@@ -258,6 +266,21 @@ class Constraints(ABC):
             if not moved:
                 return place
         raise self.do_not_fit(len(place))
+
+    def _point_m(self, place: np.ndarray, height_delta: np.ndarray) -> np.ndarray:
+        """Points of the ego frame [camera, 3] [m] of cameras that stand so far above the surface."""
+        return self.surface.point_m(place, self.surface.height_at_m(place) + height_delta)
+
+    def _part_zones(self, place: np.ndarray, i: int, j: int, point_m: np.ndarray, is_frozen: np.ndarray) -> None:
+        """Push two cameras of different zones apart, each along its own plane."""
+        between = point_m[1] - point_m[0]
+        missing_m = self.min_spacing_m + 1e-5 - float(np.linalg.norm(between))
+        for k, sign in ((i, -1.0), (j, 1.0)):
+            if not is_frozen[k]:
+                along = (self.surface.axes[self.surface.zone_at(place[k])] @ between)[:2]
+                length = float(np.linalg.norm(along))
+                direction = along / length if length > 1e-9 else np.array([1.0, 0.0])
+                place[k] += sign * missing_m * direction
 
     def nearest_place(self, place_m: np.ndarray) -> np.ndarray:
         """The nearest places [camera, 2] [m] where cameras that are alone may stand, float64."""
@@ -279,7 +302,7 @@ class Constraints(ABC):
         for _ in range(RANDOM_TRIES):
             place, height_delta = self._drawn(camera_count, rng), np.zeros(camera_count)
             is_frozen = self._put_frozen(place, height_delta)
-            point_m = np.c_[place, self.surface.height_at_m(place) + height_delta]
+            point_m = self._point_m(place, height_delta)
             if all(
                 math.dist(point_m[i], point_m[j]) >= self.min_spacing_m
                 for i, j in itertools.combinations(range(camera_count), 2)

@@ -14,6 +14,7 @@ from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
+from warpav.rig.zone import Zone
 from warpav_kernels.placement import mount_pose as kernels
 
 X_M, Y_M, YAW_RAD = int(kernels.X_M), int(kernels.Y_M), int(kernels.YAW_RAD)
@@ -102,9 +103,9 @@ class FrozenCameras:
 class CameraMount:
     """A mount surface on the device, and the cameras that stand above it.
 
-    A camera is seven numbers, its mount pose: x, y [m], yaw, pitch, roll [rad]; its height delta, by how much it
-    stands higher above the surface than configured [m]; its log zoom, the logarithm of its focal length over the
-    configured one.
+    A camera is seven numbers, its mount pose: x, y [m], on a surface of zones the place in their chart; yaw, pitch,
+    roll [rad]; its height delta, by how much it stands higher above the surface than configured [m]; its log zoom, the
+    logarithm of its focal length over the configured one.
     """
 
     def __init__(
@@ -137,11 +138,30 @@ class CameraMount:
         self.frozen: FrozenCameras | None = None
         self._narrowest_rad = narrowest_rad
         self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
-        self.low, self.high = self._ends()
+        ends = [self._ends(zone) for zone in surface.zones or (None,)]
+        self._zone_low, self._zone_high = (np.stack(each) for each in zip(*ends, strict=True))
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
+        self._zone_of_cell = wp.array(surface.zone_of_cell, dtype=wp.int32, device=device)
+        self._plane_m = wp.array(surface.plane_m, dtype=wp.vec3, device=device)
+        self._axes = wp.array(surface.axes, dtype=wp.mat33, device=device)
 
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest mount pose, float32 [7]; infinite where a number has no ends of its own."""
+    @property
+    def low(self) -> np.ndarray:
+        """The least mount pose of any zone, float32 [7]; infinite where a number has no ends of its own."""
+        return self._zone_low.min(axis=0)
+
+    @property
+    def high(self) -> np.ndarray:
+        """The greatest mount pose of any zone, float32 [7]; infinite where a number has no ends of its own."""
+        return self._zone_high.max(axis=0)
+
+    def ends_of(self, place_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest mount pose in the zones at places [camera, 2] of the chart, float32 [camera, 7]."""
+        zone = self.surface.zone_at(place_m)
+        return self._zone_low[zone], self._zone_high[zone]
+
+    def _ends(self, zone: Zone | None) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest mount pose in a zone, float32 [7]."""
         low, high = (np.full(MOUNT_POSE_SIZE, end, np.float32) for end in (-np.inf, np.inf))
         free, camera = self.free, self.camera
         ranges: dict[int, tuple[float, float]] = {}
@@ -151,11 +171,19 @@ class CameraMount:
             ranges[HEIGHT_DELTA_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
         if free.fov_rad is not None:
             ranges[LOG_ZOOM] = (camera.log_zoom_to(free.fov_rad[1]), camera.log_zoom_to(free.fov_rad[0]))
-        for number, (least, greatest) in ranges.items():
+        for least, greatest in ranges.values():
             if least > _ROUNDING or greatest < -_ROUNDING:
                 raise ValueError(f"the free ranges must hold what is configured, got {free}")
+        if zone is not None:
+            low_m, high_m = zone.stand_off_m
+            ranges[HEIGHT_DELTA_M] = (low_m - self.height_offset_m, high_m - self.height_offset_m)
+            of_zone = {YAW_RAD: zone.yaw_range_rad, PITCH_RAD: zone.pitch_rad, ROLL_RAD: zone.roll_rad}
+            ranges |= {number: pair for number, pair in of_zone.items() if pair is not None}
+        for number, (least, greatest) in ranges.items():
             # rounded inwards, so that single precision is within as well
             low[number], high[number] = least, greatest
+            if least == greatest:
+                continue
             if float(low[number]) < least:
                 low[number] = np.nextafter(low[number], np.float32(np.inf))
             if float(high[number]) > greatest:
@@ -165,7 +193,9 @@ class CameraMount:
     @property
     def is_free(self) -> np.ndarray:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
-        return np.isfinite(self.low)
+        is_free = (np.isfinite(self._zone_low) & (self._zone_high > self._zone_low)).any(axis=0)
+        is_free[YAW_RAD] = False
+        return is_free
 
     def freezing(self, rig: Rig, names: Collection[str]) -> CameraMount:
         """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere.
@@ -208,10 +238,21 @@ class CameraMount:
 
     def within(self, mount_pose: np.ndarray) -> np.ndarray:
         """The nearest mount poses [camera, 7] within the free ranges, of the same type; what is frozen is as it is."""
-        pose = np.clip(mount_pose, self.low, self.high).astype(mount_pose.dtype)
+        pose = self.clipped(mount_pose)
         if self.frozen is not None:
             pose[self.frozen.is_frozen] = self.frozen.mount_pose[self.frozen.is_frozen]
         return pose
+
+    def clipped(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The nearest mount poses [camera, 7] within the ranges of the zones that they are in, of the same type."""
+        pose = np.array(mount_pose)
+        low, high = self.ends_of(pose[:, [X_M, Y_M]])
+        # a yaw may be a whole turn beside its range
+        ends = np.isfinite(low[:, YAW_RAD])
+        middle_rad = 0.5 * (low[ends, YAW_RAD] + high[ends, YAW_RAD])
+        away_rad = np.remainder(pose[ends, YAW_RAD] - middle_rad + np.pi, 2.0 * np.pi) - np.pi
+        pose[ends, YAW_RAD] = middle_rad + away_rad
+        return np.clip(pose, low, high).astype(mount_pose.dtype)
 
     def has_model(self, model: CameraModel) -> bool:
         """Whether a camera of this model can be one of the mount's."""
@@ -247,6 +288,9 @@ class CameraMount:
                 self._height_m,
                 wp.vec2(*self.surface.origin_m),
                 self.surface.cell_m,
+                self._zone_of_cell,
+                self._plane_m,
+                self._axes,
                 self.height_offset_m,
                 rotation_count,
                 self.rotation_step_rad,
@@ -295,7 +339,7 @@ class CameraMount:
         """Centres of cameras at ``mount_pose`` [camera, 7] in the ego frame [m], float64 [camera, 3]."""
         place = mount_pose[:, [X_M, Y_M]]
         height_m = self.surface.height_at_m(place) + self.height_offset_m + mount_pose[:, HEIGHT_DELTA_M]
-        return np.column_stack([place, height_m]).astype(np.float64)
+        return self.surface.point_m(place, height_m).astype(np.float64)
 
     def rig(self, mount_pose: np.ndarray) -> Rig:
         """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
@@ -332,8 +376,8 @@ class CameraMount:
         """
         rows = []
         for camera in rig.cameras:
-            x_m, y_m, z_m = camera.position_m
-            height_delta_m = z_m - float(self.surface.height_at_m(np.array([x_m, y_m]))) - self.height_offset_m
+            (x_m, y_m), rise_m = self.surface.place_of(camera.position_m)
+            height_delta_m = float(rise_m) - self.height_offset_m
             log_zoom = camera.model.log_zoom_over(self.camera)
             rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, height_delta_m, log_zoom])
         pose = np.array(rows, np.float32)

@@ -89,7 +89,7 @@ def _places(mount: CameraMount, constraints: Constraints) -> np.ndarray:
     x_m, y_m = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, count, strict=True))
     plane_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
     plane_m = plane_m[constraints.contains(plane_m)]
-    return np.c_[plane_m, mount.surface.height_at_m(plane_m) + mount.height_offset_m]
+    return mount.surface.point_m(plane_m, mount.surface.height_at_m(plane_m) + mount.height_offset_m)
 
 
 def _blocked_shares(caster: object, camera: RigCamera, place_m: np.ndarray) -> np.ndarray:

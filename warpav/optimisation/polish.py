@@ -101,8 +101,8 @@ def polish(
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
-    problem = _Problem(mount, constraints, len(mount_pose))
-    pose = problem.feasible(np.asarray(mount_pose, np.float32))
+    pose = nearest_rig(np.asarray(mount_pose, np.float32), mount, constraints)
+    problem = _Problem(mount, constraints, pose)
     probability, jacobian = detect(pose)
     count = probability.shape[1]
     shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
@@ -165,14 +165,14 @@ def step_unit(mount: CameraMount) -> np.ndarray:
 class _Problem:
     """The free numbers of a rig as one vector, and what they must satisfy."""
 
-    def __init__(self, mount: CameraMount, constraints: Constraints, camera_count: int) -> None:
+    def __init__(self, mount: CameraMount, constraints: Constraints, mount_pose: np.ndarray) -> None:
         self.mount, self.constraints = mount, constraints
-        unit = np.tile(step_unit(mount), (camera_count, 1))
+        unit = np.tile(step_unit(mount), (len(mount_pose), 1))
         self.is_free = unit > 0.0
         if mount.frozen is not None:
             self.is_free[mount.frozen.is_frozen] = False
         self.unit = unit[self.is_free]
-        self.low, self.high = (np.tile(end, (camera_count, 1))[self.is_free] for end in (mount.low, mount.high))
+        self.low, self.high = (end[self.is_free] for end in mount.ends_of(mount_pose[:, [X_M, Y_M]]))
 
     def free_of(self, pose: np.ndarray) -> np.ndarray:
         return np.asarray(pose, np.float64)[self.is_free]

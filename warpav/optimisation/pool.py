@@ -71,16 +71,19 @@ def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int,
     if count < 1:
         raise ArgumentError("count", f"expected at least 1 camera, got {count}")
     numbers = np.r_[X_M, Y_M, YAW_RAD, np.flatnonzero(mount.is_free)]
-    low, high = mount.low.astype(np.float64), mount.high.astype(np.float64)
-    low[[X_M, Y_M]], high[[X_M, Y_M]] = mount.surface.bounds_m
-    low[YAW_RAD], high[YAW_RAD] = -np.pi, np.pi
+    low_m, high_m = mount.surface.bounds_m
     sequence = qmc.Sobol(len(numbers), scramble=True, rng=seed)
     kept = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
     for _ in range(_SPREAD_TRIES // _SPREAD_BLOCK):
         pose = np.zeros((_SPREAD_BLOCK, MOUNT_POSE_SIZE), np.float32)
-        pose[:, numbers] = low[numbers] + sequence.random(_SPREAD_BLOCK) * (high - low)[numbers]
-        is_free = mount.is_free
-        pose[:, is_free] = np.clip(pose[:, is_free], mount.low[is_free], mount.high[is_free])
+        share = sequence.random(_SPREAD_BLOCK)
+        pose[:, [X_M, Y_M]] = low_m + share[:, :2] * (high_m - low_m)
+        low, high = (each.astype(np.float64) for each in mount.ends_of(pose[:, [X_M, Y_M]]))
+        goes_round = np.isinf(low[:, YAW_RAD])
+        low[goes_round, YAW_RAD], high[goes_round, YAW_RAD] = -np.pi, np.pi
+        others = numbers[2:]
+        pose[:, others] = low[:, others] + share[:, 2:] * (high - low)[:, others]
+        pose = mount.clipped(pose)
         kept = np.concatenate([kept, pose[constraints.contains(pose[:, [X_M, Y_M]])]])
         if len(kept) >= count:
             return kept[:count]

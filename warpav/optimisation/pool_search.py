@@ -377,9 +377,9 @@ class _Search:
             slope = np.where(is_lower[:, None], downhill, slope)
             lowest = np.minimum(cost, lowest)
             norm = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-12)
-            tried = np.clip(kept + length[:, None] * slope / norm * unit, mount.low, mount.high)
+            tried = kept + length[:, None] * slope / norm * unit
             tried[:, [X_M, Y_M]] = self.constraints.nearest_place(tried[:, [X_M, Y_M]])
-            tried = tried.astype(np.float32)
+            tried = mount.clipped(tried).astype(np.float32)
         yield self.found("pricing")
 
     @property
@@ -423,8 +423,9 @@ class _Search:
     def _look_nearby(self, radius: float, rng: np.random.Generator) -> Iterator[Found]:
         """Draw cameras around those of the best rig, and exchange its own for them."""
         mount = self.cameras.mount
-        near = np.clip(self._replacements.near(radius, NEAR_CAMERAS, rng), mount.low, mount.high)
+        near = np.asarray(self._replacements.near(radius, NEAR_CAMERAS, rng), np.float64)
         near[:, [X_M, Y_M]] = self.constraints.nearest_place(near[:, [X_M, Y_M]])
+        near = mount.clipped(near)
         before = len(self.pool.mount_pose)
         self.pool = pool = self.pool.extended(near.astype(np.float32))
         rig = self._rows_of_best()
@@ -499,7 +500,8 @@ def too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_arr
     from scipy.spatial import KDTree
 
     place = mount_pose[:, [X_M, Y_M]].astype(np.float64)
-    point_m = np.c_[place, constraints.surface.height_at_m(place) + mount_pose[:, HEIGHT_DELTA_M]]
+    surface = constraints.surface
+    point_m = surface.point_m(place, surface.height_at_m(place) + mount_pose[:, HEIGHT_DELTA_M])
     pair = KDTree(point_m).query_pairs(constraints.min_spacing_m, output_type="ndarray")
     held = 0 if constraints.frozen is None else int(constraints.frozen.is_frozen.sum())
     pair = pair[pair.max(axis=1, initial=-1) >= held]

@@ -61,7 +61,9 @@ class SearchSpace:
         low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
-        low[:, mount.is_free], high[:, mount.is_free] = mount.low[mount.is_free], mount.high[mount.is_free]
+        has_ends = np.isfinite(mount.low)
+        has_ends[YAW_RAD] = False
+        low[:, has_ends], high[:, has_ends] = mount.low[has_ends], mount.high[has_ends]
         if mount.frozen is not None:
             is_frozen = mount.frozen.is_frozen
             low[is_frozen] = high[is_frozen] = mount.frozen.mount_pose[is_frozen]

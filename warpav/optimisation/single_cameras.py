@@ -78,6 +78,7 @@ class SingleCameras:
                 np.asarray(surface.origin_m, np.float64).tobytes(),
                 float(surface.cell_m),
                 float(mount.height_offset_m),
+                *(part.tobytes() for part in (surface.zone_of_cell, surface.plane_m, surface.axes) if surface.zones),
             ),
             "camera": digest(mount.camera, self.supersampling, self.occlusion.value),
             "detector": digest(*curves, model.constant, self.probability.probability),

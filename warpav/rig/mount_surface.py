@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+
+if TYPE_CHECKING:
+    from warpav.rig.zone import Zone
 
 SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
@@ -23,20 +28,100 @@ MAX_EXTENT_M = 40.0
 
 @dataclass(frozen=True)
 class MountSurface:
-    """A height map over the ego frame's ground plane.
+    """A height map over the ego frame's ground plane, or over a chart of several zones.
+
+    A zone has a plane of its own: the place (x, y) of the chart is the point ``plane + x * U + y * V + height * N`` of
+    the ego frame. Without zones that is (x, y, height) itself.
 
     Attributes:
-        height_m: Height of the surface above the ground [m], float32, shape [row, column], at least 2 x 2; rows run
-            along x (forward), columns along y (left).
+        height_m: Height of the surface above the ground, or above the plane of its zone [m], float32, shape [row,
+            column], at least 2 x 2; rows run along x (forward), columns along y (left).
         origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
         cell_m: Edge of a cell [m]; cell (i, j) has its centre at ``origin_m + (i, j) * cell_m``.
         is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
+        zones: The zones of a chart; none: the ground plane.
+        zone_of_cell: Number of the zone of every cell, int32 [row, column]; empty without zones.
+        plane_m: Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3].
     """
 
     height_m: np.ndarray
     origin_m: np.ndarray
     cell_m: float
     is_mountable: np.ndarray | None = None
+    zones: tuple[Zone, ...] = ()
+    zone_of_cell: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+    plane_m: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+
+    @cached_property
+    def axes(self) -> np.ndarray:
+        """U, V and N of every zone, rows, float64 [zone, 3, 3]; the ego frame's without zones."""
+        return np.stack([zone.axes for zone in self.zones]) if self.zones else np.eye(3)[None]
+
+    def zone_at(self, position_m: np.ndarray) -> np.ndarray:
+        """Number of the zone at places [..., 2] of the chart, between zones that of the nearest; int [...]."""
+        position_m = np.asarray(position_m, np.float64)
+        if not self.zones:
+            return np.zeros(position_m.shape[:-1], int)
+        cell = np.rint((position_m - self.origin_m) / self.cell_m)
+        row, column = np.moveaxis(np.clip(cell, 0, np.array(self.height_m.shape) - 1).astype(int), -1, 0)
+        return self.zone_of_cell[row, column].astype(int)
+
+    def point_m(self, position_m: np.ndarray, height_m: np.ndarray | float) -> np.ndarray:
+        """Points of the ego frame [..., 3] [m] at places of the chart [..., 2] and heights over its planes [...]."""
+        position_m = np.asarray(position_m, np.float64)
+        height_m = np.broadcast_to(height_m, position_m.shape[:-1])
+        local_m = np.concatenate([position_m, height_m[..., None]], axis=-1)
+        if not self.zones:
+            return local_m
+        zone = self.zone_at(position_m)
+        return self.plane_m[zone] + np.einsum("...i,...ij->...j", local_m, self.axes[zone])
+
+    def place_of(self, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The place of the chart that a camera at a point stands at, and its height over the surface there.
+
+        With zones it is that of the zone whose surface and stand-off are nearest.
+
+        Args:
+            point_m: In the ego frame [m], [..., 3].
+
+        Returns:
+            Places [m], float64 [..., 2], and heights over the surface [m], float64 [...].
+        """
+        point_m = np.asarray(point_m, np.float64)
+        if not self.zones:
+            place_m = point_m[..., :2]
+            return place_m, point_m[..., 2] - self.height_at_m(place_m)
+        best_m = np.full(point_m.shape[:-1], np.inf)
+        place_m, rise_m = np.zeros((*point_m.shape[:-1], 2)), np.zeros(point_m.shape[:-1])
+        for number, zone in enumerate(self.zones):
+            local_m = (point_m - self.plane_m[number]) @ self.axes[number].T
+            here_m = local_m[..., :2]
+            above_m = local_m[..., 2] - self.height_at_m(here_m)
+            low_m, high_m = zone.stand_off_m
+            away_m = np.maximum(-self.zone_distance_m(here_m), 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
+            away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
+            is_nearer = away_m < best_m
+            best_m = np.where(is_nearer, away_m, best_m)
+            place_m = np.where(is_nearer[..., None], here_m, place_m)
+            rise_m = np.where(is_nearer, above_m, rise_m)
+        return place_m, rise_m
+
+    @cached_property
+    def over_ground(self) -> MountSurface:
+        """The same seen from above, over the ground plane: NaN where there is nothing of it. Itself without zones."""
+        if not self.zones:
+            return self
+        row, column = np.indices(self.height_m.shape)
+        place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
+        inside = np.ones(row.shape, bool) if self.is_mountable is None else self.is_mountable
+        point_m = self.point_m(place_m[inside], self.height_m[inside])
+        first = np.floor(point_m[:, :2].min(axis=0) / self.cell_m) - 1
+        cell = np.rint(point_m[:, :2] / self.cell_m - first).astype(int)
+        size = cell.max(axis=0) + 2
+        top_m = np.full(size, -np.inf)
+        np.maximum.at(top_m, (cell[:, 0], cell[:, 1]), point_m[:, 2])
+        seen = np.isfinite(top_m)
+        return MountSurface(np.where(seen, top_m, np.nan).astype(np.float32), first * self.cell_m, self.cell_m, seen)
 
     @property
     def bounds_m(self) -> np.ndarray:
@@ -96,11 +181,18 @@ class MountSurface:
         return near * (1.0 - u) + far * u
 
     def highest_point_m(self) -> np.ndarray:
-        """The highest cell centre [m], shape [3]; on a flat top, the one nearest the centre of the top.
+        """The highest cell centre: its place in the chart and its height there [m], shape [3].
+
+        On a flat top it is the one nearest the centre of the top.
 
         Cells within 1 mm of the maximum count as the top, which absorbs rounding noise.
         """
-        cell = np.argwhere(self.height_m >= self.height_m.max() - 1e-3)
+        height_m = self.height_m
+        if self.zones:
+            row, column = np.indices(height_m.shape)
+            place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
+            height_m = np.where(self.is_mountable, self.point_m(place_m, height_m)[..., 2], -np.inf)
+        cell = np.argwhere(height_m >= height_m.max() - 1e-3)
         row, column = cell[np.linalg.norm(cell - cell.mean(axis=0), axis=1).argmin()]
         x, y = self.origin_m + np.array([row, column]) * self.cell_m
         return np.array([x, y, self.height_m[row, column]], dtype=np.float64)
@@ -114,6 +206,7 @@ def mount_surface_from_mesh(
     min_zone_normal: float = 0.9,
     min_height_m: float = 0.0,
     smoothing_tolerance_m: float = 1e-4,
+    keeps: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> MountSurface:
     """The surface that faces upwards and is seen from straight above: roof and bonnet (thesis, 3D Surface Positioning).
 
@@ -134,6 +227,7 @@ def mount_surface_from_mesh(
         min_height_m: Lower points are left out [m].
         smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive; inf:
             cells without points keep the height of the nearest one with.
+        keeps: Says which points [..., 3] belong to the surface, bool [...]; None: all.
 
     Returns:
         The surface, cropped to the cells that hold points.
@@ -146,7 +240,7 @@ def mount_surface_from_mesh(
         raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
     if not 0.0 < min_zone_normal <= 1.0:
         raise ValueError(f"min_zone_normal must lie in (0, 1], got {min_zone_normal}")
-    measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m, keeps)
     is_measured = np.isfinite(measured_m)
     filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
     is_mountable = _without_gaps(_without_small_patches(is_measured & (upward >= min_zone_normal)))
@@ -178,7 +272,11 @@ def measured_surface(
 
 
 def _measured(
-    mesh: Mesh, cell_m: float, min_upward_normal: float, min_height_m: float
+    mesh: Mesh,
+    cell_m: float,
+    min_upward_normal: float,
+    min_height_m: float,
+    keeps: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What vertical lines meet from above, cell by cell.
 
@@ -204,6 +302,11 @@ def _measured(
         mesh, origin_m - 0.5 * cell_m, size * SAMPLES_PER_CELL, cell_m / SAMPLES_PER_CELL, min_upward_normal
     )
     sample_m[sample_m < min_height_m] = -np.inf
+    if keeps is not None:
+        at = np.stack(np.indices(sample_m.shape), axis=-1)
+        plane_m = origin_m - 0.5 * cell_m + (at + 0.5) * (cell_m / SAMPLES_PER_CELL)
+        point_m = np.concatenate([plane_m, np.where(np.isfinite(sample_m), sample_m, 0.0)[..., None]], axis=-1)
+        sample_m[~keeps(point_m)] = -np.inf
     sample_upward[sample_m == -np.inf] = -np.inf
     in_cells = (size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL)
     height_m = sample_m.reshape(in_cells).max(axis=(1, 3))

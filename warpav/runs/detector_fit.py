@@ -31,7 +31,7 @@ from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
-from warpav.runs.mounts import camera_model, free_ranges, mount_surface
+from warpav.runs.mounts import camera_model, free_ranges, roof_surface
 from warpav.runs.networks import detector_use, load_detector
 from warpav.runs.scene_set import load_scenes
 from warpav.scene.device_scene import DeviceScene
@@ -319,7 +319,7 @@ def _sample_scenes(
     def parts() -> Iterator[DetectionSamples]:
         surface = None
         for seed, scene in zip(seeds, load_scenes(config, seeds, ego=ego), strict=True):
-            surface = surface or mount_surface(config, scene.ego)
+            surface = surface or roof_surface(config, scene.ego)
             packed = DeviceScene.pack(scene, device=device)
             if packed.vehicle_count == 0:
                 yield DetectionSamples.join([])

@@ -16,6 +16,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
+from warpav.rig.zone import chart_of, read_zones
 from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:
@@ -53,7 +54,24 @@ def free_ranges(config: Config) -> FreeRanges:
 
 
 def mount_surface(config: Config, ego: Mesh) -> MountSurface:
-    """Where cameras may stand on the ego vehicle.
+    """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet.
+
+    Raises:
+        InputError: Nothing on it faces upwards enough, or a zone selects nothing of it.
+    """
+    if config.mount.zones is None:
+        return roof_surface(config, ego)
+    return chart_of(
+        read_zones(config.mount.zones),
+        ego,
+        cell_m=config.mount.cell_m,
+        min_upward_normal=config.mount.min_upward_normal,
+        min_zone_normal=config.mount.min_zone_normal,
+    )
+
+
+def roof_surface(config: Config, ego: Mesh) -> MountSurface:
+    """Roof and bonnet of the ego vehicle.
 
     Raises:
         InputError: Nothing on it faces upwards enough.
@@ -74,7 +92,8 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     return CameraMount(
         mount_surface(config, ego),
         camera=camera_model(config),
-        height_offset_m=config.rig.height_offset_m,
+        # zones have their own stand-off
+        height_offset_m=config.rig.height_offset_m if config.mount.zones is None else 0.0,
         device=checked_device(config.device),
         free=free_ranges(config),
     )

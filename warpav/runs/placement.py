@@ -139,6 +139,7 @@ class Placement:
         fov_deg: float | None = None,
         detector: str | Path | Detector | None = None,
         ego: str | Path | Mesh | trimesh.Trimesh | tuple[Any, Any] | None = None,
+        zones: str | Path | None = None,
         device: str | None = None,
         start: str | Path | Rig | None = None,
         freeze: str | Sequence[str] = (),
@@ -157,6 +158,7 @@ class Placement:
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
             ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, `Mesh`, trimesh, or
                 ``(vertices [n, 3], faces [m, 3])``. None: the scenes' own.
+            zones: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and bonnet.
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
             freeze: Names of cameras of ``start`` that stay as they are.
@@ -190,6 +192,7 @@ class Placement:
             "device": device,
             "detector.model": None if own_detector is not None or detector is None else str(detector),
             "scenes.ego": str(ego) if ego_is_file else None,
+            "mount.zones": None if zones is None else str(zones),
             "rig.start": "random" if start_rig is not None else None if start is None else str(start),
             "rig.freeze": None if start is None else [],
             "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,

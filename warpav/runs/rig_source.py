@@ -51,7 +51,7 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
         from warpav.optimisation.baselines import highest_mount_pose
 
         mount = camera_mount(config, ego)
-        return mount.rig(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras))
+        return mount.rig(mount.clipped(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)))
     return with_shared_model(read_rig(rig_file(source)), config)
 
 

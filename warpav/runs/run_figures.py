@@ -128,14 +128,14 @@ def draw_rigs(drawing: RigDrawing) -> str | None:
             further=drawing.further,
             rig=result,
             ego=scene.ego,
-            mount_surface=drawing.surface,
+            mount_surface=drawing.surface.over_ground,
             objects=drawing.objects,
         )
     rig_top_view(
         folder.figure_path("rig_top_view"),
         rig=result,
         ego=scene.ego,
-        mount_surface=drawing.surface,
+        mount_surface=drawing.surface.over_ground,
         rig_initial=drawing.start,
         trajectory_m=path_m,
         shows_zone=drawing.shows_zone,

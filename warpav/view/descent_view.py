@@ -73,10 +73,11 @@ def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface, *, longest_m: f
     if not norm.any():
         return np.zeros((len(rig.cameras), 3))
     ahead = np.divide(descent.along, norm, out=np.zeros_like(descent.along), where=norm > 0.0)
-    position_m = np.array([camera.position_m[:2] for camera in rig.cameras])
+    position_m, _ = surface.place_of(np.array([camera.position_m for camera in rig.cameras]))
     reach_m = max(surface.cell_m, 0.05)
     rise_m = surface.height_at_m(position_m + reach_m * ahead) - surface.height_at_m(position_m - reach_m * ahead)
     tangent = np.column_stack([ahead, rise_m / (2.0 * reach_m)])
+    tangent = np.einsum("ki,kij->kj", tangent, surface.axes[surface.zone_at(position_m)])
     length = np.linalg.norm(tangent, axis=1, keepdims=True)
     return tangent / np.maximum(length, 1e-12) * longest_m * norm / norm.max()
 

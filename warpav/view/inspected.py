@@ -126,16 +126,19 @@ class InspectedRig:
 
         Args:
             camera: Its number.
-            position_m: x and y in the ego frame, more numbers are left out [m].
+            position_m: x and y in the ego frame [m]; with zones a third number says how high, to tell zones apart.
         """
         surface = self._constraints.surface
         old = self.rig.cameras[camera]
-        at_m = self._constraints.project(np.asarray(position_m, np.float64)[None, :2])[0]
-        was_above_m = old.position_m[2] - float(surface.height_at_m(old.position_m[None, :2])[0])
-        stood_there = bool(self._constraints.contains(old.position_m[None, :2])[0])
-        above_m = was_above_m if stood_there else self._height_offset_m
-        z_m = float(surface.height_at_m(at_m[None])[0]) + above_m
-        return self._change(camera, position_m=np.array([*at_m, z_m]))
+        wanted_m = np.array([*np.asarray(position_m, np.float64), old.position_m[2]])[:3]
+        at_m = self._constraints.project(surface.place_of(wanted_m)[0][None])[0]
+        old_place_m, was_above_m = surface.place_of(old.position_m)
+        stood_there = bool(self._constraints.contains(old_place_m[None])[0])
+        above_m = float(was_above_m) if stood_there else self._height_offset_m
+        if surface.zones:
+            above_m = float(np.clip(above_m, *surface.zones[int(surface.zone_at(at_m))].stand_off_m))
+        height_m = float(surface.height_at_m(at_m[None])[0]) + above_m
+        return self._change(camera, position_m=surface.point_m(at_m, height_m))
 
     def turn(self, camera: int, yaw_rad: float) -> RigCamera:
         """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""

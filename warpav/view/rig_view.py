@@ -346,13 +346,24 @@ def add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: st
     pyvista = load_pyvista()
     height = np.asarray(mount_surface.height_m, dtype=np.float64)
     row, column = np.indices(height.shape)
-    origin = np.asarray(mount_surface.origin_m, dtype=np.float64)
-    grid = pyvista.StructuredGrid(
-        origin[0] + row * mount_surface.cell_m, origin[1] + column * mount_surface.cell_m, height + 0.035
-    )
-    grid.point_data["height_m"] = height.ravel(order="F")
+    place = np.asarray(mount_surface.origin_m) + mount_surface.cell_m * np.stack([row, column], axis=-1)
+    point = mount_surface.point_m(place, height + 0.035)
+    grid = pyvista.StructuredGrid(*np.moveaxis(point, -1, 0))
+    colour = height
+    if mount_surface.zones:
+        # between the zones of a chart there is nothing, and every zone has a colour of its own
+        colour = mount_surface.zone_of_cell.astype(np.float64)
+        shown = np.asarray(mount_surface.is_mountable)
+        grid.point_data["shown"] = shown.ravel(order="F").astype(np.uint8)
+    grid.point_data["height_m"] = colour.ravel(order="F")
     plotter.add_mesh(
-        grid, scalars="height_m", cmap="viridis", opacity=0.75, show_scalar_bar=False, lighting=False, name=name
+        grid.threshold(0.5, scalars="shown", all_scalars=True) if mount_surface.zones else grid,
+        scalars="height_m",
+        cmap="viridis",
+        opacity=0.75,
+        show_scalar_bar=False,
+        lighting=False,
+        name=name,
     )
 
 

@@ -84,6 +84,7 @@ def vehicle_plotter(
 def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
     """The box from the ground to the highest cell of a surface [m], shape [2, 3]."""
     assert surface is not None
+    surface = surface.over_ground
     low, high = surface.bounds_m
     return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
 
@@ -103,10 +104,11 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
     middle_m = surface.origin_m + cell * surface.cell_m
     corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
     corner_m = (middle_m[:, None] + corner).reshape(-1, 2)
-    point_m = np.column_stack([corner_m, surface.height_at_m(corner_m) + lift_m])
+    point_m = surface.point_m(corner_m, surface.height_at_m(corner_m) + lift_m)
     zone = load_pyvista_data().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
     zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
-    zone.cell_data["height_m"] = surface.height_m[is_mountable].astype(np.float64)
+    above_m = surface.point_m(middle_m, surface.height_m[is_mountable].astype(np.float64))[:, 2]
+    zone.cell_data["height_m"] = above_m
     return zone
 
 

@@ -49,6 +49,16 @@ LOG_ZOOM = wp.constant(6)  # logarithm of the focal length over that of the conf
 MOUNT_POSE_SIZE = wp.constant(7)
 
 
+@wp.func
+def zone_at(x_m: float, y_m: float, zone_of_cell: wp.array2d[wp.int32], origin_m: wp.vec2, cell_m: float) -> int:
+    """Number of the zone at a place of the chart: that of the nearest cell; 0 where there is one zone."""
+    if zone_of_cell.shape[0] == 0:
+        return 0
+    row = wp.clamp(wp.rint((x_m - origin_m[0]) / cell_m), 0.0, float(zone_of_cell.shape[0] - 1))
+    column = wp.clamp(wp.rint((y_m - origin_m[1]) / cell_m), 0.0, float(zone_of_cell.shape[1] - 1))
+    return zone_of_cell[int(row), int(column)]
+
+
 @wp.kernel
 def place_on_surface_kernel(
     # in
@@ -56,6 +66,9 @@ def place_on_surface_kernel(
     height_m: wp.array2d[float],
     origin_m: wp.vec2,
     cell_m: float,
+    zone_of_cell: wp.array2d[wp.int32],
+    plane_m: wp.array[wp.vec3],
+    axes: wp.array[wp.mat33],
     height_offset_m: float,
     rotation_count: int,
     rotation_step_rad: float,
@@ -66,7 +79,9 @@ def place_on_surface_kernel(
 ):
     """Pose of every view: each camera on the mount surface, turned by every rotational addition about the vertical.
 
-    All views of a camera have its zoom.
+    All views of a camera have its zoom. The place (x, y) of the chart lies in the zone of the nearest cell of
+    ``zone_of_cell``, which is empty where there is one zone; ``plane_m`` and ``axes`` (rows U, V and N) are each zone's
+    plane in the ego frame. Gradients flow along the plane.
 
     Equation: 3 (as printed)
 
@@ -78,9 +93,11 @@ def place_on_surface_kernel(
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
     z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m + mount_pose[camera, HEIGHT_DELTA_M]
+    zone = zone_at(x_m, y_m, zone_of_cell, origin_m, cell_m)
+    point_m = plane_m[zone] + wp.transpose(axes[zone]) * wp.vec3(x_m, y_m, z_m)
     for rotation in range(rotation_count):
         v = camera * rotation_count + rotation
-        position_ego_m[v] = wp.vec3(x_m, y_m, z_m)
+        position_ego_m[v] = point_m
         # Eq. 3: theta_a = a F_closest
         yaw_rad = mount_pose[camera, YAW_RAD] + float(rotation) * rotation_step_rad
         camera_from_ego[v] = camera_from_ego_rotation(

@@ -148,6 +148,12 @@ def _read_mesh_file(value: object) -> object:
     return _read_path(value)
 
 
+def _read_zones_file(value: object) -> object:
+    if isinstance(value, str):
+        _existing_file(value, "the path of a YAML file of zones, or null", [value], [])
+    return _read_path(value)
+
+
 def _existing_file(value: str, expected: str, candidates: Sequence[str], words: Sequence[str]) -> None:
     if any(Path(candidate).expanduser().is_file() for candidate in candidates):
         return
@@ -425,6 +431,19 @@ class MountConfig(Section):
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
     )
+    zones: (
+        Annotated[
+            Path,
+            BeforeValidator(_read_zones_file),
+            PlainSerializer(str),
+            Expectation("the path of a YAML file of zones"),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="zones anywhere on the body, each with its normal, stand-off and directions, as warpav vehicle "
+        "zones proposes them; null: roof and bonnet (method: default)",
+    )
 
 
 _LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
@@ -598,6 +617,7 @@ class ConfigTree(Section):
             )
         self._check_free()
         self._check_freeze()
+        self._check_zones()
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -619,6 +639,17 @@ class ConfigTree(Section):
         if self.method == "thesis":
             text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
             mistake(text, "rig.freeze", "method")
+
+    def _check_zones(self) -> None:
+        if self.mount.zones is None:
+            return
+        if self.method == "thesis":
+            mistake(
+                "expected null, as the thesis has roof and bonnet alone; take method: default", "mount.zones", "method"
+            )
+        if self.rig.free.height_m is not None:
+            text = "expected null, as every zone of mount.zones has its own stand_off_m"
+            mistake(f"{text}, got {shown(self.rig.free.height_m)}", "rig.free.height_m", "mount.zones")
 
     def _check_free(self) -> None:
         free = self.rig.free

@@ -1,0 +1,440 @@
+"""Zones: where on the body cameras may stand, each a height field over a plane of its own, and their YAML file.
+
+All zones lie in one chart, side by side with gaps between them, as the parts of a texture do: a place in the chart is a
+zone and a place of it. So a camera anywhere on the body is still two numbers, and one raster is all that a kernel
+needs; see `MountSurface`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.errors import InputError
+from warpav.core.files import writing
+from warpav.raster.mesh import Mesh
+from warpav.rig.formats.record import Record, read_yaml_record
+from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
+
+NORMALS = {
+    "up": (0.0, 0.0, 1.0),
+    "left": (0.0, 1.0, 0.0),
+    "right": (0.0, -1.0, 0.0),
+    "front": (1.0, 0.0, 0.0),
+    "rear": (-1.0, 0.0, 0.0),
+}
+"""Names of outward normals, in the ego frame."""
+
+GAP_M = 1.0
+"""Between the rectangles of two zones in the chart: more than twice what any search moves a camera at once."""
+
+FLUSH_M = (0.0, 0.03)
+"""Stand-off of a zone that says none: from level with the skin to 3 cm outwards."""
+
+OUTWARD_RAD = math.radians(85.0)
+"""How far cameras turn from a zone's normal where the zone does not say."""
+
+_SKIRT_CELLS = 3
+_KEYS = ("normal", "origin_m", "box_m", "keep_out_m", "stand_off_m", "yaw_deg", "pitch_deg", "roll_deg")
+_BIG_M = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Zone:
+    """A part of the body that may carry cameras, and how they may stand there.
+
+    A camera's centre is at ``origin_m + u * U + v * V + (height(u, v) + stand-off) * N``, with the rows U, V and N of
+    ``axes``. Yaw, pitch and roll are those of the ego frame, wherever the zone is.
+
+    Attributes:
+        name: Its name.
+        normal: Outwards, unit length, in the ego frame.
+        origin_m: A point of its plane in the ego frame [m].
+        box_m: Lowest and highest corner of what belongs to it [m], in the ego frame; None: all that faces outwards.
+        keep_out_m: Boxes in the ego frame that carry no camera, such as plates and lamps [m].
+        stand_off_m: Least and greatest height of a camera's centre above the surface [m].
+        yaw_rad: Least and greatest yaw [rad], at most a whole turn; None: 85 degrees to either side of a normal that
+            is level, all round on others.
+        pitch_rad: Least and greatest pitch, nose-down positive [rad]; None: as the rig's other cameras.
+        roll_rad: Least and greatest roll [rad]; None: 0.
+        axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
+            face up have those of the ego frame; float64 [3, 3].
+
+    Raises:
+        ValueError: The normal has another length, or a range is none.
+    """
+
+    name: str
+    normal: tuple[float, float, float]
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    box_m: np.ndarray | None = None
+    keep_out_m: tuple[np.ndarray, ...] = ()
+    stand_off_m: tuple[float, float] = FLUSH_M
+    yaw_rad: tuple[float, float] | None = None
+    pitch_rad: tuple[float, float] | None = None
+    roll_rad: tuple[float, float] | None = None
+    axes: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        normal = np.asarray(self.normal, np.float64)
+        if normal.shape != (3,) or not np.isfinite(normal).all() or not abs(np.linalg.norm(normal) - 1.0) < 1e-3:
+            raise ValueError(f"normal: expected three numbers of length 1, got {self.normal!r}")
+        ranges = {name: getattr(self, name) for name in ("stand_off_m", "yaw_rad", "pitch_rad", "roll_rad")}
+        for name, pair in ranges.items():
+            if pair is not None and not -math.inf < pair[0] <= pair[1] < math.inf:
+                raise ValueError(f"{name}: expected a range, the lower end first, got {pair}")
+        if self.yaw_rad is not None and self.yaw_rad[1] - self.yaw_rad[0] > 2.0 * math.pi + 1e-9:
+            raise ValueError(f"yaw: expected at most a whole turn, got {self.yaw_rad}")
+        normal /= np.linalg.norm(normal)
+        if normal[2] > 1.0 - 1e-9:
+            axes = np.eye(3)
+        else:
+            # v is upwards along the zone, or forwards where that is level
+            upright = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+            v = upright - (upright @ normal) * normal
+            v /= np.linalg.norm(v)
+            axes = np.stack([np.cross(v, normal), v, normal])
+        object.__setattr__(self, "axes", axes)
+
+    @property
+    def yaw_range_rad(self) -> tuple[float, float] | None:
+        """The range of yaws [rad]; None: all round."""
+        if self.yaw_rad is not None:
+            return None if self.yaw_rad[1] - self.yaw_rad[0] >= 2.0 * math.pi - 1e-9 else self.yaw_rad
+        if abs(self.axes[2, 2]) > 0.5:
+            return None
+        outward_rad = math.atan2(self.axes[2, 1], self.axes[2, 0])
+        return outward_rad - OUTWARD_RAD, outward_rad + OUTWARD_RAD
+
+    def surface(self, mesh: Mesh, *, cell_m: float, min_upward_normal: float, min_zone_normal: float) -> MountSurface:
+        """Its height field over its own plane; u and v take the places of x and y.
+
+        Args:
+            mesh: The vehicle in the ego frame [m].
+            cell_m: Edge of a cell [m].
+            min_upward_normal: As in `mount_surface_from_mesh`, along the zone's normal.
+            min_zone_normal: Likewise.
+
+        Raises:
+            InputError: Nothing of the body belongs to it.
+        """
+        vertex_m = (mesh.vertex_m.astype(np.float64) - self.origin_m) @ self.axes.T
+        turned = Mesh.create(vertex_m.astype(np.float32), mesh.triangle, [128, 128, 128])
+        try:
+            whole = mount_surface_from_mesh(
+                turned,
+                cell_m=cell_m,
+                min_upward_normal=min_upward_normal,
+                min_zone_normal=min_zone_normal,
+                min_height_m=-_BIG_M,
+                smoothing_tolerance_m=math.inf,
+                keeps=self._belongs,
+            )
+        except InputError as error:
+            reason = str(error).partition("got ")[2] or str(error)
+            raise InputError(
+                f"zone {self.name!r}: expected a part of the body that faces {_words(self.axes[2])}"
+                f"{'' if self.box_m is None else ' inside box_m'}, got {reason}"
+            ) from None
+        return whole
+
+    def _belongs(self, point_m: np.ndarray) -> np.ndarray:
+        """Which points of its own coordinates [..., 3] belong to it, bool [...]."""
+        ego_m = point_m @ self.axes + self.origin_m
+        inside = np.ones(ego_m.shape[:-1], bool)
+        if self.box_m is not None:
+            inside &= ((ego_m >= self.box_m[0]) & (ego_m <= self.box_m[1])).all(axis=-1)
+        for low_m, high_m in self.keep_out_m:
+            inside &= ~((ego_m >= low_m) & (ego_m <= high_m)).all(axis=-1)
+        return inside
+
+
+def chart_of(
+    zones: Sequence[Zone],
+    mesh: Mesh,
+    *,
+    cell_m: float = 0.02,
+    min_upward_normal: float = 0.8,
+    min_zone_normal: float = 0.9,
+) -> MountSurface:
+    """All zones of a vehicle in one chart.
+
+    Args:
+        zones: At least one; their names differ.
+        mesh: The vehicle in the ego frame [m].
+        cell_m: Edge of a cell [m].
+        min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
+        min_zone_normal: Likewise.
+
+    Raises:
+        InputError: There is no zone, two have one name, or one selects nothing of the body.
+    """
+    names = [zone.name for zone in zones]
+    if not names or len(set(names)) != len(names):
+        raise InputError(f"zones: expected at least one, and names that differ, got {names}")
+    options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
+    surfaces = [_with_skirt(zone.surface(mesh, **options)) for zone in zones]
+    firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
+    # the first zone keeps its own coordinates
+    origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
+    height_m, zone_of = np.zeros(size, np.float32), np.full(size, -1, np.int32)
+    is_mountable, plane_origin_m = np.zeros(size, bool), []
+    for number, (zone, surface, (row, column)) in enumerate(zip(zones, surfaces, firsts, strict=True)):
+        rows, columns = surface.height_m.shape
+        part = np.s_[row : row + rows, column : column + columns]
+        height_m[part], zone_of[part] = surface.height_m, number
+        assert surface.is_mountable is not None
+        is_mountable[part] = surface.is_mountable
+        shift_m = origin_m + np.multiply((row, column), cell_m) - surface.origin_m
+        plane_origin_m.append(np.asarray(zone.origin_m) - shift_m @ zone.axes[:2])
+    return MountSurface(
+        height_m, origin_m, cell_m, is_mountable, tuple(zones), _nearest_zone(zone_of), np.array(plane_origin_m)
+    )
+
+
+def _with_skirt(surface: MountSurface) -> MountSurface:
+    """A surface that goes on at its height for some cells beyond its rectangle, where no camera may stand."""
+    assert surface.is_mountable is not None
+    return MountSurface(
+        np.pad(surface.height_m, _SKIRT_CELLS, mode="edge"),
+        surface.origin_m - _SKIRT_CELLS * surface.cell_m,
+        surface.cell_m,
+        np.pad(surface.is_mountable, _SKIRT_CELLS),
+    )
+
+
+def _packed(sizes: Sequence[tuple[int, ...]], gap: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
+    """First row and column of rectangles side by side in shelves, the highest first, and rows and columns in all."""
+    area = sum((rows + gap) * (columns + gap) for rows, columns in sizes)
+    most = max(math.ceil(math.sqrt(area)), *(columns for _, columns in sizes))
+    firsts, row, column, shelf, right = [(0, 0)] * len(sizes), 0, 0, 0, 0
+    for number in sorted(range(len(sizes)), key=lambda k: -sizes[k][0]):
+        rows, columns = sizes[number]
+        if column and column + columns > most:
+            row, column, shelf = row + shelf + gap, 0, 0
+        firsts[number] = (row, column)
+        shelf, right, column = max(shelf, rows), max(right, column + columns), column + columns + gap
+    return firsts, (row + shelf, right)
+
+
+def _nearest_zone(zone_of: np.ndarray) -> np.ndarray:
+    """The zone of every cell, between zones that of the nearest cell that has one."""
+    from scipy import ndimage
+
+    nearest = np.zeros((2, *zone_of.shape), np.int32)
+    ndimage.distance_transform_edt(zone_of < 0, return_distances=False, return_indices=True, indices=nearest)
+    return np.ascontiguousarray(zone_of[tuple(nearest)])
+
+
+def read_zones(path: Path | str) -> tuple[Zone, ...]:
+    """Read a file of zones: ``zones``, a mapping from names to what they are.
+
+    A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``origin_m``, ``box_m`` and
+    ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
+    ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
+    other side of the vehicle, called ``<name>_mirrored``.
+
+    Raises:
+        InputError: The file cannot be read or breaks the format; the line says where.
+    """
+    file = Path(path).expanduser()
+    record = read_yaml_record(file)
+    unknown = [each for each in record.mapping("a mapping with zones") if each != "zones"]
+    if unknown:
+        raise record.at(unknown[0]).error("the key zones alone", f"the key {unknown[0]!r}")
+    zones: list[Zone] = []
+    for name, each in record.at("zones").mapping("a mapping from names to zones").items():
+        zone = _zone(name, each)
+        zones.append(zone)
+        if each.at("mirror").value is True:
+            zones.append(mirrored(zone))
+    if not zones:
+        raise record.at("zones").error("at least one zone")
+    return tuple(zones)
+
+
+def _zone(name: str, record: Record) -> Zone:
+    fields = record.mapping("a zone: a mapping with normal")
+    known = (*_KEYS, "mirror")
+    for key in fields:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            raise fields[key].error(
+                f"one of {', '.join(known)}", f"the key {key!r}" + (f"; did you mean {near[0]}?" if near else "")
+            )
+    if record.at("mirror").value not in (None, True, False):
+        raise record.at("mirror").error("true or false")
+    box = record.at("box_m")
+    try:
+        return Zone(
+            name=name,
+            normal=_normal(record.at("normal")),
+            origin_m=tuple(record.at("origin_m").numbers(3)) if "origin_m" in fields else (0.0, 0.0, 0.0),  # pyright: ignore[reportArgumentType]
+            box_m=None if box.value is None else _box(box),
+            keep_out_m=tuple(_box(each) for each in record.at("keep_out_m").items("a list of boxes"))
+            if "keep_out_m" in fields
+            else (),
+            stand_off_m=_range(record.at("stand_off_m")) or FLUSH_M,
+            yaw_rad=_radians(record.at("yaw_deg")),
+            pitch_rad=_radians(record.at("pitch_deg")),
+            roll_rad=_radians(record.at("roll_deg")),
+        )
+    except ValueError as error:
+        raise InputError(str(error) if isinstance(error, InputError) else f"{record.location}: {error}") from None
+
+
+def _normal(record: Record) -> tuple[float, float, float]:
+    if isinstance(record.value, str):
+        if record.value not in NORMALS:
+            near = difflib.get_close_matches(record.value, NORMALS, 1, 0.5)
+            raise record.error(
+                f"{', '.join(NORMALS)} or three numbers",
+                f"{record.value!r}" + (f"; did you mean {near[0]}?" if near else ""),
+            )
+        return NORMALS[record.value]
+    numbers = np.array(record.numbers(3))
+    length = float(np.linalg.norm(numbers))
+    if length < 1e-6:
+        raise record.error("a direction", "one of length 0")
+    x, y, z = (numbers / length).tolist()
+    return x, y, z
+
+
+def _box(record: Record) -> np.ndarray:
+    corners = np.array(record.matrix(2, 3))
+    if not (corners[0] < corners[1]).all():
+        raise record.error("a box: its lowest corner, then its highest", f"{corners.tolist()}")
+    return corners
+
+
+def _range(record: Record) -> tuple[float, float] | None:
+    if record.value is None:
+        return None
+    if isinstance(record.value, list):
+        low, high = record.numbers(2)
+    else:
+        low = high = record.number()
+    if low > high:
+        raise record.error("a range, the lower end first")
+    return low, high
+
+
+def _radians(record: Record) -> tuple[float, float] | None:
+    pair = _range(record)
+    return None if pair is None else (math.radians(pair[0]), math.radians(pair[1]))
+
+
+def mirrored(zone: Zone) -> Zone:
+    """The mirror image of a zone on the other side of the vehicle, called ``<name>_mirrored``."""
+
+    def box(corners: np.ndarray) -> np.ndarray:
+        low_m, high_m = corners
+        return np.array([[low_m[0], -high_m[1], low_m[2]], [high_m[0], -low_m[1], high_m[2]]])
+
+    x, y, z = zone.normal
+    origin = zone.origin_m
+    turned = {
+        name: None if pair is None else (-pair[1], -pair[0])
+        for name, pair in (("yaw_rad", zone.yaw_rad), ("roll_rad", zone.roll_rad))
+    }
+    return Zone(
+        name=f"{zone.name}_mirrored",
+        normal=(x, -y, z),
+        origin_m=(origin[0], -origin[1], origin[2]),
+        box_m=None if zone.box_m is None else box(zone.box_m),
+        keep_out_m=tuple(box(each) for each in zone.keep_out_m),
+        stand_off_m=zone.stand_off_m,
+        pitch_rad=zone.pitch_rad,
+        **turned,
+    )
+
+
+def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
+    """Write zones into a YAML file that `read_zones` reads, for a person to edit.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    names = {normal: name for name, normal in NORMALS.items()}
+
+    def numbers(values: Sequence[float] | np.ndarray) -> str:
+        return "[" + ", ".join(f"{float(value) + 0.0:.3f}".rstrip("0").rstrip(".") or "0" for value in values) + "]"
+
+    def box(corners: np.ndarray) -> str:
+        return f"[{numbers(corners[0])}, {numbers(corners[1])}]"
+
+    lines = [
+        "# Where on the body cameras may stand; metres and degrees in the ego frame (x forward, y left, z up).",
+        "zones:",
+    ]
+    for zone in zones:
+        normal = names.get(tuple(float(each) for each in zone.normal))  # pyright: ignore[reportArgumentType]
+        lines += [f"  {zone.name}:", f"    normal: {normal or numbers(zone.normal)}"]
+        if any(zone.origin_m):
+            lines.append(f"    origin_m: {numbers(zone.origin_m)}")
+        if zone.box_m is not None:
+            lines.append(f"    box_m: {box(zone.box_m)}")
+        if zone.keep_out_m:
+            lines += ["    keep_out_m:", *(f"      - {box(each)}" for each in zone.keep_out_m)]
+        lines.append(f"    stand_off_m: {numbers(zone.stand_off_m)}")
+        for name, pair in (("yaw", zone.yaw_rad), ("pitch", zone.pitch_rad), ("roll", zone.roll_rad)):
+            if pair is not None:
+                lines.append(f"    {name}_deg: {numbers(np.degrees(pair))}")
+    file = Path(path).expanduser()
+    with writing(file), atomic_write(file) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _words(normal: np.ndarray) -> str:
+    for name, known in NORMALS.items():
+        if np.allclose(normal, known, atol=1e-3):
+            return {"up": "upwards", "front": "forwards", "rear": "backwards"}.get(name, f"to the {name}")
+    return f"along {np.round(normal, 3).tolist()}"
+
+
+def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
+    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear.
+
+    The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
+    lowest third, where wheels and sills are; front and rear out of what bumpers touch. A zone of which the body has
+    nothing is left out.
+
+    Args:
+        mesh: The vehicle in the ego frame [m].
+    """
+    low_m, high_m = mesh.bounds_m().astype(np.float64)
+    length, _, height = high_m - low_m
+    far = np.array([_BIG_M, _BIG_M, _BIG_M])
+
+    def box(least: dict[int, float], greatest: dict[int, float]) -> np.ndarray:
+        corners = np.stack([low_m - 0.1, high_m + 0.1])
+        for axis, value in least.items():
+            corners[0, axis] = value
+        for axis, value in greatest.items():
+            corners[1, axis] = value
+        return np.round(np.clip(corners, -far, far), 3)
+
+    upper, lower = low_m[2] + 2.0 / 3.0 * height, low_m[2] + height / 3.0
+    upright = (math.radians(-10.0), math.radians(30.0))
+    wanted = (
+        Zone("roof", NORMALS["up"], box_m=box({2: upper}, {}), pitch_rad=upright),
+        Zone("bonnet", NORMALS["up"], box_m=box({0: low_m[0] + 0.6 * length, 2: lower}, {2: upper}), pitch_rad=upright),
+        Zone("left", NORMALS["left"], box_m=box({2: lower}, {}), pitch_rad=upright),
+        Zone("right", NORMALS["right"], box_m=box({2: lower}, {}), pitch_rad=upright),
+        Zone("front", NORMALS["front"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
+        Zone("rear", NORMALS["rear"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
+    )
+    found = []
+    for zone in wanted:
+        try:
+            chart_of([zone], mesh, cell_m=0.04)
+        except InputError:
+            continue
+        found.append(zone)
+    return tuple(found)
