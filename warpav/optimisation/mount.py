@@ -193,7 +193,8 @@ class CameraMount:
     @property
     def is_free(self) -> np.ndarray:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
-        is_free = (np.isfinite(self._zone_low) & (self._zone_high > self._zone_low)).any(axis=0)
+        is_free = np.any(np.isfinite(self._zone_low) & (self._zone_high > self._zone_low), axis=0)
+        is_free = np.asarray(is_free, bool)
         is_free[YAW_RAD] = False
         return is_free
 

@@ -191,7 +191,8 @@ class MountSurface:
         if self.zones:
             row, column = np.indices(height_m.shape)
             place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
-            height_m = np.where(self.is_mountable, self.point_m(place_m, height_m)[..., 2], -np.inf)
+            inside = np.ones(row.shape, bool) if self.is_mountable is None else self.is_mountable
+            height_m = np.where(inside, self.point_m(place_m, height_m)[..., 2], -np.inf)
         cell = np.argwhere(height_m >= height_m.max() - 1e-3)
         row, column = cell[np.linalg.norm(cell - cell.mean(axis=0), axis=1).argmin()]
         x, y = self.origin_m + np.array([row, column]) * self.cell_m
@@ -303,7 +304,7 @@ def _measured(
     )
     sample_m[sample_m < min_height_m] = -np.inf
     if keeps is not None:
-        at = np.stack(np.indices(sample_m.shape), axis=-1)
+        at = np.moveaxis(np.indices(sample_m.shape), 0, -1)
         plane_m = origin_m - 0.5 * cell_m + (at + 0.5) * (cell_m / SAMPLES_PER_CELL)
         point_m = np.concatenate([plane_m, np.where(np.isfinite(sample_m), sample_m, 0.0)[..., None]], axis=-1)
         sample_m[~keeps(point_m)] = -np.inf

@@ -1,0 +1,200 @@
+"""Zones anywhere on a body, their chart and their file."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import warpav as wa
+from tests.raster.bodies import ball, cuboid
+from warpav.core.errors import InputError
+from warpav.rig.zone import NORMALS, Zone, chart_of, mirrored, propose_zones, read_zones, write_zones
+
+SIZE_M, PLACE_M = (4.0, 1.8, 1.4), (1.3, 0.0, 0.9)
+LOW_M, HIGH_M = np.array(PLACE_M) - np.array(SIZE_M) / 2.0, np.array(PLACE_M) + np.array(SIZE_M) / 2.0
+BOX = cuboid(SIZE_M, PLACE_M)
+
+
+def zones_of(**options):
+    return tuple(Zone(name, normal, **options) for name, normal in NORMALS.items())
+
+
+def cells(chart, number):
+    """Places of the cells of a zone that can carry a camera, and their points in the ego frame."""
+    inside = (chart.zone_of_cell == number) & chart.is_mountable
+    place_m = chart.origin_m + chart.cell_m * np.argwhere(inside)
+    return place_m, chart.point_m(place_m, chart.height_m[inside])
+
+
+def test_the_zones_of_a_box_are_its_sides():
+    zones = zones_of()
+    chart = chart_of(zones, BOX, cell_m=0.05)
+    for number, zone in enumerate(zones):
+        place_m, point_m = cells(chart, number)
+        normal = np.array(zone.normal)
+        axis, outwards = int(np.abs(normal).argmax()), normal.sum() > 0
+        face_m = (HIGH_M if outwards else LOW_M)[axis]
+        np.testing.assert_allclose(point_m[:, axis], face_m, atol=2e-6)
+        others = [k for k in range(3) if k != axis]
+        assert np.all(point_m[:, others] > LOW_M[others] - 1e-6)
+        assert np.all(point_m[:, others] < HIGH_M[others] + 1e-6)
+        # nearly all of the side belongs to it
+        side_m2 = math.prod(SIZE_M[k] for k in others)
+        assert len(place_m) * chart.cell_m**2 == pytest.approx(side_m2, rel=0.02)
+        # outwards is along the normal
+        raised_m = chart.point_m(place_m, chart.height_at_m(place_m) + 0.1)
+        np.testing.assert_allclose(raised_m - point_m, np.broadcast_to(0.1 * normal, point_m.shape), atol=2e-6)
+        assert np.linalg.det(zone.axes) == pytest.approx(1.0)
+        np.testing.assert_array_equal(chart.zone_at(place_m), number)
+
+
+def test_zones_lie_apart_in_the_chart():
+    chart = chart_of(zones_of(), BOX, cell_m=0.05)
+    place_m = [cells(chart, number)[0] for number in range(5)]
+    for one in range(5):
+        for other in range(one):
+            apart_m = np.linalg.norm(place_m[one][::7, None] - place_m[other][None, ::7], axis=-1)
+            assert apart_m.min() > 0.9
+    middle_m = 0.5 * (place_m[0].mean(axis=0) + place_m[1].mean(axis=0))
+    assert chart.zone_distance_m(np.array([place_m[0].mean(axis=0)]))[0] > 0.5
+    assert np.isfinite(chart.zone_distance_m(middle_m[None]))[0]
+
+
+def test_one_zone_that_faces_up_is_the_ground_plane_s_height_map():
+    chart = chart_of([Zone("roof", NORMALS["up"])], BOX, cell_m=0.05)
+    place_m, point_m = cells(chart, 0)
+    np.testing.assert_allclose(point_m[:, :2], place_m, atol=1e-9)
+
+
+def test_the_height_field_of_a_ball_is_its_own():
+    """A slanting zone: every point of it is on the ball, and its box limits it."""
+    normal = np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0)
+    middle_m = np.array([0.5, 0.2, 1.0])
+    zone = Zone("corner", tuple(normal), box_m=np.array([[0.5, 0.2, 1.0], [9.0, 9.0, 9.0]]))
+    chart = chart_of([zone], ball(0.8, middle_m), cell_m=0.02)
+    _, point_m = cells(chart, 0)
+    np.testing.assert_allclose(np.linalg.norm(point_m - middle_m, axis=1), 0.8, atol=0.012)
+    assert (point_m > middle_m - 0.02).all()
+    assert len(point_m) > 300
+
+
+def test_what_is_kept_out_carries_nothing():
+    keep_out_m = np.array([[0.0, 0.8, 0.5], [2.0, 1.0, 1.0]])
+    chart = chart_of([Zone("left", NORMALS["left"], keep_out_m=(keep_out_m,))], BOX, cell_m=0.05)
+    _, point_m = cells(chart, 0)
+    assert not ((point_m > keep_out_m[0] + 0.06) & (point_m < keep_out_m[1] - 0.06)).all(axis=1).any()
+    assert len(point_m) * 0.05**2 == pytest.approx(4.0 * 1.4 - 2.0 * 0.5, rel=0.05)
+
+
+@given(st.integers(0, 4), st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(0.0, 0.03))
+def test_the_place_of_a_point_is_where_it_came_from(number, along, across, rise_m):
+    chart = chart_of(zones_of(), BOX, cell_m=0.1)
+    place_m, _ = cells(chart, number)
+    low_m, high_m = place_m.min(axis=0), place_m.max(axis=0)
+    wanted_m = low_m + np.array([along, across]) * (high_m - low_m)
+    point_m = chart.point_m(wanted_m, chart.height_at_m(wanted_m) + rise_m)
+    found_m, found_rise_m = chart.place_of(point_m)
+    np.testing.assert_allclose(found_m, wanted_m, atol=1e-5)
+    assert float(found_rise_m) == pytest.approx(rise_m, abs=1e-5)
+
+
+def test_a_file_of_zones_comes_back(tmp_path):
+    zones = (
+        Zone("roof", NORMALS["up"], pitch_rad=(-0.1, 0.3)),
+        Zone(
+            "left pillar",
+            NORMALS["left"],
+            box_m=np.array([[0.0, 0.5, 0.8], [1.0, 1.0, 1.2]]),
+            keep_out_m=(np.array([[0.2, 0.5, 0.8], [0.3, 1.0, 1.2]]),),
+            stand_off_m=(0.01, 0.05),
+            yaw_rad=(0.5, 2.0),
+            roll_rad=(-0.05, 0.05),
+        ),
+        Zone("slant", (0.6, 0.0, 0.8), origin_m=(1.0, 0.0, 0.5)),
+    )
+    write_zones(zones, tmp_path / "zones.yaml")
+    again = read_zones(tmp_path / "zones.yaml")
+    assert [zone.name for zone in again] == [zone.name for zone in zones]
+    for one, other in zip(zones, again, strict=True):
+        np.testing.assert_allclose(one.axes, other.axes, atol=1e-3)
+        np.testing.assert_allclose(one.origin_m, other.origin_m, atol=1e-3)
+        assert one.stand_off_m == other.stand_off_m
+        for name in ("yaw_rad", "pitch_rad", "roll_rad"):
+            pair, found = getattr(one, name), getattr(other, name)
+            assert (pair is None) == (found is None)
+            np.testing.assert_allclose(pair or (0.0, 0.0), found or (0.0, 0.0), atol=1e-4)
+        assert (one.box_m is None) == (other.box_m is None)
+        assert len(one.keep_out_m) == len(other.keep_out_m)
+
+
+def test_a_mirrored_zone_is_on_the_other_side(tmp_path):
+    file = tmp_path / "zones.yaml"
+    file.write_text(
+        "zones:\n  pillar:\n    normal: left\n    box_m: [[0, 0.5, 0.8], [1, 1, 1.2]]\n    yaw_deg: [20, 100]\n"
+        "    mirror: true\n"
+    )
+    zone, other = read_zones(file)
+    assert other.name == "pillar_mirrored"
+    np.testing.assert_allclose(other.normal, NORMALS["right"])
+    np.testing.assert_allclose(other.box_m, [[0, -1, 0.8], [1, -0.5, 1.2]])
+    np.testing.assert_allclose(np.degrees(other.yaw_rad), [-100, -20])
+    again = mirrored(other)
+    np.testing.assert_allclose(again.box_m, zone.box_m)
+    np.testing.assert_allclose(again.normal, zone.normal)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("zones: {a: {normal: upp}}", ["zones.a.normal", "did you mean up"]),
+        ("zones: {a: {normal: [0, 0, 0]}}", ["a direction", "length 0"]),
+        ("zones: {a: {normal: up, boxm: 1}}", ["'boxm'", "did you mean box_m"]),
+        ("zones: {a: {normal: up, box_m: [[0, 0, 0], [1, -1, 1]]}}", ["zones.a.box_m", "lowest corner"]),
+        ("zones: {a: {normal: up, stand_off_m: [0.3, 0.1]}}", ["zones.a.stand_off_m", "lower end first"]),
+        ("zones: {a: {normal: up, yaw_deg: [0, 500]}}", ["zones.a", "whole turn"]),
+        ("zones: {a: {box_m: [[0, 0, 0], [1, 1, 1]]}}", ["zones.a.normal", "got nothing"]),
+        ("zones: {a: {normal: up, mirror: maybe}}", ["zones.a.mirror", "true or false"]),
+        ("zones: []", ["zones", "a mapping"]),
+        ("zones: {}", ["at least one zone"]),
+        ("zone: {}", ["'zone'"]),
+    ],
+)
+def test_a_file_that_is_wrong_is_one_line(tmp_path, text, words):
+    file = tmp_path / "zones.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_zones(file)
+    assert "\n" not in str(error.value)
+    assert str(file) in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_zone_that_selects_nothing_is_named():
+    nowhere = Zone("nowhere", NORMALS["left"], box_m=np.array([[50.0, 0.0, 0.0], [51.0, 1.0, 1.0]]))
+    with pytest.raises(InputError, match=r"zone 'nowhere': expected a part of the body that faces to the left inside"):
+        chart_of([nowhere], BOX)
+    with pytest.raises(InputError, match="names that differ"):
+        chart_of([Zone("a", NORMALS["up"]), Zone("a", NORMALS["up"])], BOX)
+
+
+def test_what_is_proposed_for_the_town_s_car_lies_on_it():
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    ego = wa.town([0])[0].ego
+    zones = propose_zones(ego)
+    assert {zone.name for zone in zones} == {"roof", "bonnet", "left", "right", "front", "rear"}
+    chart = chart_of(zones, ego, cell_m=0.04)
+    body = EmbreeScene()
+    TriangleMesh(body, ego.vertex_m[ego.triangle])
+    for number, zone in enumerate(zones):
+        _, point_m = cells(chart, number)
+        assert len(point_m) * chart.cell_m**2 > 0.3, zone.name
+        normal = np.array(zone.normal, np.float32)
+        start_m = (point_m + 0.05 * normal).astype(np.float32)
+        away_m = body.run(start_m, np.tile(-normal, (len(start_m), 1)), query="DISTANCE") - 0.05
+        assert np.quantile(np.abs(away_m), 0.95) < 0.03, zone.name
+        assert np.median(np.abs(away_m)) < 0.01, zone.name
