@@ -1,4 +1,4 @@
-"""The own vehicle in the images: what share of each it covers. Independent of traffic: the vehicle is rendered alone."""
+"""The own vehicle in the images: what share of each it covers, rendered alone and so independent of traffic."""
 
 from __future__ import annotations
 
