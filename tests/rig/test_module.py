@@ -77,6 +77,18 @@ def test_an_odd_rest_lies_right_and_below():
     assert model.centre_px == (640.0, 479.0)  # 0 columns and 1 row before the crop, 1 and 2 behind
 
 
+@pytest.mark.parametrize("lens", ["panorama", "equirectangular"])
+@pytest.mark.parametrize("fitting", list(Fitting))
+def test_a_panorama_may_go_all_round(lens, fitting):
+    all_round = module(
+        lens=lens, fov_rad=2.0 * math.pi, sensor_px=(1280, 600), network_px=(1280, 333), network_by=fitting
+    )
+    assert all_round.camera_model().fov_rad == pytest.approx(2.0 * math.pi, rel=1e-12)
+    half = dataclasses.replace(all_round, network_px=(640, 300), network_by="crop")
+    assert half.camera_model().fov_rad == pytest.approx(math.pi, rel=1e-12)
+    assert half.pixels_per_degree == pytest.approx(1280 / 360)
+
+
 def test_a_network_image_of_the_sensors_size_is_the_sensors():
     for fitting in Fitting:
         for lens in Lens:
@@ -86,7 +98,7 @@ def test_a_network_image_of_the_sensors_size_is_the_sensors():
 
 
 def place_in_sensor(given, place_px):
-    """Where a place of the network's image lies on the sensor [px]: pixels are areas, the first corner is the origin."""
+    """Where a place of the network's image lies on the sensor [px]; places count from the corner of the first pixel."""
     sensor, network = np.array(given.sensor_px), np.array(given.network_px)
     if given.network_by is Fitting.SCALING:
         return place_px * sensor / network
@@ -162,7 +174,7 @@ def test_a_lens_without_end_may_leave_corners_dark_and_a_polynomial_not():
     used = module(lens="fisheye", fov_rad=1.98, distortion=turning)
     assert not np.isfinite(used.sensor_model().rays(np.array([1.0, 1.0]))).any()
     # of a Brown-Conrady lens the corners count; 1 - 3 k r^2 = 0 at r = 1
-    with pytest.raises(ModuleError, match="distortion: expected .* got a fold-back before the upper left corner"):
+    with pytest.raises(ModuleError, match=r"distortion: expected .* got a fold-back before the upper left corner"):
         module(lens="brown_conrady", fov_rad=2.0 * math.atan(0.9), distortion=(-1.0 / 3.0, 0.0, 0.0, 0.0))
     narrow = module(lens="brown_conrady", fov_rad=2.0 * math.atan(0.5), distortion=(-1.0 / 3.0, 0.0, 0.0, 0.0))
     assert np.isfinite(narrow.sensor_model().rays(np.array([0.5, 0.5]))).all()

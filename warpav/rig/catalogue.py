@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -147,7 +147,8 @@ _FORMS = {
     "price.unit": _Form("a unit, such as EUR or relative", _is_text),
 }
 _OPTIONAL = {"network_px", "network_by", "lens", "vertical_fov_deg", "distortion", "zones", "housing.offset_m"}
-_MODULE_FIELDS = tuple(name for name in _FORMS if "." not in name)
+_AS_WRITTEN = ("name", "lens", "network_by", "power_w", "source")
+_TUPLES = ("sensor_px", "network_px", "distortion", "zones")
 _FIELD_IN_FILE = {"fov_rad": "fov_deg", "vertical_fov_rad": "vertical_fov_deg"}
 
 
@@ -176,7 +177,7 @@ class _CatalogueReader:
         if not isinstance(items, list) or not items:
             self.report(("modules",), "a list of at least one module", items, "add a module")
             return found
-        first_of: dict[str, str] = dict.fromkeys((name.casefold() for name in found), "of the shipped catalogue")
+        first_of: dict[str, str] = dict.fromkeys((name.casefold() for name in found), "the shipped catalogue")
         for i, item in enumerate(items):
             location = ("modules", str(i))
             module = self.module(item, location)
@@ -185,7 +186,7 @@ class _CatalogueReader:
                 first = first_of.setdefault(name.casefold(), f"modules[{i}]")
                 if first != f"modules[{i}]":
                     place = (*location, "name")
-                    self.report(place, "every name once", name, f"give it another name than that {_first_text(first)}")
+                    self.report(place, "every name once", name, f"give it another name than that of {first}")
             if module is not None:
                 found[module.name] = module
         return found
@@ -194,21 +195,17 @@ class _CatalogueReader:
         """A module; None where something is wrong with it."""
         known_count = len(self.mistakes)
         item = self.mapping(data, location, "")
-        inner = {name: self.mapping(item[name], (*location, name), f"{name}.") for name in ("housing", "price")
-                 if isinstance(item.get(name), dict)}  # fmt: skip
+        parts = [name for name in ("housing", "price") if isinstance(item.get(name), dict)]
+        inner = {name: self.mapping(item[name], (*location, name), f"{name}.") for name in parts}
         if len(self.mistakes) > known_count:
             return None
+        given: dict[str, Any] = {name: item[name] for name in _AS_WRITTEN if name in item}
+        given |= {name: tuple(item[name]) for name in _TUPLES if name in item}
+        given |= {name: math.radians(item[angle]) for name, angle in _FIELD_IN_FILE.items() if angle in item}
+        given["housing"] = Housing(**{name: tuple(value) for name, value in inner["housing"].items()})
+        given["price"] = Price(**inner["price"])
         try:
-            return Module(
-                name=item["name"],
-                sensor_px=tuple(item["sensor_px"]),
-                fov_rad=math.radians(item["fov_deg"]),
-                vertical_fov_rad=math.radians(item["vertical_fov_deg"]) if "vertical_fov_deg" in item else None,
-                housing=Housing(**{name: tuple(value) for name, value in inner["housing"].items()}),
-                price=Price(**inner["price"]),
-                **{name: item[name] for name in ("lens", "network_by", "power_w", "source") if name in item},
-                **{name: tuple(item[name]) for name in ("network_px", "distortion", "zones") if name in item},
-            )
+            return Module(**given)
         except ModuleError as error:
             for problem in error.problems:
                 field = _FIELD_IN_FILE.get(problem.field, problem.field)
@@ -233,7 +230,7 @@ class _CatalogueReader:
                 self.report((*location, name), _FORMS[prefix + name].text, None, f"add {name}")
         return item
 
-    def known(self, data: Mapping[str, Any], location: Location, fields: Any) -> dict[str, Any]:  # noqa: ANN401
+    def known(self, data: Mapping[str, Any], location: Location, fields: Sequence[str]) -> dict[str, Any]:
         """The known fields of a mapping; others are mistakes."""
         for name in data:
             if name not in fields:
@@ -252,7 +249,3 @@ class _CatalogueReader:
         """The file, and the line at which a value stands or should stand."""
         known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
         return self.location if known is None else f"{self.location}:{self.line_of[known]}"
-
-
-def _first_text(first: str) -> str:
-    return first if first.startswith("of ") else f"of {first}"

@@ -337,8 +337,8 @@ def _blind_place(model: CameraModel) -> str | None:
         corners = ((0.5, 0.5), (width - 0.5, 0.5), (0.5, height - 0.5), (width - 0.5, height - 0.5))
         names = ("upper left corner", "upper right corner", "lower left corner", "lower right corner")
         place_px |= dict(zip(names, corners, strict=True))
-    is_seen = np.isfinite(model.rays(np.array(list(place_px.values())))).all(axis=-1)
-    return next((name for name, seen in zip(place_px, is_seen, strict=True) if not seen), None)
+    ray = model.rays(np.array(list(place_px.values())))
+    return next((name for name, each in zip(place_px, ray, strict=True) if not np.isfinite(each).all()), None)
 
 
 def _housing_problems(housing: Housing) -> Iterator[Problem]:
@@ -356,13 +356,15 @@ def _housing_problems(housing: Housing) -> Iterator[Problem]:
 
 
 def _is_number(value: object, least: float = -math.inf) -> bool:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return is_number and value >= least
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return math.isfinite(value) and value >= least
 
 
 def _is_size(value: object) -> bool:
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    return bool(is_whole and MIN_IMAGE_PX <= value <= MAX_IMAGE_PX)
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
+        return False
+    return MIN_IMAGE_PX <= int(value) <= MAX_IMAGE_PX
 
 
 def _degrees(angle_rad: float | None) -> str:
