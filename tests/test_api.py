@@ -49,7 +49,7 @@ def test_import_takes_a_fraction_of_a_second():
 
 def test_every_public_name_is_there_and_nothing_else():
     assert set(dir(wa)) == {*wa.__all__, "__version__"}
-    assert 20 <= len(wa.__all__) <= 36
+    assert 20 <= len(wa.__all__) <= 40
     for name in wa.__all__:
         assert getattr(wa, name) is not None
     assert callable(wa.optimise)

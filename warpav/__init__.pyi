@@ -11,7 +11,9 @@ from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation import losses
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
+from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.formats.convert import export_rig, import_rig
+from warpav.rig.module import Module
 from warpav.rig.presets import preset_rig as preset
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
@@ -38,6 +40,7 @@ __all__ = [
     "Detector",
     "InputError",
     "Mesh",
+    "Module",
     "Placement",
     "Progress",
     "Result",
@@ -45,6 +48,7 @@ __all__ = [
     "RigEvaluation",
     "RunFolder",
     "Scene",
+    "builtin_modules",
     "coverage",
     "evaluate",
     "export_rig",
@@ -56,6 +60,7 @@ __all__ = [
     "preset",
     "random_rig",
     "read_detector",
+    "read_modules",
     "read_rig",
     "read_run",
     "read_scenes",

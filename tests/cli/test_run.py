@@ -66,13 +66,16 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     for metrics in evaluation["arms"].values():
         size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
         assert set(ARM_ROWS) | size_aps | {"rig_recall", "objects", "frames", "recall_by", "per_scene"} | {
-            "confidence_at_equal_false_alarms"
+            "confidence_at_equal_false_alarms",
+            "body_share",
         } == set(metrics)
         assert all(len(values) == 2 for values in metrics["per_scene"].values())
         assert metrics["rig_recall"] == metrics["tp_detection_rate"]
         for by in ("distance_m", "sector", "category", "road_user"):
             assert sum(group["objects"] for group in metrics["recall_by"][by].values()) == metrics["objects"]
         assert metrics["constraint_violation"] == 0.0
+        assert len(metrics["body_share"]) == 2
+        assert 0.0 <= metrics["body_share_max"] == max(metrics["body_share"].values()) < 1.0
     for arm, metrics in evaluation["arms"].items():
         told = [seen["outcome"][arm] for seen in evaluation["outcomes"]]
         assert len(told) == metrics["objects"]

@@ -6,12 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from tests.driving_scene import SKY, ConstantDetector, block, car, roof, vehicle
+from tests.driving_scene import SKY, ConstantDetector, block, car, ego_mesh, roof, vehicle
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
 from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
+from warpav.evaluation.own_body import body_shares
+from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.assignment import AssignedScene, assign_to_nearest_cameras
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.optimisation.settings import LossSettings
@@ -252,6 +254,22 @@ def test_a_rig_of_other_zooms_has_an_objective_where_they_are_free(scenes):
     found = evaluate_rig(rig, scenes[:1], free)
     assert found.objective is not None
     assert found.tp_in_frame_rate == fixed.tp_in_frame_rate
+
+
+def test_the_own_body_is_measured_once_a_camera(scenes):
+    # one camera looks steeply down onto the roof, the other away from the vehicle
+    traffic = Scene("own", FAR_AWAY, ego_mesh(np.random.default_rng(0)), (), SKY)
+    around = AssignedScene(DeviceScene.pack(traffic), np.zeros(0, np.int32))
+    down = RigCamera("down", np.array([1.1, 0.0, 2.0]), 0.0, math.radians(90.0), 0.0, MODEL)
+    rig = Rig([down, RigCamera("ahead", np.array([4.5, 0.0, 1.2]), 0.0, 0.0, 0.0, MODEL)])
+    objective = objective_of(ConstantDetector.silent(2))
+    metrics = evaluate_rig(rig, [around, around], objective, with_objective=False)
+    assert metrics.body_share == body_shares(rig, around.scene)
+    assert (metrics.body_share["ahead"], metrics.body_share_max) == (0.0, metrics.body_share["down"])
+    assert metrics.body_share_max > 0.9
+    evaluation = RigEvaluation({"rig": rig}, {"rig": metrics}, ("own", "own"), ())
+    assert f"{metrics.body_share_max:.4f}" in str(evaluation.table())
+    assert evaluation.to_json()["arms"]["rig"]["body_share"] == metrics.body_share
 
 
 def test_vehicles_follow_the_camera_that_looks_their_way(scenes):

@@ -17,6 +17,7 @@ from warpav.cli.config import config_app
 from warpav.cli.detector import detector_app
 from warpav.cli.experiment import experiment_app
 from warpav.cli.machine import bench, doctor
+from warpav.cli.modules import modules_app
 from warpav.cli.rig import rig_app
 from warpav.cli.runs import evaluate, inspect, optimise, render, report
 from warpav.cli.scenes import scenes_app
@@ -32,7 +33,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _group in (experiment_app, scenes_app, config_app, rig_app, detector_app, vehicle_app):
+for _group in (experiment_app, scenes_app, config_app, rig_app, modules_app, detector_app, vehicle_app):
     app.command(_group)
 app.command(optimise, alias="optimize")
 for _verb in (evaluate, render, inspect, report, doctor, bench):

@@ -21,6 +21,7 @@ from warpav.detection.average_precision import (
 )
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
+from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.mount import CameraMount, views_of_rig
@@ -126,6 +127,9 @@ class ArmMetrics:
         objective: Scaled training objective, mean over the test scenes.
         constraint_violation: Distance outside the mount zone plus missing camera spacing [m].
         min_camera_distance_m: Smallest distance between two cameras [m].
+        body_share: Share of a camera's image that the body of the own vehicle covers, by the camera's name; see
+            `warpav.evaluation.own_body.body_shares`. Empty without scenes, which hold the vehicle.
+        body_share_max: The largest of the rig.
         objects: Number of objects in the test scenes.
         frames: Number of images.
         recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
@@ -157,6 +161,8 @@ class ArmMetrics:
     objective: float | None
     constraint_violation: float
     min_camera_distance_m: float | None
+    body_share: dict[str, float]
+    body_share_max: float | None
     objects: int
     frames: int
     recall_by: dict[str, dict[str, GroupRecall]]
@@ -402,6 +408,7 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
     threshold = boxes.confidence_at(EQUAL_FALSE_ALARMS_PER_FRAME)
     detected_there = [each.is_detected_at(threshold, objective.iou_min) for each in observations]
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
+    body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -427,6 +434,8 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         objective=_mean(np.array(losses)),
         constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
+        body_share=body_share,
+        body_share_max=max(body_share.values(), default=None),
         objects=whole.objects,
         frames=boxes.false_alarms.size,
         recall_by=_recall_by(scenes, np.concatenate(visible), np.concatenate(detected)),

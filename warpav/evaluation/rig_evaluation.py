@@ -30,6 +30,7 @@ TABLE_ROWS = {
     "objective": "objective",
     "constraint_violation": "violation [m]",
     "min_camera_distance_m": "closest cameras [m]",
+    "body_share_max": "own body, largest share of an image",
 }
 """Metrics that a table shows, and their headings."""
 
@@ -167,7 +168,7 @@ class RigEvaluation:
             import pandas  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
-        skipped = ("recall_by", "per_scene")
+        skipped = ("body_share", "recall_by", "per_scene")
         rows = {
             name: {field: value for field, value in asdict(metrics).items() if field not in skipped}
             for name, metrics in self.metrics.items()

@@ -32,6 +32,7 @@ ARM_ROWS = {
     "objective": "objective",
     "constraint_violation": "violation [m]",
     "min_camera_distance_m": "closest [m]",
+    "body_share_max": "own body, largest share",
 }
 """Fields of an arm's metrics and the headings they are shown under."""
 

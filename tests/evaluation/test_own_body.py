@@ -1,0 +1,103 @@
+"""The share of the own body in the images: closed forms, rays of another library, and independence of traffic."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from tests.driving_scene import SKY, block, ego_mesh, ground, street
+from warpav.evaluation.own_body import body_shares
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
+from warpav.raster.mesh import Mesh
+from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.device_scene import DeviceScene
+from warpav.scene.scene import Scene
+
+
+def scene_around(ego, environment=None):
+    rng = np.random.default_rng(0)
+    return DeviceScene.pack(Scene("alone", environment or ground(rng), ego, (), SKY))
+
+
+def box(size_m, centre_m):
+    mesh = trimesh.creation.box(extents=size_m)
+    mesh.apply_translation(centre_m)
+    return Mesh.create(mesh.vertices, mesh.faces, [90, 90, 90])
+
+
+def camera(name, position_m, model, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
+    return RigCamera(name, np.array(position_m), *map(math.radians, (yaw_deg, pitch_deg, roll_deg)), model)
+
+
+def test_a_box_before_half_the_image_covers_half_of_it():
+    # its right side lies on the camera's axis; it reaches beyond all other edges of the image
+    ego = box([2.0, 20.0, 40.0], [3.0, 10.0, 0.0])
+    model = CameraModel(120, 80, math.radians(90.0))
+    rig = Rig([camera("front", [0.0, 0.0, 1.0], model), camera("rear", [0.0, 0.0, 1.0], model, yaw_deg=180.0)])
+    assert body_shares(rig, scene_around(ego)) == {"front": 0.5, "rear": 0.0}
+
+
+@pytest.mark.parametrize(("distance_m", "half_width_m"), [(2.0, 0.5), (5.0, 2.0), (1.0, 0.3)])
+def test_a_box_ahead_covers_the_image_of_its_face(distance_m, half_width_m):
+    ego = box([1.0, 2.0 * half_width_m, 2.0 * half_width_m], [distance_m + 0.5, 0.0, 0.0])
+    model = CameraModel(400, 300, math.radians(80.0))
+    focal_px = 200.0 / math.tan(math.radians(40.0))
+    side_px = 2.0 * half_width_m / distance_m * focal_px
+    (share,) = body_shares(Rig([camera("eye", [0.0, 0.0, 0.0], model)]), scene_around(ego)).values()
+    # the square's middle is a corner of pixels, so its side is rounded to an even number of them; worst seen 0.99 px
+    assert share == pytest.approx(side_px**2 / (400 * 300), abs=(2.0 * side_px + 1.0) / (400 * 300))
+
+
+def test_rays_of_another_library_hit_as_much():
+    rng = np.random.default_rng(3)
+    ego = ego_mesh(rng)
+    models = [
+        CameraModel(96, 64, 1.6),
+        CameraModel(64, 64, 3.2, lens=Lens.FISHEYE),
+        CameraModel(80, 64, 1.9, lens=Lens.BROWN_CONRADY, distortion=(-0.1, 0.01, 0.001, -0.001)),
+        CameraModel(128, 48, 2.0 * math.pi, lens=Lens.PANORAMA),
+    ]
+    places = [[1.1, 0.0, 1.9], [3.7, 0.3, 0.9], [0.0, 1.1, 1.2], [-1.0, 0.0, 1.4]]
+    rig = Rig(
+        camera(f"c{k}", place, model, yaw_deg=70.0 * k, pitch_deg=25.0, roll_deg=5.0 * k)
+        for k, (place, model) in enumerate(zip(places, models, strict=True))
+    )
+    found = body_shares(rig, scene_around(ego))
+    embree = EmbreeScene()
+    TriangleMesh(embree, ego.vertex_m[ego.triangle].astype(np.float32))
+    for eye in rig.cameras:
+        column, row = np.meshgrid(np.arange(eye.model.width_px) + 0.5, np.arange(eye.model.height_px) + 0.5)
+        ray = eye.model.rays(np.stack([column, row], axis=-1)).reshape(-1, 3)
+        seen = np.isfinite(ray).all(axis=1)
+        direction = ray[seen] @ eye.ego_from_camera[:3, :3].T
+        start = np.broadcast_to(eye.position_m, direction.shape)
+        hit = embree.run(np.ascontiguousarray(start, np.float32), np.ascontiguousarray(direction, np.float32)) >= 0
+        assert 0.02 < hit.sum() / len(ray) < 0.9
+        # a pixel whose centre lies on an outline may be either; worst seen none
+        assert found[eye.name] == pytest.approx(hit.sum() / len(ray), abs=2.0 / len(ray))
+
+
+def test_traffic_and_street_make_no_difference():
+    full = street()
+    alone = DeviceScene.pack(Scene("alone", ground(np.random.default_rng(0)), full.ego, (), SKY))
+    high = CameraModel(64, 48, 1.5)
+    rig = Rig([camera("a", [1.1, 0.0, 1.8], high, pitch_deg=30.0), camera("b", [0.0, 0.0, 1.8], CameraModel(40, 40))])
+    shares = body_shares(rig, DeviceScene.pack(full))
+    assert shares == body_shares(rig, alone)
+    assert shares["a"] > 0.0
+    # a wall between nothing and nobody: what stands before the body does not hide it
+    walled = scene_around(full.ego, block(np.random.default_rng(1), [0.02, 3.0, 3.0], [1.4, 0.0, 1.6]))
+    assert body_shares(rig, walled) == shares
+
+
+def test_cameras_keep_the_order_of_the_rig_whatever_their_size():
+    small, large = CameraModel(16, 16, 1.0), CameraModel(32, 24, 1.0)
+    ego = box([2.0, 20.0, 40.0], [3.0, 10.0, 0.0])
+    rig = Rig(
+        [camera("a", [0, 0, 0], small), camera("b", [0, 0, 0], large, yaw_deg=180), camera("c", [0, 0, 0], small, 30)]
+    )
+    assert list(body_shares(rig, scene_around(ego)).items()) == [("a", 0.5), ("b", 0.0), ("c", 1.0)]

@@ -1,0 +1,216 @@
+"""Catalogues of camera modules: the shipped one, reading, and messages that lead to the line."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from warpav.core.errors import InputError
+from warpav.raster.lens import Lens
+from warpav.rig.catalogue import builtin_modules, module_table, read_modules
+from warpav.rig.module import Fitting, Housing, Price, vertical_angle_rad
+
+ONE = """\
+modules:
+  - name: mine
+    sensor_px: [1920, 1080]
+    network_px: [960, 540]
+    network_by: crop
+    lens: fisheye
+    fov_deg: 100
+    vertical_fov_deg: 56
+    distortion: [-0.02, 0.003, 0, 0]
+    housing: {size_m: [0.03, 0.03, 0.04], offset_m: [0, 0, -0.01]}
+    price: {value: 25, unit: EUR}
+    power_w: 0.8
+    zones: [roof, mirror]
+    source: data sheet 7
+"""
+
+
+def catalogue(tmp_path, text):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_every_field_is_read(tmp_path):
+    (found,) = read_modules(catalogue(tmp_path, ONE)).values()
+    assert found == wa.Module(
+        name="mine",
+        sensor_px=(1920, 1080),
+        network_px=(960, 540),
+        network_by=Fitting.CROP,
+        lens=Lens.FISHEYE,
+        fov_rad=math.radians(100.0),
+        vertical_fov_rad=math.radians(56.0),
+        distortion=(-0.02, 0.003, 0.0, 0.0),
+        housing=Housing((0.03, 0.03, 0.04), (0, 0, -0.01)),
+        price=Price(25, "EUR"),
+        power_w=0.8,
+        zones=("roof", "mirror"),
+        source="data sheet 7",
+    )
+
+
+def test_what_may_be_left_out_has_the_documented_defaults(tmp_path):
+    text = "\n".join(
+        line for line in ONE.splitlines() if not re.match(r" +(network|lens|vertical|distortion|zones)", line)
+    )
+    text = text.replace(", offset_m: [0, 0, -0.01]", "").replace("power_w: 0.8", "power_w: null")
+    (found,) = read_modules(catalogue(tmp_path, text)).values()
+    assert (found.network_px, found.network_by, found.lens) == ((1920, 1080), "scaling", "pinhole")
+    assert (found.distortion, found.zones, found.power_w, found.vertical_fov_rad) == ((), (), None, None)
+    assert found.housing.offset_m == (0.0, 0.0, 0.0)
+
+
+def test_a_catalogue_can_extend_the_shipped_one(tmp_path):
+    found = read_modules(catalogue(tmp_path, "extends: builtin\n" + ONE))
+    assert list(found) == [*builtin_modules(), "mine"]
+    assert list(read_modules(catalogue(tmp_path, ONE))) == ["mine"]
+
+
+def test_changing_what_was_read_does_not_change_what_ships():
+    builtin_modules().clear()
+    assert len(builtin_modules()) >= 12
+
+
+def changed(old, new):
+    assert ONE.count(old) == 1
+    return ONE.replace(old, new)
+
+
+BAD = {
+    "no field": (changed("    fov_deg: 100\n", ""), 2, "modules[0].fov_deg: expected the horizontal", "; add fov_deg"),
+    "no source": (changed("    source: data sheet 7\n", ""), 2, "modules[0].source: expected where", "; add source"),
+    "pinhole too wide": (
+        changed("lens: fisheye\n    fov_deg: 100", "lens: pinhole\n    fov_deg: 180").replace(
+            "    distortion: [-0.02, 0.003, 0, 0]\n", ""
+        ),
+        7,
+        "modules[0].fov_deg: expected more than 0 and below 180 degrees (pinhole), got 180 degrees",
+        "; a fisheye sees more",
+    ),
+    "fold-back": (
+        changed("[-0.02, 0.003, 0, 0]", "[-0.5, 0, 0, 0]"),
+        7,
+        "modules[0].fov_deg: expected at most 93.1 degrees, where these coefficients fold back, got 100 degrees",
+        "; correct one of the two",
+    ),
+    "fold-back in a corner": (
+        changed("lens: fisheye", "lens: brown_conrady").replace("[-0.02, 0.003, 0, 0]", "[-0.2, 0, 0, 0]"),
+        9,
+        "modules[0].distortion: expected coefficients under which the image grows up to its border",
+        "; correct them, the field of view or the sensor",
+    ),
+    "vertical": (changed("vertical_fov_deg: 56", "vertical_fov_deg: 75"), 8, "vertical_fov_deg: expected 5", "got 75 "),
+    "text for a number": (changed("fov_deg: 100", "fov_deg: wide"), 7, "modules[0].fov_deg: expected the", "'wide'"),
+    "negative size": (changed("[1920, 1080]", "[1920, -1080]"), 3, "modules[0].sensor_px: expected columns", "-1080]"),
+    "fraction of a pixel": (changed("[1920, 1080]", "[1920.5, 1080]"), 3, "sensor_px: expected columns", "1920.5"),
+    "crop too large": (
+        changed("[960, 540]", "[1920, 1200]"),
+        4,
+        "modules[0].network_px: expected a crop of at most 1920 x 1080 px, the sensor, got 1920 x 1200 px",
+        "; crop less",
+    ),
+    "housing": (changed("size_m: [0.03,", "size_m: [0,"), 10, "housing.size_m: expected positive", "[0, 0.0"),
+    "housing of two": (changed("size_m: [0.03, ", "size_m: ["), 10, "housing.size_m: expected width", "0.04]"),
+    "no housing": (changed("{size_m: [0.03, 0.03, 0.04], offset_m: [0, 0, -0.01]}", "null"), 10, "housing: exp", ""),
+    "lens": (changed("lens: fisheye", "lens: fish_eye"), 6, "modules[0].lens: expected one", "did you mean fisheye?"),
+    "fitting": (changed("network_by: crop", "network_by: corp"), 5, "modules[0].network_by", "did you mean crop?"),
+    "key": (changed("power_w:", "power:"), 12, "modules[0].power: expected one of", "; did you mean power_w?"),
+    "inner key": (changed("unit: EUR", "units: EUR"), 11, "modules[0].price.units: expected one of", "mean unit?"),
+    "zone": (changed("[roof, mirror]", "[roof, roof]"), 13, "modules[0].zones[1]: expected every zone once", "roof"),
+    "name twice": (ONE + ONE.removeprefix("modules:\n").replace("mine", "Mine"), 15, "modules[1].name: expected every "
+                   "name once, got 'Mine'", "; give it another name than that of modules[0]"),
+    "shipped name": (
+        "extends: builtin\n" + ONE.replace("mine", "front_8mp_30"),
+        3,
+        "modules[0].name: expected every name once, got 'front_8mp_30'",
+        "than that of the shipped catalogue",
+    ),
+    "extends": ("extends: other\n" + ONE, 1, "extends: expected builtin, got 'other'", "; write extends: builtin"),
+    "root key": (ONE + "vehicle: car\n", 15, "vehicle: expected one of extends, modules, got 'vehicle'", "; remove it"),
+    "nothing": ("modules: []\n", 1, "modules: expected a list of at least one module, got []", "; add a module"),
+    "a list": ("- name: mine\n", 1, "expected a mapping with modules", "; write modules:"),
+    "a module of text": ("modules:\n  - mine\n", 2, "modules[0]: expected a mapping with name", "'mine'"),
+    "infinite": (changed("fov_deg: 100", "fov_deg: .inf"), 7, "modules[0].fov_deg: expected", "inf"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_mistake_is_one_line_with_its_place(case, tmp_path):
+    text, line, told, remedy = BAD[case]
+    file = catalogue(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        read_modules(file)
+    lines = [each for each in str(caught.value).splitlines() if told in each]
+    assert len(lines) == 1, str(caught.value)
+    assert lines[0].startswith(f"{file}:{line}: ")
+    assert remedy in lines[0]
+    assert "; " in lines[0]
+    if case not in ("inner key", "key"):  # there a field is missing as well
+        assert len(str(caught.value).splitlines()) == 1, str(caught.value)
+
+
+def test_mistakes_of_several_modules_are_told_together(tmp_path):
+    second = changed("name: mine", "name: other").removeprefix("modules:\n").replace("fov_deg: 100", "fov_deg: 400")
+    file = catalogue(tmp_path, changed("power_w: 0.8", "power_w: -1") + second.replace("roof, mirror", "a b"))
+    with pytest.raises(InputError) as caught:
+        read_modules(file)
+    assert [each.removeprefix(f"{file}:").split(": ")[:2] for each in str(caught.value).splitlines()] == [
+        ["12", "modules[0].power_w"],
+        ["20", "modules[1].fov_deg"],
+        ["26", "modules[1].zones[0]"],
+    ]
+
+
+@pytest.mark.parametrize("name", list(builtin_modules()))
+def test_a_shipped_module_is_what_its_name_says(name):
+    used = builtin_modules()[name]
+    assert used.name == name
+    megapixels, fov_deg = re.search(r"_(\d(?:_\d)?)mp_(\d+)", name).groups()
+    assert math.prod(used.sensor_px) / 1e6 == pytest.approx(float(megapixels.replace("_", ".")), rel=0.1)
+    assert math.degrees(used.fov_rad) == pytest.approx(float(fov_deg))
+    # relative prices alone, and no figure without a word on where it is from
+    assert used.price.unit == "relative"
+    assert "illustrative" in used.source
+    assert used.power_w is None
+    assert 0.0 < used.price.value < 10.0
+    sensor, network = used.sensor_model(), used.camera_model()
+    assert vertical_angle_rad(sensor) < sensor.fov_rad
+    # all of the network's image shows something, corners included, and its pixels are square
+    corner_px = [(0.5, 0.5), (network.width_px - 0.5, 0.5), (0.5, network.height_px - 0.5)]
+    assert np.isfinite(network.rays(np.array(corner_px))).all()
+    assert network.focal_px is None
+    # an optical axis has as many pixels a degree as the lens says
+    focal_px = network.intrinsics[0, 0]
+    assert used.pixels_per_degree == pytest.approx(math.radians(focal_px))
+
+
+def test_the_shipped_modules_cover_the_usual_sensors_and_fields():
+    shipped = builtin_modules().values()
+    assert {(3840, 2160), (1920, 1536), (1920, 1080), (1280, 960)} <= {each.sensor_px for each in shipped}
+    assert {30, 50, 60, 70, 100, 120, 190} <= {round(math.degrees(each.fov_rad)) for each in shipped}
+    assert {each.network_by for each in shipped} == set(Fitting)
+
+
+def test_the_table_says_what_the_network_gets(tmp_path):
+    lines = module_table(read_modules(catalogue(tmp_path, ONE))).splitlines()
+    assert len(lines) == 2
+    cells = re.split(r" {2,}", lines[1])
+    (used,) = read_modules(catalogue(tmp_path, ONE)).values()
+    assert cells == [
+        "mine",
+        "1920 x 1080",
+        "960 x 540 crop",
+        "fisheye",
+        f"{math.degrees(used.camera_model().fov_rad):.1f}",
+        f"{used.pixels_per_degree:.1f}",
+        "25 EUR",
+        "0.8",
+        "roof, mirror",
+        "data sheet 7",
+    ]
