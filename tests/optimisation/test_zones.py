@@ -18,7 +18,8 @@ from warpav.optimisation.pool import spread_mount_poses
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.rig.zone import NORMALS, Zone, chart_of
+from warpav.rig.chart import chart_of
+from warpav.rig.zone import NORMALS, Zone
 from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(128, 128, math.pi / 2)

@@ -6,15 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-
-if TYPE_CHECKING:
-    from warpav.rig.zone import Zone
+from warpav.rig.zone import Zone
 
 SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""

@@ -1,9 +1,4 @@
-"""Zones: where on the body cameras may stand, each a height field over a plane of its own, and their YAML file.
-
-All zones lie in one chart, side by side with gaps between them, as the parts of a texture do: a place in the chart is a
-zone and a place of it. So a camera anywhere on the body is still two numbers, and one raster is all that a kernel
-needs; see `MountSurface`.
-"""
+"""Zones: where on the body cameras may stand, each a height field over a plane of its own, and their YAML file."""
 
 from __future__ import annotations
 
@@ -18,9 +13,7 @@ import numpy as np
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.files import writing
-from warpav.raster.mesh import Mesh
 from warpav.rig.formats.record import Record, read_yaml_record
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 
 NORMALS = {
     "up": (0.0, 0.0, 1.0),
@@ -31,18 +24,13 @@ NORMALS = {
 }
 """Names of outward normals, in the ego frame."""
 
-GAP_M = 1.0
-"""Between the rectangles of two zones in the chart: more than twice what any search moves a camera at once."""
-
 FLUSH_M = (0.0, 0.03)
 """Stand-off of a zone that says none: from level with the skin to 3 cm outwards."""
 
 OUTWARD_RAD = math.radians(85.0)
 """How far cameras turn from a zone's normal where the zone does not say."""
 
-_SKIRT_CELLS = 3
 _KEYS = ("normal", "origin_m", "box_m", "keep_out_m", "stand_off_m", "yaw_deg", "pitch_deg", "roll_deg")
-_BIG_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,39 +100,7 @@ class Zone:
         outward_rad = math.atan2(self.axes[2, 1], self.axes[2, 0])
         return outward_rad - OUTWARD_RAD, outward_rad + OUTWARD_RAD
 
-    def surface(self, mesh: Mesh, *, cell_m: float, min_upward_normal: float, min_zone_normal: float) -> MountSurface:
-        """Its height field over its own plane; u and v take the places of x and y.
-
-        Args:
-            mesh: The vehicle in the ego frame [m].
-            cell_m: Edge of a cell [m].
-            min_upward_normal: As in `mount_surface_from_mesh`, along the zone's normal.
-            min_zone_normal: Likewise.
-
-        Raises:
-            InputError: Nothing of the body belongs to it.
-        """
-        vertex_m = (mesh.vertex_m.astype(np.float64) - self.origin_m) @ self.axes.T
-        turned = Mesh.create(vertex_m.astype(np.float32), mesh.triangle, [128, 128, 128])
-        try:
-            whole = mount_surface_from_mesh(
-                turned,
-                cell_m=cell_m,
-                min_upward_normal=min_upward_normal,
-                min_zone_normal=min_zone_normal,
-                min_height_m=-_BIG_M,
-                smoothing_tolerance_m=math.inf,
-                keeps=self._belongs,
-            )
-        except InputError as error:
-            reason = str(error).partition("got ")[2] or str(error)
-            raise InputError(
-                f"zone {self.name!r}: expected a part of the body that faces {_words(self.axes[2])}"
-                f"{'' if self.box_m is None else ' inside box_m'}, got {reason}"
-            ) from None
-        return whole
-
-    def _belongs(self, point_m: np.ndarray) -> np.ndarray:
+    def holds(self, point_m: np.ndarray) -> np.ndarray:
         """Which points of its own coordinates [..., 3] belong to it, bool [...]."""
         ego_m = point_m @ self.axes + self.origin_m
         inside = np.ones(ego_m.shape[:-1], bool)
@@ -153,83 +109,6 @@ class Zone:
         for low_m, high_m in self.keep_out_m:
             inside &= ~((ego_m >= low_m) & (ego_m <= high_m)).all(axis=-1)
         return inside
-
-
-def chart_of(
-    zones: Sequence[Zone],
-    mesh: Mesh,
-    *,
-    cell_m: float = 0.02,
-    min_upward_normal: float = 0.8,
-    min_zone_normal: float = 0.9,
-) -> MountSurface:
-    """All zones of a vehicle in one chart.
-
-    Args:
-        zones: At least one; their names differ.
-        mesh: The vehicle in the ego frame [m].
-        cell_m: Edge of a cell [m].
-        min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
-        min_zone_normal: Likewise.
-
-    Raises:
-        InputError: There is no zone, two have one name, or one selects nothing of the body.
-    """
-    names = [zone.name for zone in zones]
-    if not names or len(set(names)) != len(names):
-        raise InputError(f"zones: expected at least one, and names that differ, got {names}")
-    options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    surfaces = [_with_skirt(zone.surface(mesh, **options)) for zone in zones]
-    firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
-    # the first zone keeps its own coordinates
-    origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
-    height_m, zone_of = np.zeros(size, np.float32), np.full(size, -1, np.int32)
-    is_mountable, plane_origin_m = np.zeros(size, bool), []
-    for number, (zone, surface, (row, column)) in enumerate(zip(zones, surfaces, firsts, strict=True)):
-        rows, columns = surface.height_m.shape
-        part = np.s_[row : row + rows, column : column + columns]
-        height_m[part], zone_of[part] = surface.height_m, number
-        assert surface.is_mountable is not None
-        is_mountable[part] = surface.is_mountable
-        shift_m = origin_m + np.multiply((row, column), cell_m) - surface.origin_m
-        plane_origin_m.append(np.asarray(zone.origin_m) - shift_m @ zone.axes[:2])
-    return MountSurface(
-        height_m, origin_m, cell_m, is_mountable, tuple(zones), _nearest_zone(zone_of), np.array(plane_origin_m)
-    )
-
-
-def _with_skirt(surface: MountSurface) -> MountSurface:
-    """A surface that goes on at its height for some cells beyond its rectangle, where no camera may stand."""
-    assert surface.is_mountable is not None
-    return MountSurface(
-        np.pad(surface.height_m, _SKIRT_CELLS, mode="edge"),
-        surface.origin_m - _SKIRT_CELLS * surface.cell_m,
-        surface.cell_m,
-        np.pad(surface.is_mountable, _SKIRT_CELLS),
-    )
-
-
-def _packed(sizes: Sequence[tuple[int, ...]], gap: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
-    """First row and column of rectangles side by side in shelves, the highest first, and rows and columns in all."""
-    area = sum((rows + gap) * (columns + gap) for rows, columns in sizes)
-    most = max(math.ceil(math.sqrt(area)), *(columns for _, columns in sizes))
-    firsts, row, column, shelf, right = [(0, 0)] * len(sizes), 0, 0, 0, 0
-    for number in sorted(range(len(sizes)), key=lambda k: -sizes[k][0]):
-        rows, columns = sizes[number]
-        if column and column + columns > most:
-            row, column, shelf = row + shelf + gap, 0, 0
-        firsts[number] = (row, column)
-        shelf, right, column = max(shelf, rows), max(right, column + columns), column + columns + gap
-    return firsts, (row + shelf, right)
-
-
-def _nearest_zone(zone_of: np.ndarray) -> np.ndarray:
-    """The zone of every cell, between zones that of the nearest cell that has one."""
-    from scipy import ndimage
-
-    nearest = np.zeros((2, *zone_of.shape), np.int32)
-    ndimage.distance_transform_edt(zone_of < 0, return_distances=False, return_indices=True, indices=nearest)
-    return np.ascontiguousarray(zone_of[tuple(nearest)])
 
 
 def read_zones(path: Path | str) -> tuple[Zone, ...]:
@@ -389,52 +268,3 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     file = Path(path).expanduser()
     with writing(file), atomic_write(file) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _words(normal: np.ndarray) -> str:
-    for name, known in NORMALS.items():
-        if np.allclose(normal, known, atol=1e-3):
-            return {"up": "upwards", "front": "forwards", "rear": "backwards"}.get(name, f"to the {name}")
-    return f"along {np.round(normal, 3).tolist()}"
-
-
-def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
-    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear.
-
-    The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
-    lowest third, where wheels and sills are; front and rear out of what bumpers touch. A zone of which the body has
-    nothing is left out.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
-    """
-    low_m, high_m = mesh.bounds_m().astype(np.float64)
-    length, _, height = high_m - low_m
-    far = np.array([_BIG_M, _BIG_M, _BIG_M])
-
-    def box(least: dict[int, float], greatest: dict[int, float]) -> np.ndarray:
-        corners = np.stack([low_m - 0.1, high_m + 0.1])
-        for axis, value in least.items():
-            corners[0, axis] = value
-        for axis, value in greatest.items():
-            corners[1, axis] = value
-        return np.round(np.clip(corners, -far, far), 3)
-
-    upper, lower = low_m[2] + 2.0 / 3.0 * height, low_m[2] + height / 3.0
-    upright = (math.radians(-10.0), math.radians(30.0))
-    wanted = (
-        Zone("roof", NORMALS["up"], box_m=box({2: upper}, {}), pitch_rad=upright),
-        Zone("bonnet", NORMALS["up"], box_m=box({0: low_m[0] + 0.6 * length, 2: lower}, {2: upper}), pitch_rad=upright),
-        Zone("left", NORMALS["left"], box_m=box({2: lower}, {}), pitch_rad=upright),
-        Zone("right", NORMALS["right"], box_m=box({2: lower}, {}), pitch_rad=upright),
-        Zone("front", NORMALS["front"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
-        Zone("rear", NORMALS["rear"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
-    )
-    found = []
-    for zone in wanted:
-        try:
-            chart_of([zone], mesh, cell_m=0.04)
-        except InputError:
-            continue
-        found.append(zone)
-    return tuple(found)

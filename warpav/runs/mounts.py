@@ -14,9 +14,10 @@ from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
+from warpav.rig.chart import chart_of
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
-from warpav.rig.zone import chart_of, read_zones
+from warpav.rig.zone import read_zones
 from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.rig.zone import chart_of, propose_zones, write_zones
+from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.zone import write_zones
 from warpav.runs.config import Config
 from warpav.scene.own_vehicle import read_vehicle
 
