@@ -22,6 +22,7 @@ from warpav.scene.own_vehicle import (
     read_vehicle_file,
     write_vehicle,
 )
+from warpav.scene.vehicles import file_of
 
 BONNET_BELOW_M = 0.15
 """A part of the mountable zone that is lower than the roof by this does not belong to it."""
@@ -75,7 +76,7 @@ def check_vehicle(
     """Examine a vehicle as it is read with some options, write it fixed, draw it.
 
     Args:
-        path: A mesh file.
+        path: A mesh file, or the name of a vehicle that ships with warpav.
         config: Its section ``mount`` says where cameras may stand.
         up: The file's axis that points up; None: glTF's y, of other formats z.
         forward: The file's axis that points to the front; None: x.
@@ -89,7 +90,7 @@ def check_vehicle(
     """
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
-    file = read_vehicle_file(path)
+    file = read_vehicle_file(file_of(path))
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)

@@ -47,8 +47,8 @@ class FileFinder:
     def notes(self) -> tuple[str, ...]:
         """What is missing, a line for each file."""
         return tuple(
-            f"{'materials' if name.lower().endswith(MATERIAL_SUFFIX) else 'texture'} {name} not found, or not readable: "
-            "grey instead"
+            f"{'materials' if name.lower().endswith(MATERIAL_SUFFIX) else 'texture'} {name} not found, or not "
+            "readable: grey instead"
             for name in dict.fromkeys(self.missing)
         )
 

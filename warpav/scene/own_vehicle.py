@@ -21,6 +21,7 @@ from warpav.scene.collada import read_collada
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 from warpav.scene.mesh_colours import FileFinder, vertex_rgb
 from warpav.scene.simulator_model import SimulatorModel, simulator_model
+from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
 if TYPE_CHECKING:
     import trimesh
@@ -61,6 +62,15 @@ _UNLIKE = 0.001
 
 _CABIN_BEHIND = 0.04
 """Minimum offset of the upper quarter behind the vehicle's centre, relative to the length; buses have none."""
+
+_MIRROR_SHARE = (0.0002, 0.006)
+"""Share of the surface that the widest parts above the wheels take up, if these are mirrors: .0006 to .002."""
+
+_MIRROR_SPREAD = 0.05
+"""Maximum standard deviation of their positions along the vehicle, relative to its length: mirrors have .00 to .01."""
+
+_MIRROR_AHEAD = 0.08
+"""Minimum distance of mirrors from the vehicle's centre, relative to its length: cars .12 to .18, buses .49."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +172,10 @@ class Shape:
         up: The axis that points up, out of `AXES`; positive if the sign is unknown.
         forward: The axis that points to the front, likewise.
         is_up_sure: Whether wheels distinguish up from down.
-        is_forward_sure: Whether the cabin distinguishes front from rear: it is usually nearer to the rear.
+        is_forward_sure: Whether front and rear can be told apart: mirrors are ahead of the centre, and without mirrors
+            the cabin is usually nearer to the rear.
         asymmetry: Mean distance between the shape and its lateral mirror image, relative to the length.
+        has_mirrors: Whether mirrors were recognised.
     """
 
     up: str | None
@@ -171,6 +183,7 @@ class Shape:
     is_up_sure: bool = False
     is_forward_sure: bool = False
     asymmetry: float = math.nan
+    has_mirrors: bool = False
 
 
 @dataclass(frozen=True)
@@ -230,7 +243,7 @@ def read_vehicle(
     """A vehicle in the ego frame from a mesh file, on the ground with its rear axle above the origin.
 
     Args:
-        path: As of `read_vehicle_file`.
+        path: As of `read_vehicle_file`, or the name of a vehicle that ships with warpav, such as ``bus``.
         up: The file's axis that points up, out of `AXES`; None: what the file states, else z.
         forward: The file's axis that points to the front, likewise; None: what a ``model.sdf`` states, else x.
         scale: Metres for each unit of the file; None: what the file or a ``model.sdf`` states, else 1.
@@ -240,7 +253,7 @@ def read_vehicle(
         InputError: The file cannot be read, or its shape contradicts the axes or the unit; the text names the arguments
             that agree with it.
     """
-    file = read_vehicle_file(path)
+    file = read_vehicle_file(file_of(path))
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)
@@ -273,7 +286,12 @@ def read_vehicle_file(path: str | Path) -> VehicleFile:
 
     path = Path(path).expanduser()
     if not path.is_file():
-        raise InputError(f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got no such file")
+        expected = f"a mesh file ({', '.join(FORMATS)})"
+        if not path.suffix:  # a name rather than a file
+            expected = f"one of {', '.join(vehicle_names())}, or {expected}"
+        near = nearest_name(path.stem)
+        hint = "" if near is None else f"; did you mean {near}?"
+        raise InputError(f"{path}: vehicle: expected {expected}, got no such file{hint}")
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in FORMATS and suffix not in trimesh.available_formats():
         raise InputError(
@@ -438,13 +456,41 @@ def shape_of(point_m: np.ndarray) -> Shape:
     cabin = point_m[(height < 0.25) if is_down else (height > 0.75)]
     behind = float(centre[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
     is_forward_sure = is_up_sure and abs(behind) > _CABIN_BEHIND
+    ahead = _mirrors_ahead(_turned(point_m, forward, left, up, -1.0 if is_down else 1.0)) if is_up_sure else None
+    if ahead is not None:  # mirrors tell more than the cabin: those of pickups and buses are ahead as well
+        behind, is_forward_sure = ahead, True
     return Shape(
         ("-" if is_down else "") + "xyz"[up],
         ("-" if is_forward_sure and behind < 0.0 else "") + "xyz"[forward],
         is_up_sure,
         is_forward_sure,
         float(distance[left]),
+        ahead is not None,
     )
+
+
+def _mirrors_ahead(point_m: np.ndarray) -> float | None:
+    """How far mirrors are ahead of the centre, relative to the length; None where there are none.
+
+    Mirrors are the widest parts above the wheels, small, left and right, at one distance from the front.
+
+    Args:
+        point_m: Points spread evenly over the vehicle, along its forward, lateral and upward axes, [point, 3].
+    """
+    low, high = point_m.min(axis=0), point_m.max(axis=0)
+    size = np.maximum(high - low, 1e-12)
+    share = (point_m - 0.5 * (low + high)) / size
+    upper = share[share[:, 2] > -0.15]
+    if not len(upper):
+        return None
+    aside = np.abs(upper[:, 1])
+    widest = upper[aside > max(np.percentile(aside, 97) + 0.015, 0.93 * aside.max())]
+    if not _MIRROR_SHARE[0] <= len(widest) / len(point_m) <= _MIRROR_SHARE[1]:
+        return None
+    ahead = float(widest[:, 0].mean())
+    is_both_sides = 0.2 < float(np.mean(widest[:, 1] > 0.0)) < 0.8
+    is_mirror = is_both_sides and float(widest[:, 0].std()) < _MIRROR_SPREAD and abs(ahead) > _MIRROR_AHEAD
+    return ahead if is_mirror else None
 
 
 def wheels_of(point_m: np.ndarray) -> Wheels | None:
@@ -485,9 +531,9 @@ def scale_of(size: np.ndarray) -> tuple[str, float]:
     """Which vehicle, or which unit, makes a size plausible, and the metres of one.
 
     The unit that makes length, width and height plausible together, one that makes the length a car's first. Without
-    one the usual vehicle that has most nearly these proportions; its length determines the scale, as widths may include
-    mirrors and heights aerials. Scales that people choose are round, so the nearest one of a single digit is taken if it
-    changes the length by less than 8 %.
+    one the usual vehicle that has most nearly these proportions; its length determines the scale, as widths may
+    include mirrors and heights aerials. Scales that people choose are round, so the nearest one of a single digit is
+    taken if it changes the length by less than 8 %.
 
     Args:
         size: Length, width and height in any unit, positive, [3].
@@ -559,6 +605,9 @@ def _axis_findings(
     up, forward = (_in_file(axis, reading) for axis in (shape.up, shape.forward))
     if has_axes and not is_upside_down:
         if is_backwards and not is_declared and "forward" not in stated:
+            if shape.has_mirrors:
+                text = "the mirrors are nearer to the assumed rear, as in vehicles that face backwards: if the image "
+                return [], [f"{text}shows one, add `forward` {forward}"]
             return [], [
                 "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
                 f"face backwards: if the image shows one of these, add `forward` {forward}"
@@ -575,6 +624,10 @@ def _axis_findings(
     text += f"forward it {what}"
     if is_declared or {"up", "forward"} <= stated:
         return [], [f"{text}; accepted as stated"]
+    if "forward" in remedy and not shape.is_forward_sure:
+        other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
+        alike = f"front and rear look alike: if the image shows it backwards, give `forward` {other} instead"
+        return [VehicleProblem(text, remedy)], [alike]
     return [VehicleProblem(text, remedy)], []
 
 
