@@ -128,14 +128,14 @@ def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
     texel_rgb = np.asarray(image.convert("RGB"), np.uint8)
     size = np.array([texel_rgb.shape[1], texel_rgb.shape[0]])
     uv = np.asarray(uv, np.float64)[:, :2]
-    is_number = np.isfinite(uv).all(axis=1)
-    uv = np.where(is_number[:, None], uv, 0.0)
+    is_number = np.isfinite(uv).all(axis=1, keepdims=True)
+    uv = np.where(is_number, uv, 0.0)
     is_inside = (uv >= 0.0) & (uv <= 1.0)
     # 1 is the last texel's border, not the first one's again
     share = np.where(is_inside, uv, uv - np.floor(uv))
     share[:, 1] = 1.0 - share[:, 1]
     column, row = np.minimum((share * size).astype(np.int64), size - 1).T
-    return np.where(is_number[:, None], texel_rgb[row, column], GREY_RGB)
+    return np.where(is_number, texel_rgb[row, column], GREY_RGB)
 
 
 def vertex_rgb(geometry: Any, *, is_plain: bool = False) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
