@@ -206,3 +206,11 @@ def test_names_are_vehicles_and_paths_are_files(tmp_path, monkeypatch):
     assert nearest_name("aeroplane") is None
     with pytest.raises(InputError, match=r"expected one of bus, .*; did you mean minibus\?"):
         read_vehicle("minibuss")
+
+
+def test_a_placement_takes_a_shipped_vehicle_by_its_name():
+    placement = wa.Placement(wa.town([0]), cameras=2, ego="bus", losses={"in_frame_rotation": 1.0}, config=wa.Config())
+    np.testing.assert_allclose(np.ptp(placement.ego.bounds_m(), axis=0), SHIPPED["bus"], atol=0.01)
+    assert str(placement.config.scenes.ego) == "bus"
+    with pytest.raises(InputError, match=r"got 'buss'; did you mean bus\?"):
+        wa.Placement(wa.town([0]), ego="buss")

@@ -275,10 +275,8 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterat
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
     if "windscreen" in names:
         normal = _normal_without_windscreen(parts, vehicle, config)
-        remedy = (
-            "choose their places with care" if normal is None else f"mount.min_zone_normal={normal:g} leaves it out"
-        )
-        yield _row("", f"the windscreen is flat enough to carry cameras; {remedy} leaves it out")
+        option = "no mount.min_zone_normal" if normal is None else f"mount.min_zone_normal={normal:g}"
+        yield _row("", f"the windscreen is flat enough to carry cameras; {option} leaves it out")
     x, y, z = surface.highest_point_m()
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
