@@ -83,3 +83,9 @@ def workload_folder():
 def pool_folder():
     """Outside pools of rendered cameras, their detection probabilities; the test is skipped without them."""
     return _folder("WARPAV_TEST_POOLS")
+
+
+@pytest.fixture
+def vehicle_folder():
+    """Outside vehicle meshes as downloaded, with their textures; the test is skipped without them."""
+    return _folder("WARPAV_TEST_VEHICLES")

@@ -281,3 +281,13 @@ def test_what_is_too_steep_everywhere_is_refused():
         mount_surface_from_mesh(plate(-1.0, 1.0, -0.5, 0.5, lambda x, y: 1.0 + 0.3 * x), min_zone_normal=0.99)
     with pytest.raises(ValueError, match="min_zone_normal must lie in"):
         mount_surface_from_mesh(car(), min_zone_normal=0.0)
+
+
+def test_a_sill_beside_the_roof_is_no_part_of_the_zone_and_a_step_of_the_roof_is():
+    roof = plate(-1.0, 1.0, -0.5, 0.5, lambda x, y: 1.5)
+    for below_m, is_part in ((0.6, False), (0.2, True)):
+        sill = plate(-1.0, 1.0, 0.5, 0.54, lambda x, y, below_m=below_m: 1.5 - below_m)
+        surface = mount_surface_from_mesh(merge([roof, sill]), cell_m=0.02)
+        mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
+        lowest_m = surface.height_m[mountable].min()
+        assert lowest_m == pytest.approx(1.5 - below_m if is_part else 1.5, abs=1e-5)

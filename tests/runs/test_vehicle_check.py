@@ -16,6 +16,7 @@ from warpav.core.progress import NullProgress
 from warpav.experiments import experiment as experiments
 from warpav.experiments.result_folder import unseeded
 from warpav.raster.mesh import Mesh
+from warpav.rig.rig import read_rig
 from warpav.runs.config import load_config, with_absolute_paths
 from warpav.runs.mounts import mount_surface
 from warpav.runs.networks import detector_use
@@ -306,3 +307,95 @@ def test_a_written_vehicle_is_no_scene_but_its_node_is_the_same(car, tmp_path):
     write_vehicle(car, tmp_path / "car.glb")
     with pytest.raises(InputError, match="expected a mesh node named 'environment', got ego"):
         read_scene(tmp_path / "car.glb")
+
+
+# ----------------------------------------------------------------------------------------------- shipped vehicles
+
+
+def test_the_list_of_shipped_vehicles(capsys):
+    assert main(["vehicle", "list"]) == 0
+    said = capsys.readouterr().out
+    assert "bus: midibus without a bonnet, 7.57 x 2.42 x 3.31 m (length, width, height)" in said
+    assert said.count("licence: CC0 1.0") == 4
+    assert check("bus") == 0
+    assert "it can be used as it is: scenes.ego=bus" in capsys.readouterr().out
+
+
+def test_a_name_stands_for_a_shipped_vehicle(working_directory, capsys):
+    config = load_config("quick", ["scenes.ego=bus"])
+    assert own_vehicle(config).bounds_m()[1, 2] == pytest.approx(3.31, abs=0.01)
+    assert str(with_absolute_paths(config).scenes.ego) == "bus"
+    assert detector_use(config).identity != detector_use(load_config("quick", ["scenes.ego=truck"])).identity
+    assert main(["inspect", "highest", "scenes.ego=buss", "--out", "x.png"]) == 2
+    assert capsys.readouterr().err == (
+        "command line (scenes.ego=buss): scenes.ego: expected one of bus, minibus, moving_truck, truck, the path of a "
+        "mesh file, or null, got 'buss'; did you mean bus?\n"
+    )
+
+
+@pytest.mark.parametrize("name", ["bus", "minibus", "moving_truck", "truck"])
+def test_cameras_have_room_on_the_roof_of_a_shipped_vehicle(name):
+    config = load_config("quick", [f"scenes.ego={name}"])
+    vehicle = own_vehicle(config)
+    roof = next(part for part in zone_parts(mount_surface(config, vehicle), vehicle) if part.name == "roof")
+    assert roof.height_m > 0.95 * vehicle.bounds_m()[1, 2]
+    assert roof.area_m2 > 1.5
+
+
+@pytest.mark.slow
+def test_a_shipped_vehicle_carries_the_cameras_of_a_search():
+    words = ["scenes.ego=bus", "scenes.train_seeds=[0, 1]", "scenes.test_seeds=[1000, 1001]", "run.batch_size=2"]
+    words += ["run.iterations=2", "rig.cameras=2", "camera.width_px=64", "camera.height_px=64", "optimiser.starts=1"]
+    words += ["baselines.random_samples=1", "optimiser.check_every=2"]
+    words += ["losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}", "run.out=on_a_bus"]
+    assert main(["optimise", *words]) == 0
+    rig = read_rig("on_a_bus/rig_best.yaml")
+    heights = [camera.ego_from_camera[2, 3] for camera in rig.cameras]
+    assert min(heights) > 3.2
+
+
+# ----------------------------------------------------------------------------------------------- bonnets
+
+
+@pytest.mark.parametrize(
+    ("mesh", "option"),
+    [
+        ("prius_hybrid/meshes/Hybrid.obj", "mount.min_zone_normal=0.96"),
+        ("hatchback/meshes/hatchback.obj", "no mount.min_zone_normal"),  # its bonnet is as steep as its windscreen
+    ],
+)
+def test_a_bonnet_that_a_flat_windscreen_joins_to_the_roof_is_found(vehicle_folder, capsys, mesh, option):
+    check(vehicle_folder / mesh)
+    said = capsys.readouterr().out
+    assert "no bonnet was found" not in said
+    assert "bonnet 0.88 m2" in said
+    assert f"the windscreen is flat enough to carry cameras; {option} leaves it out\n" in said
+
+
+def wedge(bonnet_slope, windscreen_slope):
+    """A car whose profile from above is rear deck, roof, windscreen and bonnet, without gaps."""
+    x = np.array([-0.8, 1.5, 2.5, 3.6])
+    z = 1.5 - np.array([0.0, 0.0, windscreen_slope, windscreen_slope + 1.1 * bonnet_slope])
+    corner = [[a, y, b] for a, b in zip(x, z, strict=True) for y in (-0.9, 0.9)]
+    triangle = [t for k in (0, 2, 4) for t in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])]
+    return Mesh.create(corner, triangle, (80, 80, 80))
+
+
+@pytest.mark.parametrize(
+    ("bonnet_slope", "windscreen_slope", "names"),
+    [
+        (0.15, 0.45, {"roof", "windscreen", "bonnet"}),
+        (0.45, 0.45, {"roof"}),  # no kink: nothing tells where the bonnet begins
+        (0.1, 0.15, {"roof"}),  # a shallow step of the roof
+    ],
+)
+def test_kinks_tell_roof_windscreen_and_bonnet_apart(bonnet_slope, windscreen_slope, names):
+    mesh = wedge(bonnet_slope, windscreen_slope)
+    surface = mount_surface(load_config("quick"), mesh)
+    parts = zone_parts(surface, mesh)
+    assert {part.name for part in parts} == names
+    assert sum(part.area_m2 for part in parts) == pytest.approx(surface.is_mountable.sum() * surface.cell_m**2)
+    if "bonnet" in names:
+        area_m2 = {part.name: part.area_m2 for part in parts}
+        assert area_m2["bonnet"] == pytest.approx(1.1 * 1.8, rel=0.15)
+        assert area_m2["windscreen"] == pytest.approx(1.0 * 1.8, rel=0.15)

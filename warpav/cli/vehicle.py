@@ -22,20 +22,45 @@ from warpav.cli.arguments import (
 vehicle_app = App(name="vehicle", help="Your own vehicle.")
 
 
+@vehicle_app.command(name="list")
+def vehicle_list() -> None:
+    """List the vehicles that ship with warpav, which scenes.ego takes by name, with their sources."""
+    import numpy as np
+
+    from warpav.scene.own_vehicle import read_vehicle
+    from warpav.scene.vehicles import vehicle_about, vehicle_names
+
+    for name in vehicle_names():
+        about = vehicle_about(name)
+        length, width, height = np.ptp(read_vehicle(name).bounds_m(), axis=0)
+        say(f"{name}: {about.title}, {length:.2f} x {width:.2f} x {height:.2f} m (length, width, height)")
+        say(f"  source: {about.source}")
+        say(f"  licence: {about.licence}")
+    say("null: the scene's own vehicle, which in the town is a saloon of 4.70 x 2.22 x 1.55 m")
+
+
 @vehicle_app.command(name="check")
 def vehicle_check(
-    file: Annotated[Path, Parameter(help="Mesh of the vehicle: GLB, glTF, OBJ, PLY or STL.")],
+    file: Annotated[Path, Parameter(help="Mesh of the vehicle: GLB, glTF, OBJ, DAE, PLY or STL.")],
     /,
     *overrides: Overrides,
     up: Annotated[
         FileAxis | None,
-        Parameter(help="The file's axis that points up; by default glTF's y, else z.", allow_leading_hyphen=True),
+        Parameter(
+            help="The file's axis that points up; by default what the file says, or z.", allow_leading_hyphen=True
+        ),
     ] = None,
     forward: Annotated[
         FileAxis | None,
-        Parameter(help="The file's axis that points to the front; by default x.", allow_leading_hyphen=True),
+        Parameter(
+            help="The file's axis that points to the front; by default what a model.sdf says, or x.",
+            allow_leading_hyphen=True,
+        ),
     ] = None,
-    scale: Annotated[float | None, Parameter(help="Metres for each unit of the file, 0.01 for centimetres.")] = None,
+    scale: Annotated[
+        float | None,
+        Parameter(help="Metres for each unit of the file, 0.01 for centimetres; by default what the file says."),
+    ] = None,
     rear_axle: Annotated[
         float | None,
         Parameter(help="Metres from the vehicle's rear end to its rear axle; by default read from the wheels."),

@@ -19,6 +19,9 @@ SAMPLES_PER_CELL = 2
 MIN_PATCH_FRACTION = 0.1
 """A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
 
+LEDGE_STEP_M = 0.3
+"""A cell beside one that is higher by this is the foot of a wall; a sill below a roof's edge is nothing else."""
+
 MAX_EXTENT_M = 40.0
 """A vehicle longer or wider than this was not given in metres."""
 
@@ -309,7 +312,7 @@ def _measured(
     in_cells = (size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL)
     height_m = sample_m.reshape(in_cells).max(axis=(1, 3))
     upward = sample_upward.reshape(in_cells).max(axis=(1, 3))
-    is_measured = _without_small_patches(np.isfinite(height_m))
+    is_measured = _without_small_patches(np.isfinite(height_m) & ~_is_foot_of_wall(height_m))
     if not is_measured.any():
         raise InputError(
             f"ego mesh: expected faces that point upwards (normal z of at least {min_upward_normal}, "
@@ -385,6 +388,13 @@ def _first_upward_height(
     upward = np.full(len(top_m), -np.inf)
     np.maximum.at(upward, line[is_top], (np.abs(normal[:, 2]) / doubled_area)[face[is_top]])
     return np.where(upward > -np.inf, top_m, -np.inf).reshape(size), upward.reshape(size)
+
+
+def _is_foot_of_wall(height_m: np.ndarray) -> np.ndarray:
+    """Which cells have a neighbour that is higher by `LEDGE_STEP_M`, bool [row, column]."""
+    from scipy import ndimage
+
+    return ndimage.maximum_filter(height_m, size=3, mode="nearest") > height_m + LEDGE_STEP_M
 
 
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:

@@ -156,7 +156,8 @@ class Placement:
             cameras: Number of cameras, 1 to 16; None: those of ``start``, else ``config.rig.cameras``.
             fov_deg: Horizontal field of view of every camera [deg].
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
-            ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, `Mesh`, trimesh, or
+            ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
+                vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or
                 ``(vertices [n, 3], faces [m, 3])``. None: the scenes' own.
             zones: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and bonnet.
             device: Warp device such as ``"cuda:0"``.

@@ -30,6 +30,7 @@ from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
+from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount
@@ -275,7 +276,7 @@ def own_vehicle(config: Config) -> Mesh | None:
     if path is None:
         return None
     try:
-        file = read_vehicle_file(path)
+        file = read_vehicle_file(file_of(path))
         found = examine(file, file.usual)
     except InputError as error:
         raise OptionError("scenes.ego", str(error)) from None
@@ -336,7 +337,7 @@ def own_vehicle_digest(config: Config) -> str | None:
     if path is None:
         return None
     try:
-        return digest(path.expanduser().read_bytes())
+        return digest(file_of(path).read_bytes())
     except OSError as error:
         raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None
 

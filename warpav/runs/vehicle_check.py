@@ -11,7 +11,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
-from warpav.runs.config import Config
+from warpav.runs.config import Config, changed_config
 from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
     Examination,
@@ -22,12 +22,28 @@ from warpav.scene.own_vehicle import (
     read_vehicle_file,
     write_vehicle,
 )
+from warpav.scene.vehicles import file_of
 
+BONNET_BELOW = 0.07
 BONNET_BELOW_M = 0.15
-"""A part of the mountable zone that is lower than the roof by this does not belong to it."""
+"""A part of the mountable zone that is lower than the roof by this share of its height, and by this at least, does not
+belong to it."""
 
 BONNET_SHARE = 0.8
 """A bonnet is lower than this share of the roof's height; the top of a lorry's cab is not."""
+
+SLOPE_REACH_M = 0.4
+"""Slopes of windscreen and bonnet are means over this distance."""
+
+LEAST_KINK = 0.06
+"""A windscreen is steeper than the bonnet before it by this [m/m]."""
+
+LEAST_BONNET_M = 0.3
+"""A shorter part before the windscreen is its lower edge."""
+
+
+ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
+"""Values of mount.min_zone_normal that may leave out a windscreen: slopes of 23 to 11 degrees."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +67,7 @@ class ZonePart:
     """A part of the mountable zone that hangs together.
 
     Attributes:
-        name: ``roof``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``.
+        name: ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``.
         area_m2: Its area seen from above [m2].
         height_m: Mean height above the ground [m].
     """
@@ -75,7 +91,7 @@ def check_vehicle(
     """Examine a vehicle as it is read with some options, write it fixed, draw it.
 
     Args:
-        path: A mesh file.
+        path: A mesh file, or the name of a vehicle that ships with warpav.
         config: Its section ``mount`` says where cameras may stand.
         up: The file's axis that points up; None: glTF's y, of other formats z.
         forward: The file's axis that points to the front; None: x.
@@ -89,7 +105,7 @@ def check_vehicle(
     """
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
-    file = read_vehicle_file(path)
+    file = read_vehicle_file(file_of(path))
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)
@@ -116,7 +132,7 @@ def check_vehicle(
         problems.append(VehicleProblem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.corrected)
+        lines += _mount_lines(surface, shown.corrected, config)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
@@ -141,8 +157,9 @@ def check_vehicle(
 def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     """The parts of the mountable zone, the largest first.
 
-    The part with the highest point is the roof. What is lower than it by `BONNET_BELOW_M` is bonnet or front before the
-    roof's centre, and rear behind it.
+    The part with the highest point is the roof. What is lower than it by `BONNET_BELOW` is bonnet or front before the
+    roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
+    and bonnet: these are told apart by the kinks in between.
 
     Args:
         surface: Of the vehicle.
@@ -162,15 +179,67 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
         inside = label == number
         height_m, centre_x_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
         if surface.height_m[inside].max() >= highest_m - 1e-6:
-            name, roof_x_m = "roof", centre_x_m
-        elif height_m > highest_m - BONNET_BELOW_M:
+            name = "roof"
+            kinks = _windscreen_rows(surface, inside, float(highest_m))
+            if kinks is not None:
+                for part_name, rows in zip(
+                    ("windscreen", "bonnet"), (slice(*kinks), slice(kinks[1], None)), strict=True
+                ):
+                    part = np.zeros_like(inside)
+                    part[rows] = inside[rows]
+                    parts.append(_zone_part(part_name, surface, part))
+                inside = inside.copy()
+                inside[kinks[0] :] = False
+            roof_x_m = float(x_m[np.nonzero(inside)[0]].mean())
+        elif height_m > highest_m - max(BONNET_BELOW_M, BONNET_BELOW * highest_m):
             name = "roof"
         elif centre_x_m < roof_x_m:
             name = "rear"
         else:
             name = "bonnet" if height_m < BONNET_SHARE * highest_m else "front"
-        parts.append(ZonePart(name, float(np.count_nonzero(inside)) * surface.cell_m**2, height_m))
+        parts.append(_zone_part(name, surface, inside))
     return sorted(parts, key=lambda part: -part.area_m2)
+
+
+def _zone_part(name: str, surface: MountSurface, inside: np.ndarray) -> ZonePart:
+    area_m2 = float(np.count_nonzero(inside)) * surface.cell_m**2
+    return ZonePart(name, area_m2, float(surface.height_m[inside].mean()))
+
+
+def _windscreen_rows(surface: MountSurface, inside: np.ndarray, highest_m: float) -> tuple[int, int] | None:
+    """First row of the windscreen and of the bonnet before it, in a part of the zone that joins them with the roof.
+
+    The bonnet begins where the surface, lower than `BONNET_SHARE` of the roof, becomes flatter by most; the windscreen
+    where the slope from the top of the roof first is half of that before the bonnet.
+
+    Args:
+        surface: Of the vehicle.
+        inside: The part, bool [row, column].
+        highest_m: Of the zone.
+
+    Returns:
+        None where there is no bonnet in it.
+    """
+    row = np.flatnonzero(inside.any(axis=1))
+    if len(row) < row[-1] - row[0] + 1:  # rows between are no part of it, so nothing joins roof and bonnet there
+        row = row[row > np.flatnonzero(~inside.any(axis=1) & (np.arange(len(inside)) < row[-1])).max(initial=-1)]
+    height_m = np.array([np.median(surface.height_m[each][inside[each]]) for each in row])
+    reach = max(1, round(SLOPE_REACH_M / surface.cell_m))
+    top = int(height_m.argmax())
+    slope = (height_m[:-reach] - height_m[reach:]) / (reach * surface.cell_m)  # down to the front, positive
+    least = max(1, round(LEAST_BONNET_M / surface.cell_m))
+    at = np.arange(max(top + reach, reach), min(len(row) - least, len(slope)))
+    at = at[height_m[at] < BONNET_SHARE * highest_m]
+    if not len(at):
+        return None
+    flatter = slope[at - reach] - slope[at]
+    best = int(at[flatter.argmax()])
+    if flatter.max() < LEAST_KINK:
+        return None
+    steep = slope[best - reach]
+    local = np.gradient(height_m, surface.cell_m)
+    begins = top + int(np.flatnonzero(-local[top:] > 0.5 * steep)[0])
+    return int(row[begins]), int(row[best])
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:
@@ -196,7 +265,7 @@ def _shape_lines(found: Examination) -> Iterator[str]:
     yield _row("wheels", f"axles at x = {axles} m; the origin belongs below the rear one")
 
 
-def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
+def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:
     parts = zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
     shown = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
@@ -204,8 +273,33 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     names = {part.name for part in parts}
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
+    if "windscreen" in names:
+        normal = _normal_without_windscreen(parts, vehicle, config)
+        option = "no mount.min_zone_normal" if normal is None else f"mount.min_zone_normal={normal:g}"
+        yield _row("", f"the windscreen is flat enough to carry cameras; {option} leaves it out")
     x, y, z = surface.highest_point_m()
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
+
+
+def _normal_without_windscreen(parts: Sequence[ZonePart], vehicle: Mesh, config: Config) -> float | None:
+    """The least ``mount.min_zone_normal`` of those tried that keeps the bonnet and not the windscreen; None: none."""
+
+    def area_m2(parts: Sequence[ZonePart], *names: str) -> float:
+        return sum(part.area_m2 for part in parts if part.name in names)
+
+    for normal in ZONE_NORMALS:
+        if normal <= config.mount.min_zone_normal:
+            continue
+        try:
+            changed = changed_config(config, [f"mount.min_zone_normal={normal}"])
+            kept = zone_parts(mount_surface(changed, vehicle), vehicle)
+        except InputError:  # nothing is left
+            return None
+        roof, bonnet = (area_m2(kept, name) / area_m2(parts, name) for name in ("roof", "bonnet"))
+        # its upper and lower ends are parts of neither
+        if not area_m2(kept, "windscreen", "front") and roof < 1.05 and 0.5 < bonnet < 1.15:
+            return normal
+    return None
 
 
 def _draw(found: Examination, surface: MountSurface | None, image: Path, title: str) -> Path:

@@ -8,7 +8,6 @@ writes the vehicle in the ego frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,24 +17,41 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
+from warpav.scene.collada import read_collada
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
+from warpav.scene.mesh_colours import FileFinder, vertex_rgb
+from warpav.scene.simulator_model import SimulatorModel, simulator_model
+from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
 if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-FORMATS = ("glb", "gltf", "obj", "ply", "stl", "off")
+FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
 
 USUAL_LENGTH_M = (3.0, 7.0)
 POSSIBLE_LENGTH_M = (2.0, 20.0)
 UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
 
+POSSIBLE_WIDTH_M = (1.0, 3.5)
+POSSIBLE_HEIGHT_M = (1.1, 4.6)
+"""Least and greatest extents across and upwards; mirrors and aerials count. A sports car is 1.1 m high."""
+
+TYPICAL_SIZE_M = {
+    "a car": (4.5, 2.0, 1.5),
+    "an SUV": (4.8, 2.15, 1.8),
+    "a pickup": (5.6, 2.3, 1.9),
+    "a van": (5.5, 2.3, 2.4),
+    "a lorry": (8.0, 2.6, 3.3),
+    "a bus": (12.0, 2.8, 3.3),
+}
+"""Length, width with mirrors, and height of usual vehicles."""
+
 GROUND_TOLERANCE_M = 0.05
 AXLE_TOLERANCE_M = 0.1
 MANY_TRIANGLES = 300_000
 
-_GREY_RGB = np.array([150, 152, 156], np.uint8)
 _SAMPLE_COUNT = 200_000
 _SYMMETRY_COUNT = 20_000
 _ALIKE = 0.004
@@ -46,6 +62,15 @@ _UNLIKE = 0.001
 
 _CABIN_BEHIND = 0.04
 """Minimum offset of the upper quarter behind the vehicle's centre, relative to the length; buses have none."""
+
+_MIRROR_SHARE = (0.0002, 0.006)
+"""Share of the surface that the widest parts above the wheels take up, if these are mirrors: .0006 to .002."""
+
+_MIRROR_SPREAD = 0.05
+"""Maximum standard deviation of their positions along the vehicle, relative to its length: mirrors have .00 to .01."""
+
+_MIRROR_AHEAD = 0.08
+"""Minimum distance of mirrors from the vehicle's centre, relative to its length: cars .12 to .18, buses .49."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +127,7 @@ class VehicleFile:
         usual: Default reading of this file format.
         is_declared: Whether warpav wrote the file, so that its axes and origin are as the user stated them.
         part: Part of the file, in words.
+        notes: What its owner should know of how it was read, such as textures that are missing.
     """
 
     path: Path
@@ -111,6 +137,7 @@ class VehicleFile:
     usual: Reading
     is_declared: bool
     part: str
+    notes: tuple[str, ...] = ()
 
     def in_ego_frame(self, reading: Reading, shift_m: np.ndarray | None = None) -> Mesh:
         """The vehicle in the ego frame, moved by ``shift_m`` [3].
@@ -145,8 +172,10 @@ class Shape:
         up: The axis that points up, out of `AXES`; positive if the sign is unknown.
         forward: The axis that points to the front, likewise.
         is_up_sure: Whether wheels distinguish up from down.
-        is_forward_sure: Whether the cabin distinguishes front from rear: it is usually nearer to the rear.
+        is_forward_sure: Whether front and rear can be told apart: mirrors are ahead of the centre, and without mirrors
+            the cabin is usually nearer to the rear.
         asymmetry: Mean distance between the shape and its lateral mirror image, relative to the length.
+        has_mirrors: Whether mirrors were recognised.
     """
 
     up: str | None
@@ -154,6 +183,7 @@ class Shape:
     is_up_sure: bool = False
     is_forward_sure: bool = False
     asymmetry: float = math.nan
+    has_mirrors: bool = False
 
 
 @dataclass(frozen=True)
@@ -213,17 +243,17 @@ def read_vehicle(
     """A vehicle in the ego frame from a mesh file, on the ground with its rear axle above the origin.
 
     Args:
-        path: As of `read_vehicle_file`.
-        up: The file's axis that points up, out of `AXES`; None: glTF's y, of other formats z.
-        forward: The file's axis that points to the front, likewise; None: x.
-        scale: Metres for each unit of the file; None: 1.
+        path: As of `read_vehicle_file`, or the name of a vehicle that ships with warpav, such as ``bus``.
+        up: The file's axis that points up, out of `AXES`; None: what the file states, else z.
+        forward: The file's axis that points to the front, likewise; None: what a ``model.sdf`` states, else x.
+        scale: Metres for each unit of the file; None: what the file or a ``model.sdf`` states, else 1.
         rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: inferred from the wheels.
 
     Raises:
         InputError: The file cannot be read, or its shape contradicts the axes or the unit; the text names the arguments
             that agree with it.
     """
-    file = read_vehicle_file(path)
+    file = read_vehicle_file(file_of(path))
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)
@@ -243,8 +273,11 @@ def read_vehicle(
 def read_vehicle_file(path: str | Path) -> VehicleFile:
     """Read the mesh of a vehicle as stored; of a scene that warpav wrote, its ego vehicle.
 
+    Textures become vertex colours. Unit and axes are those that the file states (COLLADA, up in glTF), or that the
+    ``model.sdf`` of a simulator beside it states; else the ego frame's.
+
     Args:
-        path: GLB, glTF, OBJ, PLY, STL, OFF or any other format that trimesh reads.
+        path: GLB, glTF, OBJ, COLLADA, PLY, STL, OFF or any other format that trimesh reads.
 
     Raises:
         InputError: The file cannot be read or holds no triangles.
@@ -253,36 +286,64 @@ def read_vehicle_file(path: str | Path) -> VehicleFile:
 
     path = Path(path).expanduser()
     if not path.is_file():
-        raise InputError(f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got no such file")
+        expected = f"a mesh file ({', '.join(FORMATS)})"
+        if not path.suffix:  # a name rather than a file
+            expected = f"one of {', '.join(vehicle_names())}, or {expected}"
+        near = nearest_name(path.stem)
+        hint = "" if near is None else f"; did you mean {near}?"
+        raise InputError(f"{path}: vehicle: expected {expected}, got no such file{hint}")
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in FORMATS and suffix not in trimesh.available_formats():
         raise InputError(
             f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
         )
+    finder = FileFinder(path)
+    # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
+    usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
+    is_scene = is_own = False
     try:
-        file = trimesh.load_scene(path, process=False)
+        if suffix == "dae":
+            collada = read_collada(path, finder)
+            parts = collada.parts
+            usual = usual.changed(up=collada.up, scale=collada.metres)
+        else:
+            # the resolver has all that trimesh asks of one
+            file = trimesh.load_scene(path, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
+            nodes = [str(name) for name in file.graph.nodes_geometry]
+            is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
+            is_own = (file.metadata or {}).get("schema") == SCHEMA
+            names = [name for name in nodes if not is_scene or name == EGO_NODE]
+            parts = [part for name in names if (part := _part(file, name, finder)) is not None]
+    except InputError:
+        raise
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
         ) from None
-    nodes = [str(name) for name in file.graph.nodes_geometry]
-    is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
-    parts = [part for part in (_part(file, name) for name in nodes if not is_scene or name == EGO_NODE) if part]
     if not parts:
         raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
+    notes = list(finder.notes)
+    model = None if is_scene or is_own else simulator_model(path)
+    if model is not None:
+        usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
+        notes.append(_model_note(model))
     first = np.cumsum([0, *(len(vertex) for vertex, _, _ in parts)])
-    is_gltf = suffix in ("glb", "gltf")
     return VehicleFile(
         path,
         np.concatenate([vertex for vertex, _, _ in parts]),
         np.concatenate([triangle + start for (_, triangle, _), start in zip(parts, first, strict=False)]),
         np.concatenate([colour for _, _, colour in parts]),
-        # glTF defines its up axis; the other formats do not, so the ego frame is assumed
-        Reading("y" if is_gltf else "z", "x"),
-        is_scene or (file.metadata or {}).get("schema") == SCHEMA,
+        usual,
+        is_scene or is_own,
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
+        tuple(notes),
     )
+
+
+def _model_note(model: SimulatorModel) -> str:
+    turned = f" and that {model.forward} points forward" if model.forward is not None else ""
+    return f"{model.path.name} beside it states a scale of {model.scale:g}{turned}"
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
@@ -338,10 +399,12 @@ def examine(
     mesh = file.in_ego_frame(reading)
     point_m = _points_on(mesh)
     problems: list[VehicleProblem] = []
-    hints: list[str] = []
+    hints = list(file.notes)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
-    problems += _unit_problems(float(size_m.max()), reading, is_stated="scale" in stated)
     shape = shape_of(point_m)
+    wrong_size, size_hints = _unit_findings(_ordered(size_m, shape), reading, file.is_declared, "scale" in stated)
+    problems += wrong_size
+    hints += size_hints
     wrong_axes, axis_hints = _axis_findings(shape, reading, size_m, file.is_declared, stated)
     problems += wrong_axes
     hints += axis_hints
@@ -393,13 +456,41 @@ def shape_of(point_m: np.ndarray) -> Shape:
     cabin = point_m[(height < 0.25) if is_down else (height > 0.75)]
     behind = float(centre[forward] - cabin[:, forward].mean()) / size[forward] if len(cabin) else 0.0
     is_forward_sure = is_up_sure and abs(behind) > _CABIN_BEHIND
+    ahead = _mirrors_ahead(_turned(point_m, forward, left, up, -1.0 if is_down else 1.0)) if is_up_sure else None
+    if ahead is not None:  # mirrors tell more than the cabin: those of pickups and buses are ahead as well
+        behind, is_forward_sure = ahead, True
     return Shape(
         ("-" if is_down else "") + "xyz"[up],
         ("-" if is_forward_sure and behind < 0.0 else "") + "xyz"[forward],
         is_up_sure,
         is_forward_sure,
         float(distance[left]),
+        ahead is not None,
     )
+
+
+def _mirrors_ahead(point_m: np.ndarray) -> float | None:
+    """How far mirrors are ahead of the centre, relative to the length; None where there are none.
+
+    Mirrors are the widest parts above the wheels, small, left and right, at one distance from the front.
+
+    Args:
+        point_m: Points spread evenly over the vehicle, along its forward, lateral and upward axes, [point, 3].
+    """
+    low, high = point_m.min(axis=0), point_m.max(axis=0)
+    size = np.maximum(high - low, 1e-12)
+    share = (point_m - 0.5 * (low + high)) / size
+    upper = share[share[:, 2] > -0.15]
+    if not len(upper):
+        return None
+    aside = np.abs(upper[:, 1])
+    widest = upper[aside > max(np.percentile(aside, 97) + 0.015, 0.93 * aside.max())]
+    if not _MIRROR_SHARE[0] <= len(widest) / len(point_m) <= _MIRROR_SHARE[1]:
+        return None
+    ahead = float(widest[:, 0].mean())
+    is_both_sides = 0.2 < float(np.mean(widest[:, 1] > 0.0)) < 0.8
+    is_mirror = is_both_sides and float(widest[:, 0].std()) < _MIRROR_SPREAD and abs(ahead) > _MIRROR_AHEAD
+    return ahead if is_mirror else None
 
 
 def wheels_of(point_m: np.ndarray) -> Wheels | None:
@@ -430,22 +521,74 @@ def unit_of(length: float) -> tuple[str, float] | None:
     return None
 
 
-def _unit_problems(length_m: float, reading: Reading, *, is_stated: bool) -> list[VehicleProblem]:
-    if POSSIBLE_LENGTH_M[0] <= length_m <= POSSIBLE_LENGTH_M[1]:
-        return []
+def is_plausible(size_m: np.ndarray) -> bool:
+    """Whether a vehicle may have this length, width and height [m], [3]."""
+    ranges = (POSSIBLE_LENGTH_M, POSSIBLE_WIDTH_M, POSSIBLE_HEIGHT_M)
+    return all(low <= value <= high for value, (low, high) in zip(size_m, ranges, strict=True))
+
+
+def scale_of(size: np.ndarray) -> tuple[str, float]:
+    """Which vehicle, or which unit, makes a size plausible, and the metres of one.
+
+    The unit that makes length, width and height plausible together, one that makes the length a car's first. Without
+    one the usual vehicle that has most nearly these proportions; its length determines the scale, as widths may
+    include mirrors and heights aerials. Scales that people choose are round, so the nearest one of a single digit is
+    taken if it changes the length by less than 8 %.
+
+    Args:
+        size: Length, width and height in any unit, positive, [3].
+    """
+    for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
+        for name, metres in UNITS:
+            if minimum_m <= size[0] * metres <= maximum_m and is_plausible(size * metres):
+                return name, metres
+    factor = {kind: np.log(np.array(typical_m) / size) for kind, typical_m in TYPICAL_SIZE_M.items()}
+    kind = min(factor, key=lambda kind: float(np.ptp(factor[kind])))
+    scale = TYPICAL_SIZE_M[kind][0] / float(size[0])
+    short, exact = float(f"{scale:.1g}"), float(f"{scale:.4g}")
+    return kind, short if abs(short / scale - 1.0) < 0.08 else exact
+
+
+def _ordered(size_m: np.ndarray, shape: Shape) -> np.ndarray:
+    """Length, width and height of a vehicle whose axes may be wrong; the greatest extent is the length if in doubt."""
+    if shape.up is not None and shape.forward is not None:
+        forward, up = "xyz".index(shape.forward[-1]), "xyz".index(shape.up[-1])
+        return size_m[[forward, 3 - forward - up, up]]
+    low, middle, high = np.sort(size_m)
+    return np.array([high, middle, low] if is_plausible(np.array([high, middle, low])) else [high, low, middle])
+
+
+def _unit_findings(
+    size_m: np.ndarray, reading: Reading, is_declared: bool, is_stated: bool
+) -> tuple[list[VehicleProblem], list[str]]:
+    """Whether a vehicle may have a size, its length, width and height [m], [3]."""
     minimum_m, maximum_m = POSSIBLE_LENGTH_M
-    text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {length_m:.4g} m"
-    unit = unit_of(length_m)
-    if unit is None:
-        scale = reading.scale * 4.5 / length_m if length_m > 0.0 else 1.0
-        return [
-            VehicleProblem(
-                f"{text}, implausible in any common unit; `scale` sets it, here to 4.5 m", {"scale": f"{scale:.4g}"}
-            )
-        ]
+    if is_plausible(size_m) or not size_m.min() > 0.0:
+        return [], []
+    name, factor = scale_of(size_m)
+    is_unit = name in dict(UNITS)
+    scale = reading.scale * factor
     with_scale = " with this `scale`" if is_stated else ""
-    scale = reading.scale * unit[1]
-    return [VehicleProblem(f"{text}{with_scale}, which is right in {unit[0]}", {"scale": f"{scale:g}"})]
+    better = _size_text(size_m * factor)
+    if minimum_m <= size_m[0] <= maximum_m:
+        text = f"units: a vehicle {_size_text(size_m)}{with_scale} is doubtful, "
+        text += f"expected a width of {POSSIBLE_WIDTH_M[0]:g} to {POSSIBLE_WIDTH_M[1]:g} m and a height of "
+        text += f"{POSSIBLE_HEIGHT_M[0]:g} to {POSSIBLE_HEIGHT_M[1]:g} m"
+        if is_stated or is_declared or not is_plausible(size_m * factor):
+            return [], [f"{text}; accepted as stated" if is_stated or is_declared else f"{text}; `scale` changes it"]
+        return [
+            VehicleProblem(f"{text}; with `scale` {scale:g} it is {better}, as {name}", {"scale": f"{scale:g}"})
+        ], []
+    text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {size_m[0]:.4g} m"
+    if is_unit:
+        return [VehicleProblem(f"{text}{with_scale}, which is right in {name}", {"scale": f"{scale:g}"})], []
+    text += f", implausible in any common unit; with `scale` {scale:.4g} it is {better}, as {name}"
+    return [VehicleProblem(text, {"scale": f"{scale:.4g}"})], []
+
+
+def _size_text(size_m: np.ndarray) -> str:
+    length, width, height = (f"{value:.2f}" for value in size_m)
+    return f"{length} m long, {width} m wide and {height} m high"
 
 
 def _axis_findings(
@@ -462,6 +605,9 @@ def _axis_findings(
     up, forward = (_in_file(axis, reading) for axis in (shape.up, shape.forward))
     if has_axes and not is_upside_down:
         if is_backwards and not is_declared and "forward" not in stated:
+            if shape.has_mirrors:
+                text = "the mirrors are nearer to the assumed rear, as in vehicles that face backwards: if the image "
+                return [], [f"{text}shows one, add `forward` {forward}"]
             return [], [
                 "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
                 f"face backwards: if the image shows one of these, add `forward` {forward}"
@@ -478,6 +624,10 @@ def _axis_findings(
     text += f"forward it {what}"
     if is_declared or {"up", "forward"} <= stated:
         return [], [f"{text}; accepted as stated"]
+    if "forward" in remedy and not shape.is_forward_sure:
+        other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
+        alike = f"front and rear look alike: if the image shows it backwards, give `forward` {other} instead"
+        return [VehicleProblem(text, remedy)], [alike]
     return [VehicleProblem(text, remedy)], []
 
 
@@ -538,7 +688,7 @@ def _place_findings(
     return shift_m, problems, hints
 
 
-def _part(file: trimesh.Scene, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Vertices in the file's frame, triangles and colours of a node; None where it has no triangles."""
     matrix, geometry_name = file.graph.get(name)
     geometry: Any = file.geometry[geometry_name]
@@ -551,33 +701,7 @@ def _part(file: trimesh.Scene, name: str) -> tuple[np.ndarray, np.ndarray, np.nd
     triangle = np.asarray(geometry.faces, np.int64)
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         triangle = triangle[:, ::-1]
-    return vertex, triangle, _colours(geometry, len(vertex))
-
-
-def _colours(geometry: Any, count: int) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
-    """Vertex colours, uint8 [vertex, 3]: the texture's at the vertices, the material's, or grey."""
-    visual = geometry.visual
-
-    def of_vertices() -> object:
-        return None if visual.kind == "texture" else visual.vertex_colors
-
-    def of_texture() -> object:
-        return visual.to_color().vertex_colors if visual.kind == "texture" and visual.uv is not None else None
-
-    def of_material() -> object:
-        return visual.material.main_color if visual.kind == "texture" else None
-
-    sources: tuple[Callable[[], object], ...] = (of_vertices, of_texture, of_material)
-    for source in sources:
-        try:
-            colour = np.asarray(source())
-        except Exception:
-            continue
-        if colour.shape in ((count, 3), (count, 4)):
-            return colour[:, :3].astype(np.uint8)
-        if colour.shape in ((3,), (4,)):
-            return np.tile(colour[:3].astype(np.uint8), (count, 1))
-    return np.tile(_GREY_RGB, (count, 1))
+    return vertex, triangle, vertex_rgb(geometry, is_plain=finder.lacks_materials)
 
 
 def _points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:

@@ -21,6 +21,7 @@ from warpav.core.yaml_file import Location, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
+from warpav.scene.vehicles import vehicle_file
 
 if TYPE_CHECKING:
     from warpav import Placement
@@ -114,7 +115,7 @@ def with_absolute_paths(config: Config) -> Config:
     overrides = []
     for option, value in (
         ("scenes.folder", config.scenes.folder),
-        ("scenes.ego", config.scenes.ego),
+        ("scenes.ego", None if vehicle_file(config.scenes.ego or "") else config.scenes.ego),
         ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
         ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),

@@ -33,6 +33,7 @@ from warpav.optimisation.settings import (
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS
+from warpav.scene.vehicles import vehicle_file, vehicle_names
 
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""
@@ -143,8 +144,12 @@ def _read_model(value: object) -> object:
 
 
 def _read_mesh_file(value: object) -> object:
-    if isinstance(value, str):
-        _existing_file(value, "the path of a mesh file, or null", [value], [])
+    if isinstance(value, str) and vehicle_file(value) is None:
+        names = vehicle_names()
+        expected = "the path of a mesh file, or null"
+        if not Path(value).suffix:  # a name rather than a file
+            expected = f"one of {', '.join(names)}, {expected}"
+        _existing_file(value, expected, [value], names)
     return _read_path(value)
 
 
@@ -201,8 +206,8 @@ class SceneConfig(Section):
         | None
     ) = Field(
         default=None,
-        description="mesh of your own vehicle, which takes the place of every scene's own; warpav vehicle check "
-        "examines and repairs it; null: the scene's own",
+        description="mesh of your own vehicle, which takes the place of every scene's own, or a name that warpav "
+        "vehicle list shows, such as bus; warpav vehicle check examines and repairs meshes; null: the scene's own",
     )
     mirror: bool = Field(
         default=False,

@@ -1,0 +1,333 @@
+"""Textures and materials of mesh files become vertex colours, in every format; what is missing is grey, and said."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from warpav.core.errors import InputError
+from warpav.scene.mesh_colours import GREY_RGB, FileFinder, corner_rgb
+from warpav.scene.own_vehicle import read_vehicle, read_vehicle_file
+
+# a texture of 2 x 2 texels, upper row first
+RED, GREEN, BLUE, WHITE = (200, 10, 20), (30, 180, 40), (50, 60, 220), (240, 241, 242)
+TEXTURE = np.array([[RED, GREEN], [BLUE, WHITE]], np.uint8)
+CORNER = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], float)
+UV = np.array([[0.1, 0.2], [0.9, 0.2], [0.9, 0.8], [0.1, 0.8]])
+EXPECTED = {(0, 0): BLUE, (4, 0): WHITE, (4, 2): GREEN, (0, 2): RED}
+"""Colours of the corners of the quad by x and y: v = 0 is the texture's lower row."""
+
+
+def write_texture(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(TEXTURE).save(path)
+
+
+def write_obj(path, *, texture="quad.png", options=""):
+    lines = ["mtllib quad.mtl"]
+    lines += [f"v {x} {y} {z}" for x, y, z in CORNER]
+    lines += [f"vt {u} {v}" for u, v in UV]
+    path.write_text("\n".join([*lines, "usemtl paint", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4"]) + "\n")
+    (path.parent / "quad.mtl").write_text(f"newmtl paint\nKd 0.588 0.588 0.588\nmap_Kd {options}{texture}\n")
+
+
+def write_gltf(path, *, factor=None):
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(TEXTURE), baseColorFactor=factor)
+    quad = trimesh.Trimesh(CORNER, [[0, 1, 2], [0, 2, 3]], process=False)
+    quad.visual = trimesh.visual.TextureVisuals(uv=UV, material=material)
+    if path.suffix == ".glb":
+        quad.export(path)
+        return
+    for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(quad)).items():
+        (path.parent / (path.name if name == "model.gltf" else name)).write_bytes(data)
+
+
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><unit name="foot" meter="0.3048"/><up_axis>{up}</up_axis></asset>
+  <library_images><image id="img"><init_from>{texture}</init_from></image></library_images>
+  <library_effects><effect id="fx"><profile_COMMON>
+    <newparam sid="surface"><surface type="2D"><init_from>img</init_from></surface></newparam>
+    <newparam sid="sampler"><sampler2D><source>surface</source></sampler2D></newparam>
+    <technique sid="common"><lambert><diffuse>{diffuse}</diffuse></lambert></technique>
+  </profile_COMMON></effect></library_effects>
+  <library_materials><material id="mat"><instance_effect url="#fx"/></material></library_materials>
+  <library_geometries><geometry id="geo"><mesh>
+    <source id="pos"><float_array id="pos-a" count="12">0 0 0 4 0 0 4 2 0 0 2 0</float_array>
+      <technique_common><accessor source="#pos-a" count="4" stride="3"/></technique_common></source>
+    <source id="uv"><float_array id="uv-a" count="12">0.1 0.2 7 0.9 0.2 7 0.9 0.8 7 0.1 0.8 7</float_array>
+      <technique_common><accessor source="#uv-a" count="4" stride="3"/></technique_common></source>
+    <vertices id="vtx"><input semantic="POSITION" source="#pos"/></vertices>
+    {faces}
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="vs"><node>{transform}
+    <instance_geometry url="#geo"><bind_material><technique_common>
+      <instance_material symbol="paint" target="#mat"/></technique_common></bind_material></instance_geometry>
+  </node></visual_scene></library_visual_scenes>
+  <scene><instance_visual_scene url="#vs"/></scene>
+</COLLADA>
+"""
+INPUTS = '<input semantic="VERTEX" source="#vtx" offset="0"/><input semantic="TEXCOORD" source="#uv" offset="1"/>'
+TRIANGLES = f'<triangles material="paint" count="2">{INPUTS}<p>0 0 1 1 2 2 0 0 2 2 3 3</p></triangles>'
+FACES = {
+    "triangles": TRIANGLES,
+    "polylist": f'<polylist material="paint" count="1">{INPUTS}<vcount>4</vcount><p>0 0 1 1 2 2 3 3</p></polylist>',
+    "polygons": f'<polygons material="paint" count="1">{INPUTS}<p>0 0 1 1 2 2 3 3</p></polygons>',
+    "tristrips": f'<tristrips material="paint" count="1">{INPUTS}<p>0 0 1 1 3 3 2 2</p></tristrips>',
+    "trifans": f'<trifans material="paint" count="1">{INPUTS}<p>0 0 1 1 2 2 3 3</p></trifans>',
+}
+TEXTURED = '<texture texture="sampler" texcoord="CHANNEL1"/>'
+
+
+def write_dae(path, *, faces="triangles", texture="quad.png", diffuse=TEXTURED, transform="", up="Z_UP"):
+    text = DAE.format(faces=FACES.get(faces, faces), texture=texture, diffuse=diffuse, transform=transform, up=up)
+    path.write_text(text)
+
+
+def colours(path):
+    """Colour of every corner of every triangle by its x and y, each one colour."""
+    file = read_vehicle_file(path)
+    found = {}
+    for corner in file.triangle.ravel():
+        x, y, _ = np.round(file.vertex[corner], 5)
+        found.setdefault((x, y), set()).add(tuple(file.vertex_rgb[corner].tolist()))
+    assert all(len(colour) == 1 for colour in found.values())
+    return {place: colour.pop() for place, colour in found.items()}
+
+
+@pytest.mark.parametrize("name", ["quad.obj", "quad.glb", "quad.gltf", "quad.dae"])
+def test_a_textured_quad_has_the_texture_at_its_corners(tmp_path, name):
+    write = {"obj": write_obj, "glb": write_gltf, "gltf": write_gltf, "dae": write_dae}[name.rpartition(".")[2]]
+    write(tmp_path / name)
+    write_texture(tmp_path / "quad.png")
+    assert colours(tmp_path / name) == EXPECTED
+    assert read_vehicle_file(tmp_path / name).notes == ()
+
+
+@pytest.mark.parametrize("faces", sorted(FACES))
+def test_every_kind_of_colladas_faces_is_read(tmp_path, faces):
+    write_dae(tmp_path / "quad.dae", faces=faces)
+    write_texture(tmp_path / "quad.png")
+    assert colours(tmp_path / "quad.dae") == EXPECTED
+    file = read_vehicle_file(tmp_path / "quad.dae")
+    corner = file.vertex[file.triangle]
+    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    np.testing.assert_allclose(doubled, [[0, 0, 8]] * 2)  # upwards, and half of the quad each
+    assert (file.usual.scale, file.usual.up) == (0.3048, "z")
+
+
+def test_colladas_nodes_turn_move_and_scale(tmp_path):
+    transform = "<translate>10 0 0</translate><rotate>0 0 1 90</rotate><scale>1 2 1</scale>"
+    write_dae(tmp_path / "quad.dae", transform=transform, up="Y_UP")
+    write_texture(tmp_path / "quad.png")
+    # (x, y) becomes (x, 2 y), then (-2 y, x), then 10 is added
+    assert colours(tmp_path / "quad.dae") == {(10 - 2 * y, x): rgb for (x, y), rgb in EXPECTED.items()}
+    assert read_vehicle_file(tmp_path / "quad.dae").usual.up == "y"
+
+
+def test_corners_that_share_a_place_and_not_a_colour_are_split(tmp_path):
+    write_obj(tmp_path / "quad.obj")
+    text = (tmp_path / "quad.obj").read_text().replace("f 1/1 3/3 4/4", "f 1/2 3/4 4/4")
+    (tmp_path / "quad.obj").write_text(text)
+    write_texture(tmp_path / "quad.png")
+    file = read_vehicle_file(tmp_path / "quad.obj")
+    at_origin = {tuple(file.vertex_rgb[k].tolist()) for k in file.triangle.ravel() if not file.vertex[k].any()}
+    assert at_origin == {BLUE, WHITE}
+
+
+@pytest.mark.parametrize(
+    ("named", "at"),
+    [
+        ("quad.png", "quad.png"),
+        ("quad.png", "../materials/textures/quad.png"),
+        ("../materials/textures/quad.png", "../materials/textures/quad.png"),
+        ("model://car/materials/textures/quad.png", "../materials/textures/quad.png"),
+        ("model://other/textures/quad.png", "../../other/textures/quad.png"),
+        ("C:\\Users\\me\\Quad.PNG", "textures/quad.png"),
+        ("quad%20one.png", "quad one.png"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["obj", "dae"])
+def test_textures_are_found_where_they_usually_lie(tmp_path, named, at, kind):
+    mesh = tmp_path / "car" / "meshes" / f"quad.{kind}"
+    mesh.parent.mkdir(parents=True)
+    (write_obj if kind == "obj" else write_dae)(mesh, texture=named)
+    write_texture(mesh.parent / at)
+    assert colours(mesh) == EXPECTED
+
+
+def test_options_of_a_map_are_no_part_of_its_name(tmp_path):
+    write_obj(tmp_path / "quad.obj", options="-s 1.0 1.0 1.0 -clamp on ")
+    write_texture(tmp_path / "quad.png")
+    assert colours(tmp_path / "quad.obj") == EXPECTED
+
+
+def test_plain_materials_without_a_texture(tmp_path):
+    write_obj(tmp_path / "quad.obj")
+    (tmp_path / "quad.mtl").write_text("newmtl paint\nKd 1.0 0.5 0.0\n")
+    assert set(colours(tmp_path / "quad.obj").values()) <= {(255, 127, 0), (255, 128, 0)}
+    write_dae(tmp_path / "quad.dae", diffuse="<color>1 0.5 0 1</color>")
+    assert set(colours(tmp_path / "quad.dae").values()) == {(255, 128, 0)}
+
+
+def test_the_factor_of_a_gltf_texture_multiplies_linear_light(tmp_path):
+    write_gltf(tmp_path / "quad.glb", factor=[0.5, 0.5, 0.5, 1.0])
+    (x, y), rgb = max(EXPECTED.items(), key=lambda item: sum(item[1]))
+    # half of the light of sRGB 240 is sRGB 175 or 176; half of the value would be 120
+    assert abs(colours(tmp_path / "quad.glb")[x, y][0] - 176) <= 2
+    assert rgb[0] == 240
+
+
+@pytest.mark.parametrize("kind", ["obj", "dae"])
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_texture_that_is_missing_or_broken_is_grey_and_said(tmp_path, kind, is_there):
+    (write_obj if kind == "obj" else write_dae)(tmp_path / f"quad.{kind}")
+    if is_there:
+        (tmp_path / "quad.png").write_bytes(b"no image")
+    assert set(colours(tmp_path / f"quad.{kind}").values()) == {tuple(GREY_RGB.tolist())}
+    assert read_vehicle_file(tmp_path / f"quad.{kind}").notes == (
+        "texture quad.png not found, or not readable: grey instead",
+    )
+
+
+def test_missing_materials_are_grey_and_said(tmp_path):
+    write_obj(tmp_path / "quad.obj")
+    (tmp_path / "quad.mtl").unlink()
+    assert set(colours(tmp_path / "quad.obj").values()) == {tuple(GREY_RGB.tolist())}
+    assert read_vehicle_file(tmp_path / "quad.obj").notes == (
+        "materials quad.mtl not found, or not readable: grey instead",
+    )
+
+
+def test_a_gltf_without_its_texture_is_grey_and_without_its_buffer_refused(tmp_path):
+    write_gltf(tmp_path / "quad.gltf")
+    tree = json.loads((tmp_path / "quad.gltf").read_text())
+    tree["images"] = [{"uri": "paint.png"}]
+    (tmp_path / "quad.gltf").write_text(json.dumps(tree))
+    grey = np.array(list(colours(tmp_path / "quad.gltf").values())).astype(int)
+    assert np.abs(grey - GREY_RGB).max() <= 1
+    assert "texture paint.png not found" in read_vehicle_file(tmp_path / "quad.gltf").notes[0]
+    for file in tmp_path.glob("*.bin"):
+        file.unlink()
+    with pytest.raises(InputError, match=r"quad\.gltf: vehicle: expected a readable gltf file, got: "):
+        read_vehicle_file(tmp_path / "quad.gltf")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("<COLLADA", "<OTHER"), "expected a readable dae file|expected a COLLADA file"),
+        (('source="#pos"', 'source="#none"'), "no element '#none'"),
+        (("2 2 0 0 2 2 3 3</p>", "2 2 0 0 2 2 9 3</p>"), "index 9 into 4 rows"),
+        (('count="4" stride="3"', 'count="40" stride="3"'), "of 12 numbers instead of 120"),
+        (("0 0 0 4 0 0", "0 0 0 four 0 0"), "could not convert string to float"),
+        ((TRIANGLES, ""), "expected a mesh with triangles, got none"),
+        (("<node>", '<node><instance_node url="#n"/></node><node id="n"><instance_node url="#n"/>'), "within nodes"),
+    ],
+)
+def test_broken_collada_is_refused_with_one_line(tmp_path, change, message):
+    write_dae(tmp_path / "quad.dae")
+    text = (tmp_path / "quad.dae").read_text()
+    assert change[0] in text
+    (tmp_path / "quad.dae").write_text(text.replace(*change))
+    with pytest.raises(InputError, match=message) as caught:
+        read_vehicle_file(tmp_path / "quad.dae")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a (readable obj file|mesh with triangles)"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\n", "expected a mesh with triangles, got none"),
+        ("v 0 0 0\nv nan 0 0\nv 1 1 0\nf 1 2 3\n", "finite|nan"),
+    ],
+)
+def test_empty_meshes_and_vertices_that_are_no_numbers_are_refused(tmp_path, text, message):
+    (tmp_path / "car.obj").write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_vehicle(tmp_path / "car.obj")
+    assert "\n" not in str(caught.value)
+
+
+def test_texels_at_the_borders_and_beyond(rng):
+    image = Image.fromarray(rng.integers(0, 256, (5, 7, 3), dtype=np.uint8))
+    texel = np.asarray(image)
+    for (u, v), (row, column) in {
+        (0.0, 0.0): (4, 0),
+        (1.0, 1.0): (0, 6),
+        (1.0, 0.0): (4, 6),
+        (1.5 / 7, 0.5 / 5): (4, 1),
+        (3 + 1.5 / 7, 0.5 / 5 - 2): (4, 1),
+    }.items():
+        np.testing.assert_array_equal(corner_rgb(np.array([[u, v]]), image)[0], texel[row, column])
+    np.testing.assert_array_equal(corner_rgb(np.array([[np.nan, 0.0]]), image)[0], GREY_RGB)
+
+
+def test_a_finder_says_once_what_is_missing(tmp_path):
+    finder = FileFinder(tmp_path / "car.obj")
+    assert finder.image("a.png") is None
+    assert finder.image("a.png") is None
+    with pytest.raises(FileNotFoundError, match=r"car\.bin"):
+        finder.get("car.bin")
+    assert len(finder.notes) == 1
+
+
+# ----------------------------------------------------------------------------------------------- as downloaded
+
+
+@pytest.mark.parametrize(
+    ("mesh", "textures"),
+    [
+        ("prius_hybrid/meshes/Hybrid.obj", {"Hybrid": "Hybrid.png", "Hybrid_Interior": "Hybrid_Interior.png"}),
+        ("hatchback/meshes/hatchback.obj", {"Hatchback": "hatchback.png", "Wheels3": "wheels3.png"}),
+        ("suv/meshes/suv.obj", {"SUV_Body": "suv.png", "SUV_Wheels": "wheels_01.png"}),
+        ("bus/meshes/bus.obj", {"Bus": "bus.png"}),
+    ],
+)
+def test_colours_are_the_textures_at_the_corners(vehicle_folder, mesh, textures):
+    path = vehicle_folder / mesh
+    file = read_vehicle_file(path)
+    assert not any("not found" in note for note in file.notes)
+    found = {tuple(np.round(vertex, 4)): set() for vertex in file.vertex}
+    for vertex, rgb in zip(file.vertex, file.vertex_rgb, strict=True):
+        found[tuple(np.round(vertex, 4))].add(tuple(rgb.tolist()))
+    # the file by hand: every 7th corner of its faces
+    vertex, uv, material, checked = [], [], None, 0
+    image = {
+        name: np.asarray(Image.open(path.parent.parent / "materials" / "textures" / file).convert("RGB"))
+        for name, file in textures.items()
+    }
+    for line in path.read_text().splitlines():
+        word = line.split()
+        if word[:1] == ["v"]:
+            vertex.append(tuple(np.round([float(each) for each in word[1:4]], 4)))
+        elif word[:1] == ["vt"]:
+            uv.append([float(each) for each in word[1:3]])
+        elif word[:1] == ["usemtl"]:
+            material = word[1]
+        elif word[:1] == ["f"] and material in image:
+            for corner in word[1:]:
+                v, t = (int(each) for each in corner.split("/")[:2])
+                height, width, _ = image[material].shape
+                share = np.array(uv[t - 1]) % 1.0
+                if np.abs(share - 0.5).max() > 0.4999:
+                    continue
+                rgb = image[material][int((1.0 - share[1]) * height), int(share[0] * width)]
+                assert tuple(rgb.tolist()) in found[vertex[v - 1]]
+                checked += 1
+    assert checked > 1000
+
+
+def test_a_copy_without_its_textures_says_which(vehicle_folder, tmp_path):
+    for name in ("Hybrid.obj", "Hybrid.mtl"):
+        shutil.copyfile(vehicle_folder / "prius_hybrid" / "meshes" / name, tmp_path / name)
+    notes = read_vehicle_file(tmp_path / "Hybrid.obj").notes
+    assert [note.split()[1].rpartition("/")[2] for note in notes] == [
+        "Hybrid.png",
+        "Wheels3.png",
+        "Hybrid_Interior.png",
+    ]

@@ -1,0 +1,216 @@
+"""Vehicles of others as downloaded, sizes that are doubted, and the vehicles that ship with warpav."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import warpav as wa
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.scene.own_vehicle import (
+    Reading,
+    examine,
+    is_plausible,
+    read_vehicle,
+    read_vehicle_file,
+    scale_of,
+    wheels_of,
+)
+from warpav.scene.simulator_model import simulator_model
+from warpav.scene.town.vehicle_shapes import vehicle_mesh
+from warpav.scene.vehicles import file_of, nearest_name, vehicle_about, vehicle_file, vehicle_names
+
+# length, width, height [m]; forward; unit, of the folder's README
+DOWNLOADED = {
+    "prius_hybrid/meshes/Hybrid.obj": ((4.62, 2.01, 1.54), "-y", 0.01),
+    "hatchback/meshes/hatchback.obj": ((4.00, 2.14, 1.57), "-y", 0.0254),
+    "suv/meshes/suv.obj": ((5.02, 2.60, 2.16), "y", 0.06),
+    "pickup/meshes/pickup.dae": ((5.66, None, None), "y", 0.0254),
+    "bus/meshes/bus.obj": ((12.49, 2.71, 3.7), "-y", 0.01),
+    "cc0/simple_car.glb": ((3.68, 1.47, 1.40), "-z", 1.0),
+}
+
+
+def remedy_of(found):
+    return {name: value for problem in found.problems for name, value in (problem.remedy or {}).items()}
+
+
+def as_suggested(path):
+    """The vehicle with what the examination suggests, and its reading."""
+    file = read_vehicle_file(path)
+    remedy = remedy_of(examine(file, file.usual))
+    scale = float(remedy["scale"]) if "scale" in remedy else None
+    reading = file.usual.changed(up=remedy.get("up"), forward=remedy.get("forward"), scale=scale)
+    found = examine(file, reading)
+    assert remedy_of(found) == {}
+    return found, reading
+
+
+@pytest.mark.parametrize("mesh", DOWNLOADED)
+def test_vehicles_of_others_have_their_size_and_axes(vehicle_folder, mesh):
+    size_m, forward, scale = DOWNLOADED[mesh]
+    found, reading = as_suggested(vehicle_folder / mesh)
+    assert reading.forward == forward
+    assert reading.scale == pytest.approx(scale)
+    measured_m = np.ptp(found.corrected.bounds_m(), axis=0)
+    for measured, expected in zip(measured_m, size_m, strict=True):
+        assert expected is None or measured == pytest.approx(expected, rel=0.03)  # worst seen .002
+    # the origin is on the ground, below the rear axle
+    wheels = wheels_of(found.corrected.vertex_m.astype(float)) or found.wheels
+    assert abs(found.corrected.bounds_m()[0, 2]) < 0.05
+    assert len(wheels.axle_m) == 2
+
+
+@pytest.mark.parametrize("mesh", [mesh for mesh in DOWNLOADED if not mesh.startswith("cc0")])
+def test_without_the_simulators_model_the_shape_says_the_same(vehicle_folder, mesh, tmp_path):
+    path = vehicle_folder / mesh
+    (tmp_path / path.name).write_bytes(path.read_bytes())
+    size_m, forward, scale = DOWNLOADED[mesh]
+    found, reading = as_suggested(tmp_path / path.name)
+    assert (reading.forward, reading.scale) == (forward, pytest.approx(scale))
+    assert np.ptp(found.corrected.bounds_m(), axis=0)[0] == pytest.approx(size_m[0], rel=0.03)
+
+
+# ----------------------------------------------------------------------------------------------- sizes
+
+
+def test_a_scale_makes_length_width_and_height_plausible_together():
+    # inches would make it 2.1 m long and .9 m high
+    kind, scale = scale_of(np.array([83.6691, 43.3957, 35.9423]))
+    assert (kind, scale) == ("an SUV", 0.06)
+    assert is_plausible(scale * np.array([83.6691, 43.3957, 35.9423]))
+    assert scale_of(np.array([461.8, 201.2, 153.7])) == ("centimetres", 0.01)
+    assert scale_of(np.array([157.5, 84.27, 61.73])) == ("inches", 0.0254)
+    assert scale_of(np.array([1249.0, 270.8, 369.8])) == ("centimetres", 0.01)
+    assert scale_of(np.array([12000.0, 2550.0, 3100.0])) == ("millimetres", 0.001)
+
+
+def car_of(length_m):
+    car = vehicle_mesh("saloon", np.array([200, 60, 50]), variant=0, scale=np.ones(3))
+    factor = length_m / float(np.ptp(car.vertex_m[:, 0]))
+    return Mesh(car.vertex_m * np.float32(factor), car.triangle, car.vertex_rgb)
+
+
+def save(mesh, path):
+    trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False).export(path)
+    return path
+
+
+def test_a_car_that_is_too_low_is_doubted_and_the_user_may_insist(tmp_path):
+    file = read_vehicle_file(save(car_of(2.6), tmp_path / "low.ply"))  # .8 m high
+    (problem, *_) = examine(file, file.usual).problems
+    assert problem.text.startswith("units: a vehicle 2.60 m long, ")
+    assert "is doubtful, expected a width of 1 to 3.5 m and a height of 1.1 to 4.6 m" in problem.text
+    assert "\n" not in problem.text
+    scale = float(problem.remedy["scale"])
+    assert 4.0 < 2.6 * scale < 5.2
+    found = examine(file, Reading("z", "x"), stated=frozenset({"scale"}))
+    assert not any(problem.text.startswith("units") for problem in found.problems)
+    assert any("is doubtful" in hint and "accepted as stated" in hint for hint in found.hints)
+
+
+@pytest.mark.parametrize("length_m", [3.7, 4.7, 5.5])
+def test_usual_cars_are_not_doubted(tmp_path, length_m):
+    file = read_vehicle_file(save(car_of(length_m), tmp_path / "car.ply"))
+    found = examine(file, file.usual)
+    assert not any("units" in problem.text for problem in found.problems)
+
+
+@pytest.mark.parametrize(
+    ("sdf", "expected"),
+    [
+        ("<pose>0 0 0 0 0 -1.57079632679</pose><geometry>{mesh}</geometry>", (0.06, "y")),
+        ("<pose>0 0 0 0 0 1.5708</pose><geometry>{mesh}</geometry>", (0.06, "-y")),
+        ("<pose>0 0 0 0 0 3.14159265</pose><geometry>{mesh}</geometry>", (0.06, "-x")),
+        ("<geometry>{mesh}</geometry>", (0.06, None)),
+        ("<pose>0 0 0 0.4 0 1.5708</pose><geometry>{mesh}</geometry>", (0.06, None)),
+        ("<geometry><mesh><uri>model://suv/meshes/other.obj</uri></mesh></geometry>", None),
+        ("<geometry><mesh><scale>1 2 1</scale><uri>suv.obj</uri></mesh></geometry>", None),
+        ("<geometry><mesh><scale>big</scale><uri>suv.obj</uri></mesh></geometry>", None),
+        ("<geometry>", None),
+    ],
+)
+def test_the_model_of_a_simulator_says_scale_and_front(tmp_path, sdf, expected):
+    mesh = "<mesh><scale>0.06 0.06 0.06</scale><uri>model://suv/meshes/suv.obj</uri></mesh>"
+    text = f"<sdf><model><link><visual>{sdf.format(mesh=mesh)}</visual></link></model></sdf>"
+    (tmp_path / "model.sdf").write_text(text)
+    found = simulator_model(tmp_path / "meshes" / "suv.obj")
+    assert (None if found is None else (found.scale, found.forward)) == expected
+
+
+# ----------------------------------------------------------------------------------------------- mirrors
+
+
+def test_mirrors_tell_the_front_of_a_bus_from_its_rear(tmp_path):
+    bus = vehicle_mesh("bus", np.array([200, 60, 50]), variant=0, scale=np.ones(3))
+    turned = Mesh(bus.vertex_m * np.float32([-1, -1, 1]), bus.triangle, bus.vertex_rgb)
+    for mesh, forward in ((bus, "x"), (turned, "-x")):
+        file = read_vehicle_file(save(mesh, tmp_path / "bus.ply"))
+        found = examine(file, file.usual)
+        assert (found.shape.forward, found.shape.is_forward_sure, found.shape.has_mirrors) == (forward, True, True)
+    assert any("mirrors are nearer to the assumed rear" in hint and "`forward` -x" in hint for hint in found.hints)
+
+
+def test_a_front_that_nothing_tells_is_said_to_be_a_guess(vehicle_folder):
+    file = read_vehicle_file(vehicle_folder / "cc0" / "truck.glb")  # no mirrors, cabin in the middle
+    found = examine(file, file.usual)
+    assert remedy_of(found) == {"forward": "-z"}
+    assert any("front and rear look alike" in hint and "`forward` z instead" in hint for hint in found.hints)
+
+
+# ----------------------------------------------------------------------------------------------- shipped
+
+SHIPPED = {
+    "bus": (7.57, 2.42, 3.31),
+    "minibus": (4.98, 1.88, 2.13),
+    "moving_truck": (9.23, 2.50, 2.85),
+    "truck": (5.25, 2.01, 1.98),
+}
+
+
+def test_these_vehicles_ship():
+    assert vehicle_names() == sorted(SHIPPED)
+    for name in vehicle_names():
+        assert vehicle_file(name).stat().st_size < 60_000
+        about = vehicle_about(name)
+        assert about.licence == "CC0 1.0"
+        assert "SMARTS" in about.source
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_a_shipped_vehicle_stands_on_its_wheels_above_its_rear_axle(name):
+    mesh = wa.read_vehicle(name)
+    low, high = mesh.bounds_m().astype(float)
+    np.testing.assert_allclose(high - low, SHIPPED[name], atol=0.01)  # as its README says
+    assert is_plausible(high - low)
+    assert abs(low[2]) < 0.01
+    found = examine(read_vehicle_file(vehicle_file(name)), Reading("y", "x"))
+    assert found.problems == ()
+    assert len(found.wheels.axle_m) == 2
+    assert abs(found.wheels.axle_m[0]) < 0.02
+    assert abs(found.wheels.centre_y_m) < 0.02
+    assert 0.5 < found.wheels.axle_m[1] / (high[0] - low[0]) < 0.8
+    assert len(np.unique(mesh.vertex_rgb, axis=0)) >= 5  # body, glass, tyres, rims, lamps
+    faces = mesh.vertex_m[mesh.triangle].astype(float)
+    volume = np.einsum("ij,ij->i", faces[:, 0], np.cross(faces[:, 1], faces[:, 2])).sum() / 6.0
+    assert 0.3 < volume / np.prod(high - low) < 1.0  # faces outwards
+
+
+def test_names_are_vehicles_and_paths_are_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert file_of("bus") == vehicle_file("bus")
+    assert file_of("./bus.glb").name == "bus.glb"
+    assert vehicle_file("bus.glb") is None
+    assert vehicle_file("../town/town") is None
+    assert nearest_name("truk") == "truck"
+    assert nearest_name("aeroplane") is None
+    with pytest.raises(InputError, match=r"expected one of bus, .*; did you mean minibus\?"):
+        read_vehicle("minibuss")
+
+
+def test_a_placement_takes_a_shipped_vehicle_by_its_name():
+    placement = wa.Placement(wa.town([0]), cameras=2, ego="bus", losses={"in_frame_rotation": 1.0}, config=wa.Config())
+    np.testing.assert_allclose(np.ptp(placement.ego.bounds_m(), axis=0), SHIPPED["bus"], atol=0.01)
+    assert str(placement.config.scenes.ego) == "bus"
+    with pytest.raises(InputError, match=r"got 'buss'; did you mean bus\?"):
+        wa.Placement(wa.town([0]), ego="buss")

@@ -1,0 +1,222 @@
+"""Colours of a mesh file at its vertices: textures sampled at the corners of the faces, materials, or grey.
+
+Files name their textures as the machine of their author had them. `FileFinder` looks for them where they usually lie
+beside the mesh, and remembers what it did not find.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+GREY_RGB = np.array([150, 152, 156], np.uint8)
+"""Colour of what has none."""
+
+MATERIAL_SUFFIX = ".mtl"
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
+
+_TEXTURE_FOLDERS = (".", "textures", "images", "../textures", "../materials/textures", "../materials", "../images")
+_SCHEMES = ("model://", "package://", "file://")
+_ANCESTOR_COUNT = 5
+_MAP_OPTION = re.compile(r"^-\w+(\s+(on|off|[-+]?[\d.]+))*\s+")
+
+
+class FileFinder:
+    """The files that a mesh file names: materials, textures, buffers. It is a resolver as trimesh takes them.
+
+    Attributes:
+        mesh: The mesh file.
+        missing: What it names and is not there, and images that cannot be read, in the order in which they were met.
+    """
+
+    def __init__(self, mesh: Path) -> None:
+        self.mesh = mesh
+        self.file_name = mesh.name
+        self.missing: list[str] = []
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is missing, a line for each file."""
+        return tuple(
+            f"{'materials' if name.lower().endswith(MATERIAL_SUFFIX) else 'texture'} {name} not found, or not "
+            "readable: grey instead"
+            for name in dict.fromkeys(self.missing)
+        )
+
+    @property
+    def lacks_materials(self) -> bool:
+        """Whether the file of the materials is not there."""
+        return any(name.lower().endswith(MATERIAL_SUFFIX) for name in self.missing)
+
+    def find(self, name: str) -> Path | None:
+        """The file of this name: where the mesh file says, else in the usual folders beside it; None without one."""
+        return next((found for each in self._candidates(_plain(name)) if (found := _on_disk(each))), None)
+
+    def image(self, name: str) -> Image | None:
+        """The image of this name; None, and remembered as missing, if it is not there or cannot be read."""
+        from PIL import Image
+
+        path = self.find(name)
+        if path is not None:
+            try:
+                with Image.open(path) as image:
+                    return image.convert("RGB")
+            except Exception:  # whatever Pillow raises for what is no image
+                pass
+        self.missing.append(_plain(name))
+        return None
+
+    def get(self, name: str) -> bytes:
+        """What the file of this name holds; of images that are not there a grey one, of materials none.
+
+        Raises:
+            FileNotFoundError: Another file is not there.
+        """
+        if _plain(name).lower().endswith(IMAGE_SUFFIXES):
+            from PIL import Image
+
+            image = self.image(name) or Image.new("RGB", (1, 1), tuple(GREY_RGB.tolist()))
+            data = io.BytesIO()
+            image.save(data, "PNG")
+            return data.getvalue()
+        path = self.find(name)
+        if path is not None:
+            return path.read_bytes()
+        if name.lower().endswith(MATERIAL_SUFFIX):
+            self.missing.append(_plain(name))
+            return b""
+        raise FileNotFoundError(f"{name} is not beside it")
+
+    def __getitem__(self, name: str) -> bytes:
+        return self.get(name)
+
+    def _candidates(self, name: str) -> Iterator[Path]:
+        folder = self.mesh.absolute().parent
+        scheme = next((each for each in _SCHEMES if name.startswith(each)), None)
+        if scheme is None:
+            yield folder / name
+        else:  # model://suv/materials/textures/wheels.png lies in a folder suv somewhere above, or this is suv renamed
+            inside = name.removeprefix(scheme).lstrip("/")
+            for above in (folder, *folder.parents)[:_ANCESTOR_COUNT]:
+                yield above / inside
+            for above in (folder, *folder.parents)[:2]:
+                yield above / inside.partition("/")[2]
+        last = PureWindowsPath(name).name  # with slashes and backslashes alike
+        for each in _TEXTURE_FOLDERS:
+            yield folder / each / last
+
+
+def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
+    """Colours of a texture at positions, of the nearest texel, the texture repeated beyond its borders.
+
+    Args:
+        uv: From the lower left corner (0, 0) to the upper right (1, 1), [corner, 2].
+        image: The texture.
+
+    Returns:
+        uint8 [corner, 3]; grey where a position is no number.
+    """
+    texel_rgb = np.asarray(image.convert("RGB"), np.uint8)
+    size = np.array([texel_rgb.shape[1], texel_rgb.shape[0]])
+    uv = np.asarray(uv, np.float64)[:, :2]
+    is_number = np.isfinite(uv).all(axis=1, keepdims=True)
+    uv = np.where(is_number, uv, 0.0)
+    is_inside = (uv >= 0.0) & (uv <= 1.0)
+    # 1 is the last texel's border, not the first one's again
+    share = np.where(is_inside, uv, uv - np.floor(uv))
+    share[:, 1] = 1.0 - share[:, 1]
+    column, row = np.minimum((share * size).astype(np.int64), size - 1).T
+    return np.where(is_number, texel_rgb[row, column], GREY_RGB)
+
+
+def vertex_rgb(geometry: Any, *, is_plain: bool = False) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
+    """Colours of a trimesh at its vertices, uint8 [vertex, 3]: its own, its texture's, its material's, or grey.
+
+    Args:
+        geometry: A trimesh; its vertices are split where texture coordinates differ.
+        is_plain: Whether its materials are missing.
+    """
+    count = len(geometry.vertices)
+    grey = np.tile(GREY_RGB, (count, 1))
+    visual = geometry.visual
+    try:
+        if visual.kind != "texture":
+            return _per_vertex(visual.vertex_colors, count)
+        material = visual.material
+        if is_plain:
+            return grey
+        return _per_vertex(_of_material(material, visual.uv), count)
+    except Exception:  # a visual that is broken is no reason not to use the shape
+        return grey
+
+
+def _of_material(material: Any, uv: np.ndarray | None) -> np.ndarray:  # noqa: ANN401
+    if hasattr(material, "baseColorFactor"):
+        if uv is None or material.baseColorTexture is None:
+            return np.asarray(material.main_color)  # as it is: who writes plain colours seldom means linear light
+        # glTF: the factor of a texture multiplies its linear light
+        light = _decoded(corner_rgb(uv, material.baseColorTexture))
+        return _encoded(light * _linear_factor(material.baseColorFactor))
+    image = getattr(material, "image", None)
+    if image is not None and uv is not None:
+        return corner_rgb(uv, image)  # Kd is left at .588 by exporters that mean the texture alone
+    return np.asarray(material.main_color)
+
+
+def _per_vertex(colour: object, count: int) -> np.ndarray:
+    array = np.asarray(colour)
+    if array.shape in ((count, 3), (count, 4)):
+        return array[:, :3].astype(np.uint8)
+    if array.shape in ((3,), (4,)):
+        return np.tile(array[:3].astype(np.uint8), (count, 1))
+    return np.tile(GREY_RGB, (count, 1))
+
+
+def _linear_factor(factor: object) -> np.ndarray:
+    if factor is None:
+        return np.ones(3)
+    array = np.asarray(factor)
+    is_byte = array.dtype == np.uint8
+    return (array.astype(np.float64) / (255.0 if is_byte else 1.0))[:3]
+
+
+def _decoded(rgb: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB colours."""
+    value = rgb.astype(np.float64) / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _encoded(light: np.ndarray) -> np.ndarray:
+    """SRGB colours of linear light, uint8."""
+    value = np.clip(light, 0.0, 1.0)
+    value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * value).astype(np.uint8)
+
+
+def _plain(name: str) -> str:
+    """A file's name without the options that OBJ's maps allow before it, and without percent signs of URIs."""
+    name = name.strip().strip('"')
+    while match := _MAP_OPTION.match(name):
+        name = name[match.end() :]
+    return unquote(name).replace("\\", "/")
+
+
+def _on_disk(path: Path) -> Path | None:
+    """The file, or one beside it whose name differs by upper and lower case alone."""
+    try:
+        if path.is_file():
+            return path
+        if not path.name or not path.parent.is_dir():
+            return None
+        return next((each for each in path.parent.iterdir() if each.name.lower() == path.name.lower()), None)
+    except (OSError, ValueError):
+        return None
