@@ -168,8 +168,8 @@ def paired_differences(
         seed: Of the resampling.
 
     Returns:
-        For every metric of `PAIRED_METRICS`, and of `WEIGHTED_METRICS` where both have them: ``mean``, ``low``, ``high``
-        and ``scenes`` of its `Difference`.
+        For every metric of `PAIRED_METRICS`, and of `WEIGHTED_METRICS` where both have them: ``mean``, ``low``,
+        ``high`` and ``scenes`` of its `Difference`.
     """
     result: dict[str, dict[str, Any]] = {}
     has_both = [name in optimised.per_scene and name in other.per_scene for name in WEIGHTED_METRICS]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -129,7 +130,8 @@ class Sector:
 
     def contains(self, azimuth_deg: np.ndarray) -> np.ndarray:
         """Whether azimuths [deg] are in it, whatever whole turns they are off; bool of their shape."""
-        return np.mod(np.asarray(azimuth_deg, np.float64) - self.from_deg, 360.0) < self.width_deg
+        turned_deg = np.mod(np.asarray(azimuth_deg, np.float64) - self.from_deg, 360.0)
+        return (turned_deg < self.width_deg) | (self.width_deg >= 360.0)  # rounding gives a whole turn for -1e-17
 
     def overlaps(self, other: Sector) -> bool:
         """Whether some azimuth is in both."""
@@ -160,7 +162,7 @@ def _read_distances(value: object) -> dict[float, float]:
         mistake(f"expected {_DISTANCE_TEXT}, got {shown(value)}")
     weights: dict[float, float] = {}
     for key, weight in value.items():
-        distance_m = number_in(key, METRES_PER_UNIT)
+        distance_m = number_in(f"{key} m" if re.fullmatch(r"[0-9.]+", str(key)) else key, METRES_PER_UNIT)
         if distance_m is None:
             mistake(f"expected {_DISTANCE_TEXT}, got {shown(key)} as a distance")
         last_m = next(reversed(weights), None)
