@@ -163,6 +163,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
         "free": _free(run),
+        "is_weighted": run.config is not None and run.config.importance.is_set,
         "outage": _outage(evaluation) if evaluation else None,
         "views": _views(run.views, [next(encoded) for _ in run.views]),
         "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
