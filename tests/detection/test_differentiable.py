@@ -283,7 +283,7 @@ def test_the_loss_joins_the_objective_and_its_gradient():
     share = alone.evaluate(POSE, [scene], gradient=True).gradient
     assert np.abs(share[:, :3]).max() > 1e-3
     np.testing.assert_allclose(first.gradient, plain.gradient + 3.0 * share, rtol=1e-4, atol=1e-5)
-    _, _, objective = joint.observe_rig(joint.mount.rig(POSE), scene)
+    _, _, objective, _ = joint.observe_rig(joint.mount.rig(POSE), scene)
     assert objective == pytest.approx(first.objective, rel=1e-3)
 
 

@@ -166,6 +166,9 @@ class Slope:
         self.total = total
         self.multipliers = []
 
+    def object_weight(self, scenes):
+        return None
+
     def evaluate(
         self, mount_pose, scenes, *, multiplier=None, gradient=False, schedule=None, detection_probability=False
     ):

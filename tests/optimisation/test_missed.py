@@ -97,7 +97,7 @@ def test_the_detector_corrects_the_probabilities(device, rng):
     detector = ConstantDetector(boxes, [np.array([0.9])] * 2)
     objective = objective_of(device, model=model, detector=detector, detector_share=0.5)
     [scene] = scenes_of(device, 10)
-    observation, _, _ = objective.observe_rig(objective.mount.rig(POSE), scene)
+    observation, *_ = objective.observe_rig(objective.mount.rig(POSE), scene)
     found = (observation.match >= 0).astype(float)
     p = 0.5 * probabilities(objective, POSE, scene.scene, model) + 0.5 * found
     assert objective.evaluate(POSE, [scene]).terms["expected_miss_rate"] == pytest.approx(
@@ -227,7 +227,7 @@ def test_repeats_bit_by_bit_and_gradient_is_optional(device):
 def test_a_rig_from_elsewhere_has_the_same_value(device, free):
     objective, [scene] = objective_of(device, free=free), scenes_of(device, 10)
     pose = POSE if free is None else POSE + np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.2, -0.2], np.float32)
-    _, _, value = objective.observe_rig(objective.mount.rig(pose), scene)
+    _, _, value, _ = objective.observe_rig(objective.mount.rig(pose), scene)
     assert value == pytest.approx(objective.evaluate(pose, [scene]).objective, rel=1e-4)
     assert (free is None) == (objective.evaluate(POSE, [scene]).objective == pytest.approx(value, rel=1e-3))
 

@@ -66,7 +66,7 @@ class FamiliarDetector:
     def __init__(self, device):
         self.known, self.answers, self.calls = [], [], []
         for scene in assigned_scenes(device):
-            observation, _, _ = look(objective_of(SilentDetector(), device), scene)
+            observation, *_ = look(objective_of(SilentDetector(), device), scene)
             for image_rgb, truth in zip(observation.image_rgb, observation.truth_box_px, strict=True):
                 size = truth[:, 2:] - truth[:, :2]
                 large = size.min(axis=1) >= MODEL.width_px / 16  # the others stay undetected
@@ -152,7 +152,7 @@ def test_value_is_the_mean_of_the_printed_losses(device):
     result = objective.evaluate(POSE, scenes)
     expected = np.zeros((2, 2))
     for row, item in zip(expected, scenes, strict=True):
-        observation, measures, alone = look(objective, item)
+        observation, measures, alone, _ = look(objective, item)
         value = measures.value.numpy()
         cars, bearings = np.flatnonzero(item.assigned_camera >= 0), []
         for k in cars:
@@ -180,7 +180,7 @@ def test_value_is_the_mean_of_the_printed_losses(device):
 
 def test_observation_puts_every_box_on_its_own_car(device):
     objective = objective_of(FamiliarDetector(device), device)
-    observation, measures, _ = look(objective, assigned_scenes(device)[0])
+    observation, measures, *_ = look(objective, assigned_scenes(device)[0])
     assert isinstance(observation, Observation)
     box = observation.matched_box_px()
     value = measures.value.numpy()

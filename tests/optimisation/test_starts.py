@@ -55,6 +55,9 @@ class Chances:
         self.knows = knows
         self.looked = []
 
+    def object_weight(self, scenes):
+        return None
+
     def chance(self, mount_pose):
         away_m = np.linalg.norm(mount_pose[:, None, [X_M, Y_M]] - self.place_m, axis=-1)
         return np.exp(-((away_m / 0.5) ** 2))

@@ -71,7 +71,7 @@ def test_losses_of_the_host_and_of_the_device_add_up(device):
     np.testing.assert_allclose(together.gradient, sum(each.gradient for each in alone), rtol=1e-4, atol=1e-6)
     again = objective_of((0.3, ExpectedMissRate()), (0.1, misses), (0.2, squares), device=device)
     rig = again.mount.rig(POSE)
-    _, _, observed = again.observe_rig(rig, scenes[0])
+    _, _, observed, _ = again.observe_rig(rig, scenes[0])
     assert observed == pytest.approx(again.evaluate(POSE, scenes[:1]).objective, rel=1e-4)
 
 

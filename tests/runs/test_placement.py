@@ -293,6 +293,33 @@ def test_a_function_of_the_probabilities_is_a_loss(train):
     np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-3, atol=1e-2 * np.abs(expected_slopes).max())
 
 
+def test_what_is_optimised_is_what_is_reported_with_weights(train):
+    """Objective and evaluation of one scene are one weighted mean of what the single cameras miss."""
+    weights = {"distance_m": {0: 1.0, 20: 4.0}, "sector_deg": [{"from": 90, "to": 270, "weight": 0.5}]}
+    placement = wa.Placement(train[:1], config=wa.Config.load("quick", "optimiser.starts=1"), importance=weights)
+    assert placement.config.importance.distance_m == {0.0: 1.0, 20.0: 4.0}
+    rig = Optimisation.begin(placement).start
+    missed = np.prod(1.0 - np.minimum(placement.detection_probabilities(rig), 0.9999), axis=0)
+    place_m = np.array([vehicle.box.center_m[:2] for vehicle in train[0].vehicles])
+    weight = np.where(np.hypot(*place_m.T) < 20.0, 1.0, 4.0) * np.where(place_m[:, 0] < 0.0, 0.5, 1.0)
+    assert len(set(weight)) > 2
+    expected = weight @ missed / weight.sum()
+    assert expected != pytest.approx(missed.mean(), abs=1e-3)
+    assert placement.value_and_grad(rig)[0] == pytest.approx(expected, rel=1e-5)
+    found = wa.evaluate(rig, train[:1], placement)
+    assert found.metrics["rig"].objective == pytest.approx(expected, rel=1e-4)
+    outages = found.camera_outage["rig"]
+    assert outages.weighted_expected_misses_per_100 == pytest.approx(100.0 * expected, rel=1e-4)
+    assert outages.expected_misses_per_100 == pytest.approx(100.0 * missed.mean(), rel=1e-4)
+    assert [each.camera for each in outages.cameras] == [camera.name for camera in rig.cameras]
+    detected = np.array([bool(seen.detected_by["rig"]) for seen in found.objects])
+    assert found.metrics["rig"].weighted_recall == pytest.approx(weight @ detected / weight.sum())
+    assert "weighted recall" in str(found.table())
+    assert "(worst)" in str(found.outage_table())
+    with pytest.raises(wa.InputError, match=r"importance\.category: .* got 'buss'; did you mean bus\?"):
+        wa.Placement(train[:1], importance={"category": {"buss": 2.0}}).prepare()
+
+
 def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(config, tmp_path, capsys):
     folder = RunFolder.create(
         config.model_copy(update={"run": config.run.model_copy(update={"out": tmp_path / "run"})}),

@@ -51,20 +51,22 @@ Degrees = Annotated[
 ]
 
 
+def number_in(value: object, unit_factor: Mapping[str, float]) -> float | None:
+    """A number, or a text with its unit, in the base unit; None where it is neither."""
+    match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]+)\s*", str(value))
+    if isinstance(value, str) and match and match[2] in unit_factor:
+        with contextlib.suppress(ValueError):
+            return float(match[1]) * unit_factor[match[2]]
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
 def range_reader(unit_factor: Mapping[str, float], expected: str, *, low: float, high: float) -> BeforeValidator:
     """Reads two ends of a range, each a number or a text with its unit, from ``low`` to ``high`` in the base unit."""
-
-    def number(value: object) -> float | None:
-        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]+)\s*", str(value))
-        if isinstance(value, str) and match and match[2] in unit_factor:
-            with contextlib.suppress(ValueError):
-                return float(match[1]) * unit_factor[match[2]]
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
     def read(value: object) -> tuple[float, float] | None:
         if value is None:
             return None
-        ends = [number(end) for end in value] if isinstance(value, (list, tuple)) else []
+        ends = [number_in(end, unit_factor) for end in value] if isinstance(value, (list, tuple)) else []
         if len(ends) != 2 or ends[0] is None or ends[1] is None or not low <= ends[0] < ends[1] <= high:
             mistake(f"expected {expected}, or null, got {shown(value)}")
         return ends[0], ends[1]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,13 +22,16 @@ from warpav.detection.average_precision import (
 )
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
+from warpav.detection.probability import Appearance
 from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
-from warpav.optimisation.mount import CameraMount, views_of_rig
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation.objective import RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.decide import Occlusion
+from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
@@ -45,6 +49,9 @@ PAIRED_METRICS = (
     "false_alarms_per_frame",
     "objective",
 )
+
+WEIGHTED_METRICS = ("weighted_recall", "weighted_misses_per_100")
+"""Metrics that exist where the objects have weights (section ``importance``); likewise defined per scene."""
 
 EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 """False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
@@ -134,7 +141,10 @@ class ArmMetrics:
         frames: Number of images.
         recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
             ``road_user``, each a `GroupRecall` by the group's name.
-        per_scene: The metrics of `PAIRED_METRICS` scene by scene.
+        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `WEIGHTED_METRICS` where they exist.
+        weighted_recall: As `rig_recall`, each object counted by its weight; None where no weights are set, or all are
+            0.
+        weighted_misses_per_100: 100 (1 - `weighted_recall`), beside `misses_per_100`.
     """
 
     map50_average: float | None
@@ -167,6 +177,13 @@ class ArmMetrics:
     frames: int
     recall_by: dict[str, dict[str, GroupRecall]]
     per_scene: dict[str, list[float | None]]
+    weighted_recall: float | None = None
+    weighted_misses_per_100: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has them; without weights the metrics of weights are left out."""
+        found = asdict(self)
+        return {name: value for name, value in found.items() if value is not None or name not in WEIGHTED_METRICS}
 
 
 class ObjectOutcome(StrEnum):
@@ -207,11 +224,14 @@ class RigObservation:
         observations: One per camera model; its cameras in the order of the rig.
         in_frame: Whether some part of an object lies in some camera's image, occluded or not, bool [object].
         camera: Index in the rig of every camera of the concatenated observations.
+        detection_probability: That each camera of the rig detects each object, by the model of detection probability,
+            float [camera, object]; None where no model is known for these cameras.
     """
 
     observations: list[Observation]
     in_frame: np.ndarray
     camera: list[int]
+    detection_probability: np.ndarray | None = None
 
     @property
     def cameras(self) -> list[CameraObservation]:
@@ -280,8 +300,21 @@ class RigObserver:
         occlusion: Occlusion,
         supersampling: int,
         device: str,
+        camera_probability: CameraProbability | None = None,
     ) -> None:
-        """Create the renderers; cameras of one model share one."""
+        """Create the renderers; cameras of one model share one.
+
+        Args:
+            rig: The rig.
+            detector: Runs on the images.
+            confidence_min: Least confidence of a true positive.
+            iou_min: Least intersection over union of a true positive.
+            occlusion: What hides an object.
+            supersampling: Samples per pixel along each axis.
+            device: Warp device.
+            camera_probability: How likely a camera of this rig is to detect; None: it is not asked for.
+        """
+        self._probability = camera_probability
         self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         self._groups: list[tuple[Renderer, Rig]] = []
@@ -295,7 +328,7 @@ class RigObserver:
 
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
-        observations, area_px = [], []
+        observations, area_px, found = [], [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
@@ -309,8 +342,23 @@ class RigObserver:
                 iou_min=self._iou_min,
             )
             observations.append(observation)
-            area_px.append(_amodal_area_px(frame.measure(), forward_view))
-        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera)
+            measures = frame.measure()
+            area_px.append(_amodal_area_px(measures, forward_view))
+            if self._probability is not None:
+                found.append(_detection_probability(self._probability, frame, scene, views, measures))
+        probability = np.concatenate(found)[np.argsort(self._camera)] if found else None
+        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
+
+
+def _detection_probability(
+    model: CameraProbability, frame: Frame, scene: DeviceScene, views: PlacedViews, measures: Measures
+) -> np.ndarray:
+    """Probability that each view detects each object, float [view, object]."""
+    if scene.vehicle_count == 0:
+        return np.zeros((frame.view_count, 0), np.float32)
+    appearance = Appearance.of(frame, scene, measures=measures)
+    seen = model.model.on_tape(appearance, views.position_ego_m, views.camera_from_ego)
+    return (model.share_of_box(seen) or seen.probability).numpy()
 
 
 def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
@@ -349,6 +397,14 @@ class SceneObservations:
     observations: list[RigObservation]
     losses: list[float]
 
+    @property
+    def detection_probability(self) -> np.ndarray | None:
+        """That each camera detects each object, the objects scene by scene, float [camera, object]; None: unknown."""
+        found = [each.detection_probability for each in self.observations if each.detection_probability is not None]
+        if not found or len(found) < len(self.observations):
+            return None
+        return np.concatenate(found, axis=1)
+
 
 def observe_scenes(
     rig: Rig,
@@ -356,6 +412,7 @@ def observe_scenes(
     objective: RigObjective,
     *,
     with_objective: bool = True,
+    with_probability: bool = False,
 ) -> SceneObservations:
     """Observe scenes through the cameras of a rig.
 
@@ -366,6 +423,8 @@ def observe_scenes(
             whose cameras all have the mount's model (of any zoom, where that is free); everything else is measured with
             the rig's own cameras.
         with_objective: Whether to evaluate the objective.
+        with_probability: Whether to ask for the detection probabilities where the objective does not need them; they
+            are known of cameras of the mount's model.
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
@@ -380,14 +439,16 @@ def observe_scenes(
             occlusion=objective.occlusion,
             supersampling=objective.supersampling,
             device=objective.device,
+            camera_probability=objective.camera_probability if with_probability and is_of_mount else None,
         )
     observations: list[RigObservation] = []
     losses = []
     for assigned in scenes:
         if observer is None:
-            observation, measures, loss = objective.observe_rig(rig, assigned)
+            observation, measures, loss, probability = objective.observe_rig(rig, assigned)
             is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
-            observations.append(RigObservation([observation], is_in_frame, list(range(len(rig.cameras)))))
+            camera = list(range(len(rig.cameras)))
+            observations.append(RigObservation([observation], is_in_frame, camera, probability))
             losses.append(loss)
         else:
             observations.append(observer.observe(assigned.scene))
@@ -409,6 +470,12 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
     detected_there = [each.is_detected_at(threshold, objective.iou_min) for each in observations]
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
+    weights = None if objective.importance is None else [objective.importance.weights(scene) for scene in scenes]
+    weighted_recall, weighted_of_scene = None, {}
+    if weights is not None:
+        weighted_recall = _weighted_mean(flags[1], np.concatenate([np.zeros(0), *weights]))
+        recalls = [_weighted_mean(*both) for both in zip(detected, weights, strict=True)]
+        weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -425,7 +492,7 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         tp_in_frame_rate=_mean(np.concatenate(in_frame)),
         rig_recall=whole.recall,
         rig_recall_visible=whole.recall_visible,
-        misses_per_100=_misses_per_100(whole),
+        misses_per_100=_misses(whole.recall),
         recall_at_equal_false_alarms=_mean(np.concatenate(detected_there)),
         confidence_at_equal_false_alarms=threshold,
         visible_rate=_mean(flags[0]),
@@ -443,14 +510,17 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
             "tp_detection_rate": [each.recall for each in of_scene],
             "rig_recall": [each.recall for each in of_scene],
             "rig_recall_visible": [each.recall_visible for each in of_scene],
-            "misses_per_100": [_misses_per_100(each) for each in of_scene],
+            "misses_per_100": [_misses(each.recall) for each in of_scene],
             "recall_at_equal_false_alarms": [_mean(each) for each in detected_there],
             "tp_in_frame_rate": [_mean(each) for each in in_frame],
             "detection_confidence": [_mean(values) for values in confidence],
             "ap50_pooled": boxes.ap50_of_scenes(),
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
+            **weighted_of_scene,
         },
+        weighted_recall=weighted_recall,
+        weighted_misses_per_100=_misses(weighted_recall),
     )
 
 
@@ -555,8 +625,14 @@ def _recall_by(
     }
 
 
-def _misses_per_100(group: GroupRecall) -> float | None:
-    return None if group.recall is None else 100.0 * (1.0 - group.recall)
+def _misses(recall: float | None) -> float | None:
+    """Misses per 100."""
+    return None if recall is None else 100.0 * (1.0 - recall)
+
+
+def _weighted_mean(flags: np.ndarray, weight: np.ndarray) -> float | None:
+    """Share of the weight that is flagged, None without any weight."""
+    return float(weight @ flags / weight.sum()) if weight.any() else None
 
 
 def _number(value: float) -> float | None:

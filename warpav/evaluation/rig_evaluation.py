@@ -5,11 +5,18 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError
-from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, PAIRED_METRICS, ArmMetrics, ObjectOutcome
+from warpav.evaluation.camera_outage import CameraOutages
+from warpav.evaluation.metrics import (
+    EQUAL_FALSE_ALARMS_PER_FRAME,
+    PAIRED_METRICS,
+    WEIGHTED_METRICS,
+    ArmMetrics,
+    ObjectOutcome,
+)
 from warpav.evaluation.statistics import Difference, paired_difference, paired_differences
 from warpav.rig.rig import Rig
 
@@ -18,7 +25,9 @@ if TYPE_CHECKING:
 
 TABLE_ROWS = {
     "rig_recall": "recall of the rig",
+    "weighted_recall": "weighted recall",
     "misses_per_100": "misses per 100",
+    "weighted_misses_per_100": "weighted misses per 100",
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms a frame",
     "rig_recall_visible": "recall of the visible",
     "visible_rate": "visible to the rig",
@@ -32,7 +41,7 @@ TABLE_ROWS = {
     "min_camera_distance_m": "closest cameras [m]",
     "body_share_max": "own body, largest share of an image",
 }
-"""Metrics that a table shows, and their headings."""
+"""Metrics that a table shows, and their headings; those of weights where these are set."""
 
 
 CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
@@ -112,12 +121,15 @@ class RigEvaluation:
         metrics: Their metrics by name.
         scenes: Names of the scenes.
         objects: Every object of the scenes, and what becomes of it.
+        camera_outage: What each rig is expected to miss without any one of its cameras, by name; None for rigs whose
+            detection probabilities are not known, see `outage_table`.
     """
 
     rigs: dict[str, Rig]
     metrics: dict[str, ArmMetrics]
     scenes: tuple[str, ...]
     objects: tuple[SeenObject, ...]
+    camera_outage: dict[str, CameraOutages | None] = field(default_factory=dict)
 
     @property
     def recall(self) -> dict[str, float | None]:
@@ -135,7 +147,7 @@ class RigEvaluation:
         Args:
             one: Name of a rig.
             other: Name of another.
-            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`.
+            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`, or where weights are set of `WEIGHTED_METRICS`.
 
         Raises:
             InputError: There is no rig or metric of a name.
@@ -143,8 +155,9 @@ class RigEvaluation:
         for argument, name in (("one", one), ("other", other)):
             if name not in self.metrics:
                 raise ArgumentError(argument, f"expected one of {', '.join(self.metrics)}, got {name!r}")
-        if metric not in PAIRED_METRICS:
-            raise ArgumentError("metric", f"expected one of {', '.join(PAIRED_METRICS)}, got {metric!r}")
+        metrics = [*PAIRED_METRICS, *(name for name in WEIGHTED_METRICS if name in self.metrics[one].per_scene)]
+        if metric not in metrics:
+            raise ArgumentError("metric", f"expected one of {', '.join(metrics)}, got {metric!r}")
         return paired_difference(self.metrics[one].per_scene[metric], self.metrics[other].per_scene[metric])
 
     def table(self) -> Table:
@@ -155,8 +168,30 @@ class RigEvaluation:
         rows = [
             (heading, *(_cell(getattr(metrics, field)) for metrics in self.metrics.values()))
             for field, heading in TABLE_ROWS.items()
+            if field not in WEIGHTED_METRICS or any(getattr(each, field) is not None for each in self.metrics.values())
         ]
         return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), CAPTION)
+
+    def outage_table(self, name: str | None = None) -> Table:
+        """What a rig is expected to miss without each of its cameras: text when printed, HTML in a notebook.
+
+        Args:
+            name: Of the rig; None: the first.
+
+        Raises:
+            InputError: There is no such rig, or the detection probabilities of its cameras are not known: they are of
+                cameras of the placement's model, where its objective needs them.
+        """
+        name = next(iter(self.rigs)) if name is None else name
+        if name not in self.rigs:
+            raise ArgumentError("name", f"expected one of {', '.join(self.rigs)}, got {name!r}")
+        found = self.camera_outage.get(name)
+        if found is None:
+            raise ArgumentError(
+                "name", f"expected a rig whose detection probabilities are known, in scenes with objects, got {name!r}"
+            )
+        columns, rows = outage_rows(found.to_json())
+        return Table((f"{name} without", *columns), tuple((first, *cells) for first, *cells in rows))
 
     def to_pandas(self) -> pandas.DataFrame:
         """The metrics as a table of pandas: one row a rig, one column a metric.
@@ -170,7 +205,7 @@ class RigEvaluation:
             raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
         skipped = ("body_share", "recall_by", "per_scene")
         rows = {
-            name: {field: value for field, value in asdict(metrics).items() if field not in skipped}
+            name: {field: value for field, value in metrics.to_json().items() if field not in skipped}
             for name, metrics in self.metrics.items()
         }
         return pandas.DataFrame.from_dict(rows, orient="index")
@@ -180,8 +215,11 @@ class RigEvaluation:
         first, *others = self.metrics
         return {
             "scenes": {"test": len(self.scenes)},
-            "arms": {name: asdict(metrics) for name, metrics in self.metrics.items()},
+            "arms": {name: metrics.to_json() for name, metrics in self.metrics.items()},
             "paired": {name: paired_differences(self.metrics[first], self.metrics[name]) for name in others},
+            "camera_outage": {
+                name: None if found is None else found.to_json() for name, found in self.camera_outage.items()
+            },
         }
 
     def outcomes(self) -> list[dict[str, Any]]:
@@ -203,6 +241,27 @@ class RigEvaluation:
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_()
+
+
+def outage_rows(outage: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings, and a row of text for each camera that is gone, of ``camera_outage`` of a rig in ``evaluation.json``.
+
+    The first row is the whole rig; the first cell of a row is the camera's name, without a heading.
+    """
+    names = ["expected_misses_per_100", "difference_per_100"]
+    columns = ["expected misses per 100", "difference"]
+    if "weighted_expected_misses_per_100" in outage:
+        names += [f"weighted_{name}" for name in names]
+        columns += [f"weighted {column}" for column in columns]
+    whole = ["no camera", *(f"{outage[name]:.2f}" if name in outage else "" for name in names)]
+    rows = [
+        [
+            each["camera"] + (" (worst)" if each["camera"] == outage["worst"] else ""),
+            *(f"{each[name]:{'+' if 'difference' in name else ''}.2f}" for name in names),
+        ]
+        for each in outage["cameras"]
+    ]
+    return columns, [whole, *rows]
 
 
 def _cell(value: float | None) -> str:

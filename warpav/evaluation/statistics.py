@@ -7,6 +7,7 @@ well. All bootstrap intervals are bias-corrected and accelerated (BCa).
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics
+from warpav.evaluation.metrics import PAIRED_METRICS, WEIGHTED_METRICS, ArmMetrics
 
 RESAMPLES = 9999
 LEVEL = 0.95
@@ -167,10 +168,12 @@ def paired_differences(
         seed: Of the resampling.
 
     Returns:
-        For every metric of `PAIRED_METRICS`: ``mean``, ``low``, ``high`` and ``scenes`` of its `Difference`.
+        For every metric of `PAIRED_METRICS`, and of `WEIGHTED_METRICS` where both have them: ``mean``, ``low``,
+        ``high`` and ``scenes`` of its `Difference`.
     """
     result: dict[str, dict[str, Any]] = {}
-    for name in PAIRED_METRICS:
+    has_both = [name in optimised.per_scene and name in other.per_scene for name in WEIGHTED_METRICS]
+    for name in (*PAIRED_METRICS, *itertools.compress(WEIGHTED_METRICS, has_both)):
         found = asdict(paired_difference(optimised.per_scene[name], other.per_scene[name], seed=seed))
         result[name] = {key: found[key] for key in ("mean", "low", "high", "scenes")}
     return result

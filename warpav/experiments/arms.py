@@ -410,6 +410,7 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
         mount=mount,
         constraints=placement.objective.constraints,
         scene_count=len(values.scenes),
+        weight=values.object_weight,
         camera_renders_max=_budget(placement, camera_renders_max),
     )
     began, step = time.perf_counter(), None
@@ -630,7 +631,8 @@ def _columns(history: Sequence[SearchRecord]) -> dict[str, list[Any]]:
 
 def _greedy(placement: Placement) -> Search:
     detections = detections_of(placement.objective, placement.train)
-    return partial(greedy_cover, detections=detections, yaw_count=GREEDY_DIRECTIONS)
+    weight = placement.objective.object_weight(placement.train)
+    return partial(greedy_cover, detections=detections, yaw_count=GREEDY_DIRECTIONS, object_weight=weight)
 
 
 METHODS: dict[str, Finder] = {

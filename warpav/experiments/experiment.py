@@ -36,7 +36,7 @@ from warpav.experiments.result_folder import (
 )
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.presets import preset_names
@@ -354,7 +354,7 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.began_as)
     if task.is_judged:
-        tested: dict[str, Any] = {"metrics": asdict(evaluate_rig(found.rig, scenes, evaluation.objective))}
+        tested: dict[str, Any] = {"metrics": evaluate_rig(found.rig, scenes, evaluation.objective).to_json()}
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
@@ -389,9 +389,12 @@ def _objective_of_scene(evaluation: Placement, found: FoundRig, scenes: Sequence
     values = rig_values_of(evaluation.objective, scenes)
     if isinstance(values, SingleCameraValues):
         of_scene = np.split(values.detection_probability(pose), np.cumsum(counts)[:-1], axis=1)
+        weights = [evaluation.objective.object_weight([each]) for each in scenes]
         return [
-            values.weight * expected_miss_rate(each) if count else None
-            for each, count in zip(of_scene, counts, strict=True)
+            values.weight * expected_miss_rate(each, shares_of(weight))
+            if count and (weight is None or weight.any())
+            else None
+            for each, count, weight in zip(of_scene, counts, weights, strict=True)
         ]
     return [
         evaluation.objective.evaluate(pose, [each]).objective if count else None

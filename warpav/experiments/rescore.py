@@ -233,7 +233,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     traffic = traffic_of_process(config, NullProgress())
     placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
-    metrics = asdict(evaluate_rig(rig, placement.test, placement.objective, with_objective=False))
+    metrics = evaluate_rig(rig, placement.test, placement.objective, with_objective=False).to_json()
     old = read_json(task.source / RESULTS / f"{task.name}.json")
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]

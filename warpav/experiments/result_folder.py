@@ -114,7 +114,10 @@ def _options(config: Config) -> dict[str, Any]:
     values = {
         name: value
         for name, value in option_values(config).items()
-        if name not in ("run.seed", "run.out") and not name.startswith("executor.")
+        if name not in ("run.seed", "run.out")
+        and not name.startswith("executor.")
+        # results from before there were weights are those of no weights
+        and (value or not name.startswith("importance."))
     }
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"

@@ -18,8 +18,9 @@ from warpav.core.progress import NullProgress, Progress
 from warpav.experiments.experiment import outcomes, traffic_of_process
 from warpav.experiments.result_folder import RESULTS, read_json
 from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.decide import Occlusion
@@ -28,6 +29,7 @@ from warpav.runs.environment import environment
 from warpav.runs.mounts import constraints_of
 from warpav.runs.placement import needed_fit
 from warpav.runs.run_folder import RUNS_FOLDER
+from warpav.scene.device_scene import DeviceScene
 
 NAME = "scene_count"
 SCHEMA = "warpav-scene-count/1"
@@ -211,7 +213,11 @@ def _run(task: _Search) -> dict[str, Any]:
     order = np.random.default_rng(config.run.seed).permutation(len(scenes.train))
     train = [scenes.train[k] for k in sorted(order[: task.scene_count])]
     constraints = constraints_of(config, scenes.mount.surface, scenes.mount.frozen)
-    optimiser = config.optimiser
+    importance, optimiser = Importance.of(config.importance), config.optimiser
+
+    def weight_of(scenes: Sequence[DeviceScene]) -> np.ndarray | None:
+        return None if importance is None else importance.weights_of(scenes)
+
     settings = PoolSearchSettings(
         task.pool_cameras,
         optimiser.pool_rounds,
@@ -231,6 +237,7 @@ def _run(task: _Search) -> dict[str, Any]:
                 start=highest_mount_pose(constraints, config.rig.cameras),
                 settings=settings,
                 seed=config.run.seed,
+                object_weight=weight_of(train),
             )
         )
     )
@@ -249,7 +256,7 @@ def _run(task: _Search) -> dict[str, Any]:
         "camera_renders": found.camera_renders,
         "seen": found.objective,
         "bound": max((state.bound for state in states if state.stage == "selection"), default=0.0),
-        "unseen": expected_miss_rate(unseen),
+        "unseen": expected_miss_rate(unseen, shares_of(weight_of(scenes.test))),
         "seconds": seconds,
         "mount_pose": found.mount_pose.astype(float).tolist(),
         "states": [

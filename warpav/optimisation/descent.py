@@ -242,7 +242,10 @@ class Descent:
         first = best.index(lowest(best)) * count + np.arange(count)
         frozen = self._mount.frozen
         chosen = exchange_cameras(
-            np.concatenate(probability), first, is_frozen=None if frozen is None else frozen.is_frozen
+            np.concatenate(probability),
+            first,
+            is_frozen=None if frozen is None else frozen.is_frozen,
+            weight=self.objective.object_weight(self.validation or self.scenes),
         )
         self._check(np.concatenate([each.mount_pose for each in best])[chosen])
 

@@ -78,7 +78,7 @@ class Exchange:
         schedule: LossSchedule,
         *,
         weight: Sequence[float] | np.ndarray,
-        count: Sequence[int] | np.ndarray,
+        count: Sequence[float] | np.ndarray,
         host_weight: Sequence[float] = (),
     ) -> None:
         """Begin a step: one copy to the device, and gradients and sums of 0."""
@@ -90,7 +90,7 @@ class Exchange:
             multiplier,
             [schedule.panorama_share, schedule.detector_share],
             weight,
-            np.maximum(count, 1),
+            np.where(np.asarray(count) > 0, count, 1),
             [0.0],
         ]
         self._sent.assign(np.concatenate([np.asarray(each, np.float32) for each in numbers]))

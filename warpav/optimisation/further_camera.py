@@ -6,9 +6,9 @@ some of what S leaves over::
     f(S) = mean over o of m_o,      m_o = product over i in S of (1 - p_io)
     f(S) - f(S + c) = mean over o of m_o p_co
 
-The gain on the right is exact for the whole camera. It is also minus the derivative by x_c of the objective with shares
-of cameras, the mean of the products of (1 - x_i p_io), at the rig: the reduced cost of a column there, as
-`selection.price` has it for the bound.
+Where objects have weights, the mean is weighted. The gain on the right is exact for the whole camera. It is also minus
+the derivative by x_c of the objective with shares of cameras, the mean of the products of (1 - x_i p_io), at the rig:
+the reduced cost of a column there, as `selection.price` has it for the bound.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class FurtherCameras:
         pitch_rad: Nose down [rad], float64 [camera].
         fov_rad: Horizontal field of view [rad], float64 [camera].
         gain: Share of the objects that the rig with this one more camera is expected to find and the rig alone is not,
-            0..1, float64 [camera]; on the scenes of the search.
+            by their weights where these are set, 0..1, float64 [camera]; on the scenes of the search.
     """
 
     position_m: np.ndarray
@@ -116,13 +116,16 @@ def missed_probability(detection_probability: np.ndarray) -> np.ndarray:
     return np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
 
 
-def further_gain(missed: np.ndarray, detection_probability: np.ndarray) -> np.ndarray:
+def further_gain(missed: np.ndarray, detection_probability: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
     """The gain of each camera over a rig, 0..1, float64 [camera]; see the module.
 
     Args:
         missed: The probability that the rig misses each object, 0..1, float [object].
         detection_probability: Of each further camera for each object, 0..1, float [camera, object].
+        weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
     """
+    if weight is not None:
+        missed = missed * (weight / np.mean(weight))
     gain = np.empty(len(detection_probability))
     for first in range(0, len(gain), _BLOCK):  # matrices may be large, and kept in half precision
         found = np.asarray(detection_probability[first : first + _BLOCK], np.float64)
@@ -137,6 +140,7 @@ def further_cameras(
     *,
     mount: CameraMount,
     constraints: Constraints,
+    weight: np.ndarray | None = None,
 ) -> FurtherCameras:
     """What each camera of a pool would add to a rig; those that stand too near to one of its cameras are left out.
 
@@ -146,8 +150,9 @@ def further_cameras(
         rig: Which of them are the rig, int [camera of the rig].
         mount: Says where they stand.
         constraints: Ask for the spacing.
+        weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
     """
-    gain = further_gain(missed_probability(detection_probability[rig]), detection_probability)
+    gain = further_gain(missed_probability(detection_probability[rig]), detection_probability, weight)
     position_m = mount.position_m(mount_pose)
     apart_m = np.linalg.norm(position_m[:, None] - position_m[rig], axis=2).min(axis=1)
     one_of_each = np.unique(pose_keys(mount_pose), return_index=True)[1]

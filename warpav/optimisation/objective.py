@@ -20,6 +20,7 @@ from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.exchange import Exchange
+from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.lagrangian import Lagrangian
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
@@ -86,6 +87,7 @@ class RigObjective:
         losses: Every loss with its weight.
         constraints: Where the cameras may stand.
         camera_count: Number of cameras.
+        importance: Weights of the objects; None: all 1.
         final_schedule: How the losses are at the end of an optimisation; rigs are compared with it.
     """
 
@@ -103,6 +105,7 @@ class RigObjective:
         iou_min: float = 0.5,
         occlusion: Occlusion = Occlusion.PAIRWISE,
         supersampling: int = 1,
+        importance: Importance | None = None,
     ) -> None:
         """Objective for rigs of ``camera_count`` cameras of the mount's model.
 
@@ -119,6 +122,7 @@ class RigObjective:
             iou_min: Least intersection over union of a true positive.
             occlusion: What hides a vehicle.
             supersampling: Samples per pixel along each axis.
+            importance: Weights of the objects; None: all 1.
 
         Raises:
             InputError: There is no loss, two have one name, or one needs something that is not there: the detection
@@ -136,12 +140,14 @@ class RigObjective:
         self.iou_min = iou_min
         self.occlusion = occlusion
         self.supersampling = supersampling
+        self.importance = importance
         self.device = mount.device
         self.final_schedule = LossSchedule(detector_share=max(loss.detector_share for _, loss in self.losses))
         self._objective = Objective(
             tuple(loss for _, loss in self.losses if isinstance(loss, DeviceLoss)),
             tuple(loss for _, loss in self.losses if isinstance(loss, HostLoss)),
             camera_probability if self._needs(self.final_schedule).detection_probability else None,
+            importance,
         )
         device_weights = [weight for weight, loss in self.losses if isinstance(loss, DeviceLoss)]
         self._loop = DetectorInLoop(detector)
@@ -195,6 +201,16 @@ class RigObjective:
         """Scale of every constraint of the thesis: the largest of the weights."""
         return max(weight for weight, _ in self.losses)
 
+    def object_weight(self, scenes: Sequence[AssignedScene]) -> np.ndarray | None:
+        """Weight of the objects of some scenes, one scene after the other, float64 [object]; None: all 1."""
+        return None if self.importance is None else self.importance.weights_of(each.scene for each in scenes)
+
+    def _count(self, loss: Loss, scenes: Sequence[AssignedScene]) -> float:
+        """What the mean of a loss over some scenes is over: the sum of `Loss.count`, or of weights; never 0."""
+        weight = self.object_weight(scenes) if loss.weighs_objects else None
+        total = sum(loss.count(each.scene) for each in scenes) if weight is None else float(weight.sum())
+        return total if total > 0 else 1
+
     def _needs(self, schedule: LossSchedule) -> Needs:
         """What the losses need together."""
         return reduce(or_, (loss.needs(schedule) for _, loss in self.losses), Needs())
@@ -231,7 +247,7 @@ class RigObjective:
         pose = np.asarray(mount_pose, np.float32)
         views, exchange = self._views_for(schedule), self._exchange
         multiplier = np.zeros(len(self.constraints.names), np.float32) if multiplier is None else multiplier
-        count = {loss.name: max(sum(loss.count(assigned.scene) for assigned in scenes), 1) for _, loss in self.losses}
+        count = {loss.name: self._count(loss, scenes) for _, loss in self.losses}
         # the mean over scenes is linear, so every scene can send its share of the gradient back at once
         share = {loss.name: weight * (1.0 / count[loss.name]) for weight, loss in self.losses}
         device, host = self._objective.device, self._objective.host
@@ -295,7 +311,7 @@ class RigObjective:
         pose, exchange, schedule = np.asarray(mount_pose, np.float32), self._exchange, self.final_schedule
         views = self._views_for(schedule)
         device = self._objective.device
-        share = [1.0 / max(sum(loss.count(each.scene) for each in scenes), 1) for loss in device]
+        share = [1.0 / self._count(loss, scenes) for loss in device]
         constraint_count = len(self.constraints.names)
 
         def send(weight: np.ndarray) -> wp.Tape:
@@ -464,11 +480,12 @@ class RigObjective:
         observed.step.set_boxes(matched_boxes_px(match, detections))
         observed.step.set_detected(match >= 0)
 
-    def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float]:
+    def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float, np.ndarray | None]:
         """What a rig that stands anywhere sees of one scene.
 
         Returns:
-            The detections, the measures of all views, and the objective of this scene alone.
+            The detections; the measures of all views; the objective of this scene alone; and the probability that each
+            camera detects each object, by the model alone, float [camera, object], None where no loss needs it.
         """
         at = self._views_for(self.final_schedule)
         views = views_of_rig(
@@ -505,6 +522,7 @@ class RigObjective:
             at.ahead,
             self._objective.camera_probability,
             observation.truth_box_px,
+            self._objective.object_weight(scene),
         )
         value = 0.0
         for weight, loss in self.losses:
@@ -513,8 +531,17 @@ class RigObjective:
             else:
                 assert isinstance(loss, HostLoss)
                 found, _ = loss.on_host(seen, None, None)
-            value += weight * (1.0 / max(loss.count(scene), 1)) * found
-        return observation, measures, value
+            value += weight * (1.0 / self._count(loss, [assigned])) * found
+        return observation, measures, value, _probability_of(seen)
+
+
+def _probability_of(seen: SceneOnTape) -> np.ndarray | None:
+    """Probability that each camera detects each object of a scene, float [camera, object]; None without a model."""
+    if seen.camera_probability is None:
+        return None
+    if seen.scene.vehicle_count == 0:
+        return np.zeros((seen.camera_count, 0), np.float32)
+    return seen.detection_probability.numpy()
 
 
 def _side_by_side(losses: Sequence[SceneLosses]) -> np.ndarray | None:

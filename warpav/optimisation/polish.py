@@ -67,6 +67,11 @@ def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | N
     return float(missed.mean() if weight is None else weight @ missed)
 
 
+def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
+    """Weights of objects, at least 0 and not all 0, divided by their sum, as `expected_miss_rate` takes them."""
+    return None if weight is None else np.asarray(weight, np.float64) / np.sum(weight)
+
+
 def polish(
     mount_pose: np.ndarray,
     detect: Callable[[np.ndarray], Detected],

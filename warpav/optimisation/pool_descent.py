@@ -75,6 +75,7 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
+        self._object_weight = objective.object_weight(scenes)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -87,6 +88,7 @@ class PoolDescent:
             executor=executor,
             cache=cache,
             progress=progress,
+            object_weight=self._object_weight,
         )
 
     @property
@@ -144,6 +146,7 @@ class PoolDescent:
             rig,
             mount=objective.mount,
             constraints=objective.constraints,
+            weight=self._object_weight,
         )
 
     def state(self) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
+from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
@@ -128,6 +128,7 @@ def pool_search(
     executor: Executor | None = None,
     cache: Path | None = None,
     progress: Progress | None = None,
+    object_weight: np.ndarray | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -143,6 +144,8 @@ def pool_search(
         executor: Where the pool is drawn.
         cache: Folder that keeps what is drawn; None: nothing is kept.
         progress: Shows the drawing of the pool.
+        object_weight: Of the objects of all scenes, one scene after the other, at least 0, not all 0, float [object];
+            None: all alike. Miss rates and bounds are weighted means.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -156,7 +159,7 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed)
+    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight)
     yield from search.states(start, executor, cache, progress)
     yield search.found("settled")
 
@@ -176,9 +179,11 @@ class _Search:
         camera_count: int,
         settings: PoolSearchSettings,
         seed: int,
+        object_weight: np.ndarray | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints
         self.camera_count, self.settings, self.seed = camera_count, settings, seed
+        self.object_weight = object_weight
         self.assembly = _Assembly(cameras.mount, camera_count)
         self.began = time.perf_counter()
         self.pool: CameraPool
@@ -226,7 +231,8 @@ class _Search:
             pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
         )
         if start is not None:
-            self._is_better(start, expected_miss_rate(self.pool.detection_probability[: self.camera_count]))
+            of_start = self.pool.detection_probability[: self.camera_count]
+            self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)))
             yield self.found("start")
         if self.settings.polishes:
             yield from self._improved()
@@ -309,6 +315,7 @@ class _Search:
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints),
             required=np.arange(len(self.assembly.frozen)),
+            weight=self.object_weight,
             start=known,
             gap=gap,
             time_limit_s=self.settings.selection_time_s,
@@ -338,6 +345,7 @@ class _Search:
             mount=self.cameras.mount,
             constraints=self.constraints,
             scene_count=len(self.scenes),
+            weight=self.object_weight,
             camera_renders_max=self._left,
         )
         is_better = True
@@ -390,7 +398,9 @@ class _Search:
         conflict = too_near(pool.mount_pose, self.constraints)
         near = (conflict + conflict.T)[:, rig].toarray()
         unit, held = step_unit(self.cameras.mount), len(self.assembly.frozen)
-        return Replacements(pool.mount_pose, pool.detection_probability, rig, near, unit, held=held)
+        return Replacements(
+            pool.mount_pose, pool.detection_probability, rig, near, unit, held=held, weight=self.object_weight
+        )
 
     def _rows_of_best(self) -> np.ndarray:
         """The cameras of the best rig in the pool, the frozen ones first, int [camera]."""
@@ -436,7 +446,7 @@ class _Search:
             conflict=too_near(pool.mount_pose[around], self.constraints),
             required=np.arange(len(self.assembly.frozen)),
             rows=(),
-            weight=None,
+            weight=self.object_weight,
         )
         rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])
         self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(miss_rate[0]))

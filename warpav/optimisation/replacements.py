@@ -27,8 +27,8 @@ class Replacements:
     """A rig of a pool, and what would come of it with one camera replaced.
 
     Attributes:
-        missed_by_others: Share that the other cameras miss, for each camera that may be replaced, float64 [slot,
-            object].
+        missed_by_others: Share that the other cameras miss, for each camera that may be replaced, times the weight of
+            the object, float64 [slot, object].
         miss_rate: Expected miss rate with a camera of the pool instead, infinite where it stands too near to another,
             float64 [camera, slot].
     """
@@ -42,6 +42,7 @@ class Replacements:
         unit: np.ndarray,
         *,
         held: int = 0,
+        weight: np.ndarray | None = None,
     ) -> None:
         """All replacements of a single camera.
 
@@ -52,12 +53,15 @@ class Replacements:
             conflict: Which cameras are too near to each of these, bool [camera, rig camera].
             unit: Of each number, 0 where it is not free, float [7].
             held: So many of the rig's cameras, the first ones, stay.
+            weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
         """
         self._pose, self._unit = np.asarray(mount_pose, np.float64), unit
         self._of_slot = rig[held:]
         missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
         others = [np.delete(np.arange(len(rig)), slot) for slot in range(held, len(rig))]
         self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
+        if weight is not None:
+            self.missed_by_others = self.missed_by_others * (weight / np.mean(weight))
         too_near = np.stack([conflict[:, each].any(axis=1) for each in others], axis=1)
         self.miss_rate = np.where(too_near, np.inf, missed @ self.missed_by_others.T / missed.shape[1])
 

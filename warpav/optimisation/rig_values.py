@@ -9,7 +9,7 @@ import numpy as np
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
@@ -37,7 +37,8 @@ def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> R
     cameras = single_cameras_of(objective)
     if cameras is not None:
         [(weight, _)] = objective.losses
-        return SingleCameraValues(cameras, [each.scene for each in scenes], weight=weight)
+        object_weight = objective.object_weight(scenes)
+        return SingleCameraValues(cameras, [each.scene for each in scenes], weight=weight, object_weight=object_weight)
     return lambda rigs: (objective.evaluate(pose, scenes).objective for pose in rigs)
 
 
@@ -50,11 +51,19 @@ class SingleCameraValues:
         cameras: What the cameras are, and how likely one is to detect.
         scenes: The scenes.
         weight: Of the expected miss rate in the value.
+        object_weight: Of each object of the scenes in the expected miss rate, float64 [object]; None: all alike.
     """
 
-    def __init__(self, cameras: SingleCameras, scenes: Sequence[DeviceScene], *, weight: float = 1.0) -> None:
+    def __init__(
+        self,
+        cameras: SingleCameras,
+        scenes: Sequence[DeviceScene],
+        *,
+        weight: float = 1.0,
+        object_weight: np.ndarray | None = None,
+    ) -> None:
         """Values on some scenes, which are on the device of the mount."""
-        self.cameras, self.scenes, self.weight = cameras, tuple(scenes), weight
+        self.cameras, self.scenes, self.weight, self.object_weight = cameras, tuple(scenes), weight, object_weight
         self._looked: list[tuple[np.ndarray, np.ndarray]] = []
 
     def __call__(self, rigs: np.ndarray) -> Iterator[float]:
@@ -63,8 +72,9 @@ class SingleCameraValues:
         pose = rigs.reshape(rig_count * camera_count, -1)
         found = self.detection_probability(pose)
         self._looked.append((pose, found))
+        share = shares_of(self.object_weight)
         for of_rig in found.reshape(rig_count, camera_count, -1):
-            yield self.weight * expected_miss_rate(of_rig)
+            yield self.weight * expected_miss_rate(of_rig, share)
 
     def detection_probability(self, mount_pose: np.ndarray) -> np.ndarray:
         """The probability that each camera detects each object, float32 [camera, object], the objects scene by scene.

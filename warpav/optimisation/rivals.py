@@ -115,6 +115,7 @@ def selected_search(
         space.camera_count,
         conflict=too_near(pose[row], space.constraints),
         required=np.arange(held),
+        weight=single.object_weight,
         start=start,
         gap=gap,
         time_limit_s=time_limit_s,
@@ -263,7 +264,14 @@ def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> D
     return detections
 
 
-def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, detections: Detections, yaw_count: int = 8) -> None:
+def greedy_cover(
+    value: BudgetedValue,
+    rng: np.random.Generator,
+    *,
+    detections: Detections,
+    yaw_count: int = 8,
+    object_weight: np.ndarray | None = None,
+) -> None:
     """Greedy set cover on a discretised mount surface.
 
     Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they detect. Then one camera
@@ -276,6 +284,7 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, detections: 
         rng: Breaks ties.
         detections: See `detections_of`; a camera costs as many renders as there are scenes.
         yaw_count: Directions at each place, at least 1, the first at yaw 0.
+        object_weight: Of the objects of all scenes, at least 0, not all 0, float [object]; None: all alike.
 
     Raises:
         ValueError: Yaws are not free over the whole circle, or the budget does not pay for one place.
@@ -291,7 +300,7 @@ def greedy_cover(value: BudgetedValue, rng: np.random.Generator, *, detections: 
     candidate = _candidates(value, candidate_count // yaw_count, yaw_count)
     value.spend(len(candidate) * value.scene_count)
     detected = np.asarray(detections(candidate), np.float64)
-    missed = np.ones(detected.shape[1])
+    missed = np.ones(detected.shape[1]) if object_weight is None else object_weight / np.mean(object_weight)
     chosen = []
     order = rng.permutation(len(detected))
     for _ in range(space.camera_count):

@@ -14,11 +14,13 @@ import warp as wp
 
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.exchange import Exchange
+from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.loss import DeviceLoss, HostLoss
 from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.renderer import Renderer
+from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,18 @@ class Objective:
         device: The losses that kernels compute, in their order.
         host: The losses that the host computes, in their order.
         camera_probability: How likely a camera is to detect; None where no loss needs it.
+        importance: Weights of the objects; None: all 1.
     """
 
     device: tuple[DeviceLoss, ...]
     host: tuple[HostLoss, ...] = ()
     camera_probability: CameraProbability | None = None
+    importance: Importance | None = None
+
+    def object_weight(self, scene: DeviceScene) -> wp.array:
+        """Weight of every object of a scene on its device, float [object]."""
+        weight = np.ones(scene.vehicle_count) if self.importance is None else self.importance.weights(scene)
+        return wp.array(weight, dtype=float, device=scene.raster.device)
 
 
 class RigViews:
@@ -126,6 +135,7 @@ class SceneStep:
         self._truth_box_px: np.ndarray | None = None
         self._assigned_camera = assigned.assigned_camera
         self._assigned_on_device = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
+        self._object_weight = objective.object_weight(scene)
         self.image = renderer.kept_image(camera_count)
         has_probability = objective.camera_probability is not None and scene.vehicle_count > 0
         self.losses = SceneLosses(
@@ -181,6 +191,7 @@ class SceneStep:
                 views.ahead,
                 objective.camera_probability,
                 self._truth_box_px,
+                self._object_weight,
             )
             losses = [loss.on_tape(scene) for loss in objective.device]
             for loss, weight in zip(objective.host, exchange.host_weight, strict=True):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, create_model, model_validator
+import numpy as np
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, create_model, model_validator
 
-from warpav.core.section import Section, mistake
-from warpav.core.units import Degrees, Metres
+from warpav.core.section import Expectation, Section, mistake, shown
+from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, Degrees, Metres, number_in
 from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
@@ -103,6 +107,147 @@ class LossSettings(LossWeights):
     def one_field(self) -> list[str]:
         """Names of the losses that take part and take one field of view for all cameras."""
         return [name for name, weight in self.weights.items() if weight and LOSSES[name].one_field]
+
+
+@dataclass(frozen=True)
+class Sector:
+    """A range of azimuths with a weight.
+
+    Attributes:
+        from_deg: Its right edge, which belongs to it; 0 is straight ahead, left positive [deg].
+        to_deg: Its left edge, above ``from_deg`` by at most 360, which does not [deg].
+        weight: Of what is in it, at least 0.
+    """
+
+    from_deg: float
+    to_deg: float
+    weight: float
+
+    @property
+    def width_deg(self) -> float:
+        """From edge to edge [deg]."""
+        return self.to_deg - self.from_deg
+
+    def contains(self, azimuth_deg: np.ndarray) -> np.ndarray:
+        """Whether azimuths [deg] are in it, whatever whole turns they are off; bool of their shape."""
+        turned_deg = np.mod(np.asarray(azimuth_deg, np.float64) - self.from_deg, 360.0)
+        return (turned_deg < self.width_deg) | (self.width_deg >= 360.0)  # rounding gives a whole turn for -1e-17
+
+    def overlaps(self, other: Sector) -> bool:
+        """Whether some azimuth is in both."""
+        return bool(self.contains(np.array(other.from_deg)) or other.contains(np.array(self.from_deg)))
+
+
+_CATEGORY_TEXT = "a table of categories and weights, such as {pedestrian: 2.0}"
+_DISTANCE_TEXT = "a table of rising distances from 0 m on and weights, such as {0: 2.0, 20: 1.0, 50: 0.5}"
+_SECTOR_TEXT = "a list of sectors, such as [{from: -30, to: 30, weight: 2.0}]"
+
+
+def _weight(value: object, of: str) -> float:
+    """A weight of a table; ``of`` is what it is of."""
+    number = number_in(value, {})
+    if number is None or not 0.0 <= number < math.inf:
+        mistake(f"expected a finite weight of at least 0 for {of}, got {shown(value)}")
+    return number
+
+
+def _read_categories(value: object) -> dict[str, float]:
+    if not isinstance(value, dict) or not all(isinstance(name, str) and name for name in value):
+        mistake(f"expected {_CATEGORY_TEXT}, got {shown(value)}")
+    return {name.lower(): _weight(weight, name) for name, weight in value.items()}
+
+
+def _read_distances(value: object) -> dict[float, float]:
+    if not isinstance(value, dict):
+        mistake(f"expected {_DISTANCE_TEXT}, got {shown(value)}")
+    weights: dict[float, float] = {}
+    for key, weight in value.items():
+        distance_m = number_in(f"{key} m" if re.fullmatch(r"[0-9.]+", str(key)) else key, METRES_PER_UNIT)
+        if distance_m is None:
+            mistake(f"expected {_DISTANCE_TEXT}, got {shown(key)} as a distance")
+        last_m = next(reversed(weights), None)
+        if last_m is None and distance_m != 0.0:
+            mistake(f"expected 0 as the first distance, got {distance_m:g}")
+        if last_m is not None and not last_m < distance_m < math.inf:
+            mistake(f"expected rising distances, got {distance_m:g} after {last_m:g}")
+        weights[distance_m] = _weight(weight, f"{distance_m:g} m")
+    if weights and not any(weights.values()):
+        mistake("expected a weight above 0 at some distance, got only zeros")
+    return weights
+
+
+def _read_sectors(value: object) -> tuple[Sector, ...]:
+    sectors: list[Sector] = []
+    for item in value if isinstance(value, (list, tuple)) else [value]:
+        if isinstance(item, Sector):
+            item = _written_sector(item)  # noqa: PLW2901
+        if not isinstance(item, dict) or item.keys() != {"from", "to", "weight"}:
+            mistake(f"expected {_SECTOR_TEXT}, got {shown(item)}")
+        low, high = (number_in(item[end], DEGREES_PER_UNIT) for end in ("from", "to"))
+        if low is None or high is None or not math.isfinite(low + high):
+            mistake(f"expected angles in degrees as from and to, got {shown([item['from'], item['to']])}")
+        if not low < high <= low + 360.0:
+            hint = f"; write {low:g} to {high + 360.0:g}" if low - 360.0 < high < low else ""
+            mistake(f"expected sectors that end above their start, by at most 360, got {low:g} to {high:g}{hint}")
+        sectors.append(Sector(low, high, _weight(item["weight"], f"the sector from {low:g} to {high:g} deg")))
+    for one, other in itertools.combinations(sectors, 2):
+        if one.overlaps(other):
+            edges = f"{one.from_deg:g} to {one.to_deg:g} and {other.from_deg:g} to {other.to_deg:g}"
+            mistake(f"expected sectors that do not overlap, got {edges}")
+    if sum(each.width_deg for each in sectors) >= 360.0 and not any(each.weight for each in sectors):
+        mistake("expected a weight above 0 in some direction, got only zeros all around")
+    return tuple(sectors)
+
+
+def _written_distances(weights: dict[float, float]) -> dict[str, float]:
+    """As files have it: names of a table are text, so distances carry their unit."""
+    return {f"{int(each) if each.is_integer() else each} m": weight for each, weight in weights.items()}
+
+
+def _written_sector(sector: Sector) -> dict[str, float]:
+    return {"from": sector.from_deg, "to": sector.to_deg, "weight": sector.weight}
+
+
+class ImportanceSettings(Section):
+    """What matters: weights of road users in objective and metrics, relative to their mean; theirs is the product."""
+
+    category: Annotated[
+        dict[str, float],
+        BeforeValidator(_read_categories),
+        Expectation(_CATEGORY_TEXT),
+        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
+    ] = Field(
+        default={},
+        description="by category, such as lorry, or by kind: vehicle, pedestrian, cyclist; of both the category "
+        "counts; 1 for others",
+    )
+    distance_m: Annotated[
+        dict[float, float],
+        BeforeValidator(_read_distances),
+        PlainSerializer(_written_distances),
+        Expectation(_DISTANCE_TEXT),
+        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
+    ] = Field(
+        default={},
+        description="by horizontal distance of the box's centre from the ego frame's origin, in steps: each weight "
+        "holds from its distance up to the next",
+    )
+    sector_deg: Annotated[
+        tuple[Sector, ...],
+        BeforeValidator(_read_sectors),
+        PlainSerializer(lambda sectors: [_written_sector(each) for each in sectors]),
+        Expectation(_SECTOR_TEXT),
+        WithJsonSchema({"type": "array", "items": {"type": "object"}}),
+    ] = Field(
+        default=(),
+        description="by azimuth of the box's centre in the ego frame, 0 ahead, left positive; a sector includes its "
+        "start; 1 outside of all",
+    )
+
+    @property
+    def is_set(self) -> bool:
+        """Whether anything is."""
+        return bool(self.category or self.distance_m or self.sector_deg)
 
 
 class VisibilitySettings(Section):

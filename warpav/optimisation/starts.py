@@ -93,7 +93,12 @@ def evaluate_starts(
         if len(starts) == count - 1 and len(starts) == len(probability) > 1:
             best = int(np.argmin([each.value for each in starts]))
             first = best * space.camera_count + np.arange(space.camera_count)
-            chosen = exchange_cameras(np.concatenate(probability), first, is_frozen=space.is_frozen)
+            chosen = exchange_cameras(
+                np.concatenate(probability),
+                first,
+                is_frozen=space.is_frozen,
+                weight=objective.object_weight(scenes),
+            )
             evaluate(np.concatenate([each.mount_pose for each in starts])[chosen])
         else:
             evaluate(next(rigs))
@@ -104,7 +109,11 @@ def evaluate_starts(
 
 
 def exchange_cameras(
-    detection_probability: np.ndarray, chosen: np.ndarray, *, is_frozen: np.ndarray | None = None
+    detection_probability: np.ndarray,
+    chosen: np.ndarray,
+    *,
+    is_frozen: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
 ) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
@@ -115,6 +124,7 @@ def exchange_cameras(
         detection_probability: Probability p that each candidate finds each object, float [candidate, object].
         chosen: Candidates that the rig begins with, int [camera].
         is_frozen: Cameras that are not exchanged, bool [camera]; None: none.
+        weight: Of each object, at least 0, float [object]; None: all alike.
 
     Returns:
         Candidates, int [camera]; one may be there twice.
@@ -125,6 +135,8 @@ def exchange_cameras(
         before = chosen.copy()
         for camera in range(len(chosen)) if is_frozen is None else np.flatnonzero(~is_frozen):
             others = np.prod(missed[np.delete(chosen, camera)], axis=0)
+            if weight is not None:
+                others = others * weight
             loss = missed @ others
             best = int(np.argmin(loss))
             # what only rounding tells apart would be exchanged for ever

@@ -7,7 +7,8 @@ from typing import Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.metrics import metrics_of, observe_scenes
+from warpav.evaluation.camera_outage import CameraOutages
+from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.assignment import AssignedScene
 from warpav.rig.rig import Rig
@@ -83,7 +84,9 @@ def evaluate_on(
     """
     began_as = {} if began_as is None else began_as
     observations = {
-        name: observe_scenes(rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective)
+        name: observe_scenes(
+            rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective, with_probability=True
+        )
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }
     packed = [assigned.scene for assigned in scenes]
@@ -92,4 +95,14 @@ def evaluate_on(
         {name: metrics_of(observed, placement.objective) for name, observed in observations.items()},
         tuple(scene.name for scene in packed),
         seen_objects(observations, packed, rigs),
+        {name: _outages_of(observed, placement) for name, observed in observations.items()},
     )
+
+
+def _outages_of(observed: SceneObservations, placement: Placement) -> CameraOutages | None:
+    """A rig without each of its cameras; None where it is not known what they detect."""
+    found, importance = observed.detection_probability, placement.objective.importance
+    if found is None:
+        return None
+    weight = None if importance is None else importance.weights_of(observed.scenes)
+    return CameraOutages.of([camera.name for camera in observed.rig.cameras], found, weight)

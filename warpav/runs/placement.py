@@ -25,6 +25,7 @@ from warpav.optimisation.assignment import (
     cameras_of,
     nearest_cameras,
 )
+from warpav.optimisation.importance import Importance, check_categories
 from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import Loss, LossSchedule
 from warpav.optimisation.losses.options import LossOptions, Reference
@@ -34,6 +35,7 @@ from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.segregation import Segregation, choose_orientations
+from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
@@ -145,6 +147,7 @@ class Placement:
         freeze: str | Sequence[str] = (),
         rig: RigConfig | Mapping[str, Any] | None = None,
         losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
+        importance: ImportanceSettings | Mapping[str, Any] | None = None,
         probability: DetectionProbability | None = None,
         config: Config | None = None,
     ) -> None:
@@ -166,6 +169,7 @@ class Placement:
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+            importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
@@ -197,6 +201,7 @@ class Placement:
             "rig.start": "random" if start_rig is not None else None if start is None else str(start),
             "rig.freeze": None if start is None else [],
             "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
+            "importance": None if importance is None else _section(importance),
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
             **_scene_options(train, validation, base),
         }
@@ -242,8 +247,10 @@ class Placement:
             start: The rig that ``rig.start`` means, where it has been read already.
 
         Raises:
-            InputError: The rig of ``rig.start`` cannot be used.
+            InputError: The rig of ``rig.start`` cannot be used, or a weight is that of an unknown category.
         """
+        if config.scenes.source == "town":  # others may have categories of their own
+            check_categories(config.importance)
         parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)
         return cls.of(parts, lambda progress: load_scene_set(config, progress))
 
@@ -571,6 +578,9 @@ def _assembled(
     if parts.start is not None and parts.freeze:
         mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
     constraints = constraints_of(config, mount.surface, mount.frozen)
+    importance = Importance.of(config.importance)
+    if importance is not None:
+        importance.check(scenes.scenes)
     reference = Reference.NON_OCCLUDED if config.method == "thesis" else Reference.ALONE
     options = LossOptions(config.losses, reference, networks.differentiable)
     objective = RigObjective(
@@ -585,6 +595,7 @@ def _assembled(
         iou_min=config.detector.iou_min,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
+        importance=importance,
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)
@@ -673,8 +684,8 @@ def _packer(train: Sequence[Scene], validation: Sequence[Scene], parts: Parts) -
     return pack
 
 
-def _section(settings: RigConfig | Mapping[str, Any]) -> dict[str, Any]:
+def _section(settings: RigConfig | ImportanceSettings | Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a section that are given, as they are written in files."""
-    if isinstance(settings, RigConfig):
+    if isinstance(settings, (RigConfig, ImportanceSettings)):
         return settings.model_dump(mode="json", exclude_unset=True)
     return dict(settings)

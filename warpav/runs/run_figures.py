@@ -206,7 +206,7 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
     from warpav.view.figures.detections import DetectionPanel
 
-    seen, _, _ = objective.observe_rig(rig, assigned)
+    seen, *_ = objective.observe_rig(rig, assigned)
     return [
         DetectionPanel(
             title=camera.name,

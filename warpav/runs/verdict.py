@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, WEIGHTED_METRICS
+from warpav.evaluation.rig_evaluation import outage_rows
 
 ARM_ROWS = {
     "map50_average": "AP50, mean of the cameras",
@@ -22,7 +23,9 @@ ARM_ROWS = {
     "ap50_large": "AP50, larger",
     "ap50_95_pooled": "AP50:95, all images",
     "tp_detection_rate": "recall of the rig",
+    "weighted_recall": "weighted recall",
     "misses_per_100": "misses per 100",
+    "weighted_misses_per_100": "weighted misses per 100",
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
@@ -34,7 +37,7 @@ ARM_ROWS = {
     "min_camera_distance_m": "closest [m]",
     "body_share_max": "own body, largest share",
 }
-"""Fields of an arm's metrics and the headings they are shown under."""
+"""Fields of an arm's metrics and the headings they are shown under; those of weights where there are any."""
 
 
 RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
@@ -70,6 +73,8 @@ def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Tabl
     for name in arms:
         table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
     for field, heading in ARM_ROWS.items():
+        if field in WEIGHTED_METRICS and not any(field in metrics for metrics in arms.values()):
+            continue
         table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
     return table
 
@@ -88,6 +93,21 @@ def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
         for row in block:
             table.add_row(*map(Text, row))
         table.add_section()
+    return table
+
+
+def outage_table(evaluation: Mapping[str, Any]) -> Table | None:
+    """What the first arm is expected to miss without each of its cameras; None where that is not known."""
+    name, outage = next(iter((evaluation.get("camera_outage") or {}).items()), ("", None))
+    if outage is None:
+        return None
+    columns, rows = outage_rows(outage)
+    table = Table(title=f"{name} without one camera", title_justify="left", header_style="bold")
+    table.add_column("without", no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*map(Text, row))
     return table
 
 
@@ -133,6 +153,9 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     recall = recall_table(arms)
     if recall is not None:
         console.print(recall)
+    outage = outage_table(evaluation)
+    if outage is not None:
+        console.print(outage)
     name, metrics = next(iter(arms.items()))
     violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
     met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"

@@ -84,6 +84,11 @@ class DeviceScene:
         return self.raster.object_count
 
     @cached_property
+    def ego_bounds_m(self) -> np.ndarray:
+        """Lowest and highest corner of the ego vehicle in its frame [m], float32 [2, 3]."""
+        return self.raster.layer_bounds_world_m.numpy()[self.raster.foreground_layer]
+
+    @cached_property
     def upright_box(self) -> UprightBoxes:
         """The smallest upright box around every vehicle, and around the ego vehicle; computed on first use."""
         import cv2

@@ -99,11 +99,9 @@ class StoredScene(DeviceScene):
     """A scene on a device whose meshes lie in a file.
 
     Attributes:
-        ego_bounds_m: Lowest and highest corner of the ego vehicle [m], float32 [2, 3].
         left_out: Road users that were left out, because the vehicle stands in their places.
     """
 
-    ego_bounds_m: np.ndarray
     left_out: int
 
     def __init__(self, recipe: SceneRecipe, folder: Path, device: str) -> None:

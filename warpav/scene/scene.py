@@ -28,6 +28,11 @@ _ROAD_USER_OF_CATEGORY = {
 }
 
 
+def road_user_of(category: str) -> str:
+    """The kind of a category out of `ROAD_USERS`: anything else than a person or cyclist counts as a vehicle."""
+    return _ROAD_USER_OF_CATEGORY.get(category.lower(), "vehicle")
+
+
 @dataclass(frozen=True)
 class Box:
     """An upright 3D bounding box in the ego frame.
@@ -111,7 +116,7 @@ class Vehicle:
     @property
     def road_user(self) -> str:
         """Its kind out of `ROAD_USERS`: anything else than a person or cyclist counts as a vehicle."""
-        return _ROAD_USER_OF_CATEGORY.get(self.category.lower(), "vehicle")
+        return road_user_of(self.category)
 
     def mirrored(self) -> Vehicle:
         """The same with left and right exchanged."""

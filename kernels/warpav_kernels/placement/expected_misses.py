@@ -164,15 +164,16 @@ def log_missed_kernel(
 def expected_misses_kernel(
     # in
     log_missed: wp.array[float],
+    weight: wp.array[float],
     # out
     loss: wp.array[float],
 ):
-    """Expected number of missed objects.
+    """Expected number of missed objects, each counted as often as its ``weight`` says.
 
     Launch: ``dim=1``; one thread sums in a fixed order.
     Writes: ``loss[0]`` once.
     """
     total = float(0.0)
     for k in range(log_missed.shape[0]):
-        total += wp.exp(log_missed[k])
+        total += weight[k] * wp.exp(log_missed[k])
     loss[0] = total

@@ -128,6 +128,34 @@ def test_the_tables_hold_the_numbers_of_the_evaluation(page):
     assert not any(row[0] in ("10-20 m", "vehicle") for row in recall)  # none there; only one kind
 
 
+OUTAGE = {
+    "expected_misses_per_100": 12.5,
+    "worst": "<rear>",
+    "cameras": [
+        {"camera": "front", "expected_misses_per_100": 20.25, "difference_per_100": 7.75},
+        {"camera": "<rear>", "expected_misses_per_100": 50.0, "difference_per_100": 37.5},
+    ],
+}
+WEIGHTS = {"weighted_expected_misses_per_100": 10.0, "weighted_difference_per_100": -0.0}
+
+
+def test_what_is_missed_without_each_camera_is_told(folder, page):
+    heading = "optimised without", "expected misses per 100", "difference"
+    assert "If one camera fails" not in page.text  # an older run does not know
+    folder.write_evaluation(evaluation(camera_outage={"optimised": OUTAGE, "start": None}))
+    rows = page_of(folder).table(*heading)
+    assert rows == [["no camera", "12.50", ""], ["front", "20.25", "+7.75"], ["<rear> (worst)", "50.00", "+37.50"]]
+    weighted = {**OUTAGE, "cameras": [{**each, **WEIGHTS} for each in OUTAGE["cameras"]]}
+    weighted["weighted_expected_misses_per_100"] = 9.0
+    folder.write_evaluation(evaluation(camera_outage={"optimised": weighted}))
+    rows = page_of(folder).table(*heading, "weighted expected misses per 100", "weighted difference")
+    assert rows[1][:4] == ["front", "20.25", "+7.75", "10.00"]
+    del weighted["cameras"][1]["weighted_difference_per_100"]
+    folder.write_evaluation(evaluation(camera_outage={"optimised": weighted}))
+    with pytest.raises(InputError, match="weighted numbers must be there for all cameras or for none"):
+        write_report(folder)
+
+
 def test_the_blind_spots_are_those_of_the_evaluation(page):
     child, adult = (table[1:] for table in page.tables if table[0][0] == "sector")
     assert [[numbers(cell) for cell in row[1:]] for row in child] == [[[80, 50], [7, 7]], [[25, 5], []]]

@@ -26,6 +26,7 @@ class ExpectedMissRate(DeviceLoss):
     combine: Literal["any", "best"] = "any"
     detector_share: float = 0.0
     name = "expected_miss_rate"
+    weighs_objects = True
 
     @classmethod
     def of(cls, options: LossOptions) -> ExpectedMissRate:
@@ -41,11 +42,11 @@ class ExpectedMissRate(DeviceLoss):
         )
 
     def count(self, scene: DeviceScene) -> int:
-        """The mean is over all objects of the batch."""
+        """The mean is over all objects of the batch, by their weights where there are any."""
         return scene.vehicle_count
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
-        """Expected number of missed objects, as in `DeviceLoss`."""
+        """Expected number of missed objects by their weights, as in `DeviceLoss`."""
         device = scene.frame.device
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         object_count = scene.scene.vehicle_count
@@ -70,5 +71,11 @@ class ExpectedMissRate(DeviceLoss):
             outputs=[log_missed],
             device=device,
         )
-        wp.launch(expected_misses.expected_misses_kernel, dim=1, inputs=[log_missed], outputs=[loss], device=device)
+        wp.launch(
+            expected_misses.expected_misses_kernel,
+            dim=1,
+            inputs=[log_missed, scene.object_weight],
+            outputs=[loss],
+            device=device,
+        )
         return loss

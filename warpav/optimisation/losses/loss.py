@@ -77,10 +77,13 @@ class Loss(ABC):
     Attributes:
         name: Under this name it is reported.
         detector_share: How much of it is what the detector really found, at the end of an optimisation, in [0, 1).
+        weighs_objects: Whether it is a sum over objects, each times its weight (`SceneOnTape.object_weight`). Where
+            weights are set, the batch's mean is then over the sum of the weights instead of `count`.
     """
 
     name: str
     detector_share: float = 0.0
+    weighs_objects: bool = False
 
     @abstractmethod
     def needs(self, schedule: LossSchedule) -> Needs:

@@ -71,6 +71,7 @@ class SceneOnTape:
         camera_probability: How likely a camera is to detect; None where no loss needs it.
         truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
             them.
+        weight: Of every vehicle, float [vehicle]; None: all 1.
     """
 
     mount: CameraMount
@@ -86,6 +87,7 @@ class SceneOnTape:
     forward_view: list[int]
     camera_probability: CameraProbability | None = None
     truth_box_px: np.ndarray | None = None
+    weight: wp.array | None = None
     _area_around: dict[int, wp.array] = field(default_factory=dict)
 
     @property
@@ -97,6 +99,13 @@ class SceneOnTape:
     def rotation_count(self) -> int:
         """Views of every camera."""
         return self.frame.view_count // self.camera_count
+
+    @cached_property
+    def object_weight(self) -> wp.array:
+        """Weight of every vehicle, 1 where none is set, float [vehicle]."""
+        if self.weight is not None:
+            return self.weight
+        return wp.ones(self.scene.vehicle_count, dtype=float, device=self.frame.device)
 
     @cached_property
     def assigned_count(self) -> int:

@@ -23,16 +23,19 @@ class Objects:
         category: What each is, such as ``car``, [object].
         from_ego_m: Where each is in the plane, from the middle of the ego vehicle: forward and left [m], float
             [object, 2].
+        weight: Of each, as the section ``importance`` of the configuration says; 1 where nothing is set, float64
+            [object].
     """
 
     scene: str
     category: tuple[str, ...]
     from_ego_m: np.ndarray
+    weight: np.ndarray
 
     @classmethod
-    def of(cls, scene: DeviceScene) -> Objects:
-        """Those of a scene."""
-        return cls(scene.name, tuple(scene.category), np.asarray(scene.from_ego_m))
+    def of(cls, scene: DeviceScene, weight: np.ndarray) -> Objects:
+        """Those of a scene, with their weights, float [object]."""
+        return cls(scene.name, tuple(scene.category), np.asarray(scene.from_ego_m), np.asarray(weight, np.float64))
 
 
 LossFunction = Callable[[np.ndarray, Objects], tuple[float, np.ndarray]]
@@ -79,7 +82,9 @@ class UserLoss(HostLoss):
         if scene.scene.vehicle_count == 0:
             return 0.0, {}
         probability = scene.detection_probability
-        value, gradient = self._called(probability.numpy().astype(np.float64), Objects.of(scene.scene))
+        value, gradient = self._called(
+            probability.numpy().astype(np.float64), Objects.of(scene.scene, scene.object_weight.numpy())
+        )
         if weight is None:
             return value, {}
         return value, {probability: wp.array(weight * gradient, dtype=float, device=probability.device)}

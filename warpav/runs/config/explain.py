@@ -149,7 +149,7 @@ def _number(value: object) -> str:
 
 def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
-    tree = config.model_dump(mode="json")
+    tree = {"importance": config.importance.model_dump(mode="json"), **config.model_dump(mode="json")}
     return {
         ".".join(location): functools.reduce(operator.getitem, location, tree)
         for location in option_locations(ConfigTree)

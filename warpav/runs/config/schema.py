@@ -14,7 +14,9 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
+    SerializerFunctionWrapHandler,
     WithJsonSchema,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -25,6 +27,7 @@ from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT,
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
+    ImportanceSettings,
     LossSettings,
     OptimiserSettings,
     SegregationSettings,
@@ -32,7 +35,7 @@ from warpav.optimisation.settings import (
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.runs.config.shipped import shipped_values
-from warpav.scene.scene import ROAD_USERS
+from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.vehicles import vehicle_file, vehicle_names
 
 NAMED_STARTS = ("random", "highest")
@@ -585,6 +588,7 @@ class ConfigTree(Section):
     losses: LossSettings = Field(
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
+    importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
@@ -603,6 +607,14 @@ class ConfigTree(Section):
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
+
+    @model_serializer(mode="wrap")
+    def _without_unset_importance(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave ``importance`` out where nothing is set, so that files stay as they were before there was any."""
+        result = written(self)
+        if not self.importance.is_set:
+            result.pop("importance", None)
+        return result
 
     @property
     def descends(self) -> bool:
@@ -623,6 +635,7 @@ class ConfigTree(Section):
         self._check_free()
         self._check_freeze()
         self._check_zones()
+        self._check_importance()
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -630,6 +643,18 @@ class ConfigTree(Section):
                 "rig.cameras",
             )
         return self
+
+    def _check_importance(self) -> None:
+        if not self.importance.is_set:
+            return
+        if not self.losses.weights["expected_miss_rate"]:
+            text = "expected nothing, as only the loss expected_miss_rate knows weights, and its own is 0"
+            mistake(f"{text}; set losses.expected_miss_rate", "importance", "losses.expected_miss_rate")
+        for name in self.importance.category:
+            kind = name if name in ROAD_USERS else road_user_of(name)
+            if kind not in self.scenes.targets:
+                text = f"expected road users out of scenes.targets, {', '.join(self.scenes.targets)}, got {name!r}"
+                mistake(f"{text}; add {kind} to scenes.targets", "importance.category", "scenes.targets")
 
     def _check_freeze(self) -> None:
         frozen = self.rig.freeze

@@ -157,6 +157,34 @@ class GroundTable(_Part):
         return float(np.array(self.blind[arm])[height].sum()) * self.cell_m**2 / self.scenes
 
 
+class OutageOfCamera(_Part):
+    """A rig without one camera, see `warpav.evaluation.camera_outage.CameraOutage`."""
+
+    camera: str
+    expected_misses_per_100: float
+    difference_per_100: float
+    weighted_expected_misses_per_100: float | None = None
+    weighted_difference_per_100: float | None = None
+
+
+class OutageRecord(_Part):
+    """A rig without each of its cameras, see `warpav.evaluation.camera_outage.CameraOutages`."""
+
+    expected_misses_per_100: float
+    weighted_expected_misses_per_100: float | None = None
+    worst: str
+    cameras: list[OutageOfCamera] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _is_weighted_or_not(self) -> OutageRecord:
+        weighted = [self.weighted_expected_misses_per_100]
+        for each in self.cameras:
+            weighted += [each.weighted_expected_misses_per_100, each.weighted_difference_per_100]
+        if len({number is None for number in weighted}) > 1:
+            raise ValueError("weighted numbers must be there for all cameras or for none")
+        return self
+
+
 class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
@@ -170,6 +198,7 @@ class EvaluationRecord(_Part):
     constraints: dict[str, list[MarginRecord]] | None = None
     outcomes: list[ReportedObject] | None = None
     ground: GroundTable | None = None
+    camera_outage: dict[str, OutageRecord | None] = {}
 
     @model_validator(mode="after")
     def _knows_its_arms(self) -> EvaluationRecord:

@@ -16,6 +16,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
+from warpav.evaluation.rig_evaluation import outage_rows
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import words
 from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
@@ -162,6 +163,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
         "free": _free(run),
+        "is_weighted": run.config is not None and run.config.importance.is_set,
+        "outage": _outage(evaluation) if evaluation else None,
         "views": _views(run.views, [next(encoded) for _ in run.views]),
         "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
@@ -230,6 +233,15 @@ def _cards(run: RunContent) -> list[words.Statement]:
     return cards
 
 
+def _outage(evaluation: EvaluationRecord) -> tuple[list[str], list[list[str]]] | None:
+    """Headings and rows of the first arm without each of its cameras; None where that is not known."""
+    outage = evaluation.camera_outage.get(evaluation.first)
+    if outage is None:
+        return None
+    columns, rows = outage_rows(outage.model_dump(exclude_none=True))
+    return columns, [[each.replace("-", words.MINUS) if k else each for k, each in enumerate(row)] for row in rows]
+
+
 def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
     arms = evaluation.arms.values()
     return [
@@ -241,7 +253,7 @@ def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
 
 def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
-    lower = {"misses_per_100", "false_alarms_per_frame", "objective"}
+    lower = {"misses_per_100", "weighted_misses_per_100", "false_alarms_per_frame", "objective"}
     found = evaluation.paired
     return [
         (

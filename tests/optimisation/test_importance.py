@@ -1,0 +1,397 @@
+"""Weights of road users: what they are, and that objective, gradient, pool, selection and polish all take them."""
+
+import dataclasses
+import functools
+import itertools
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.optimisation.test_missed import MODEL, POSE, probabilities, probability_model
+from tests.optimisation.test_polish import zone_of
+from tests.optimisation.test_pool import cameras_of, mount_of, streets
+from warpav.core.errors import InputError
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.further_camera import further_gain
+from warpav.optimisation.importance import Importance
+from warpav.optimisation.losses import ExpectedMissRate
+from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.replacements import Replacements
+from warpav.optimisation.rig_values import rig_values_of
+from warpav.optimisation.selection.select import select
+from warpav.optimisation.settings import ImportanceSettings
+from warpav.optimisation.starts import exchange_cameras
+from warpav.raster.decide import Occlusion
+from warpav.runs.config import Config, dump_config, load_config, option_values
+from warpav_kernels.placement import expected_misses
+
+SETTINGS = ImportanceSettings(
+    category={"hatchback": 0.5},
+    distance_m={0: 2.0, 10: 1.0, 15: 0.25},
+    sector_deg=[{"from": -30, "to": 30, "weight": 3.0}, {"from": 150, "to": 210, "weight": 0.0}],
+)
+
+
+def weights_by_hand(scene):
+    """Those of `SETTINGS`, one object at a time; all cars of the street are hatchbacks."""
+    found = []
+    for forward_m, left_m in scene.from_ego_m + np.mean(scene.ego_bounds_m[:, :2], axis=0):
+        distance_m, azimuth_deg = math.hypot(forward_m, left_m), math.degrees(math.atan2(left_m, forward_m))
+        weight = 0.5 * (2.0 if distance_m < 10.0 else 1.0 if distance_m < 15.0 else 0.25)
+        found.append(weight * (3.0 if -30.0 <= azimuth_deg < 30.0 else 0.0 if abs(azimuth_deg) >= 150.0 else 1.0))
+    return np.array(found)
+
+
+def objective_of(importance, *losses, device="cpu", supersampling=1):
+    return RigObjective(
+        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device),
+        ConstantDetector.silent(2),
+        camera_count=2,
+        losses=losses or [(1.0, ExpectedMissRate())],
+        camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
+        occlusion=Occlusion.EXACT,
+        supersampling=supersampling,
+        importance=importance,
+    )
+
+
+def scenes_of(device="cpu"):
+    return [
+        AssignedScene(packed_street(device, count, seed), np.full(count, -1, np.int32))
+        for seed, count in enumerate((10, 0, 4))
+    ]
+
+
+# --- the weights -----------------------------------------------------------------------------------------------------
+
+
+def test_a_weight_is_the_product_of_three_from_the_origin_of_the_ego_frame():
+    for assigned in scenes_of():
+        by_hand = weights_by_hand(assigned.scene)
+        np.testing.assert_array_equal(Importance(SETTINGS).weights(assigned.scene), by_hand)
+    scene = scenes_of()[0].scene
+    assert len(set(weights_by_hand(scene))) > 3
+    # the street's vehicle reaches from -0.85 m to 3.55 m: its middle is not the origin
+    np.testing.assert_allclose(scene.ego_bounds_m[:, 0], [-0.85, 3.55], atol=1e-6)
+    edge_m = float(np.hypot(*(scene.from_ego_m[0] + [1.35, 0.0])))
+    for first_m, expected in ((edge_m - 0.1, 5.0), (edge_m + 0.1, 1.0)):
+        steps = Importance(ImportanceSettings(distance_m={0: 1.0, first_m: 5.0}))
+        assert steps.weights(scene)[0] == expected
+
+
+def test_the_category_counts_before_the_kind_and_edges_belong_to_what_they_begin():
+    importance = Importance(
+        ImportanceSettings(
+            category={"vehicle": 3.0, "Lorry": 5.0, "cyclist": 2.0},
+            distance_m={0: 1.0, 10: 7.0},
+            sector_deg=[{"from": 90, "to": 180, "weight": 11.0}, {"from": 180, "to": 200, "weight": 13.0}],
+        )
+    )
+    category, kind = ["bus", "LORRY", "person", "bicyclist"], ["vehicle", "vehicle", "pedestrian", "cyclist"]
+    ahead = np.array([[9.0, 0.0], [10.0, 0.0], [5.0, 0.0], [6.0, 8.0]])
+    np.testing.assert_array_equal(importance.weights_at(category, kind, ahead), [3.0, 35.0, 1.0, 14.0])
+    around = np.array([[0.0, 5.0], [-5.0, 0.0], [-5.0, -1e-3], [-5.0, -3.0]])
+    np.testing.assert_array_equal(importance.weights_at(["van"] * 4, ["vehicle"] * 4, around), [33.0, 39.0, 39.0, 3.0])
+    everywhere = Importance(ImportanceSettings(sector_deg=[{"from": 0, "to": 360, "weight": 2.0}]))
+    assert (everywhere.weights_at(["van"] * 2, ["vehicle"] * 2, np.array([[5.0, -1e-300], [5.0, 0.0]])) == 2.0).all()
+
+
+# --- the objective ---------------------------------------------------------------------------------------------------
+
+
+def test_the_kernel_sums_weighted_misses_and_its_gradient_is_that_of_differences(device, rng):
+    log_missed, weight = rng.normal(-1.0, 0.5, 12).astype(np.float32), rng.uniform(0.0, 3.0, 12).astype(np.float32)
+    weight[3] = 0.0
+
+    def total(values, gradient=False):
+        given = wp.array(values, dtype=float, device=device, requires_grad=True)
+        loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
+        with wp.Tape() as tape:
+            wp.launch(
+                expected_misses.expected_misses_kernel,
+                dim=1,
+                inputs=[given, wp.array(weight, dtype=float, device=device)],
+                outputs=[loss],
+                device=device,
+            )
+        tape.backward(loss)
+        return given.grad.numpy() if gradient else float(loss.numpy()[0])
+
+    assert total(log_missed) == pytest.approx(weight @ np.exp(log_missed), rel=1e-6)
+    step = 1e-2
+    slopes = [(total(log_missed + step * e) - total(log_missed - step * e)) / (2.0 * step) for e in np.eye(12)]
+    np.testing.assert_allclose(total(log_missed, gradient=True), slopes, atol=2e-3)  # worst seen 2e-4 on the CPU
+
+
+def test_the_objective_is_the_weighted_mean_of_products(device):
+    model = probability_model(np.random.default_rng(3))
+    objective, scenes = objective_of(Importance(SETTINGS), device=device), scenes_of(device)
+    pose = POSE.copy()
+    pose[1, YAW_RAD] = 0.7
+    seen = [scenes[0], scenes[2]]
+    p = np.concatenate([probabilities(objective, pose, each.scene, model) for each in seen], axis=1)
+    weight = np.concatenate([weights_by_hand(each.scene) for each in seen])
+    expected = (weight * np.prod(1.0 - p, axis=0)).sum() / weight.sum()
+    found = objective.evaluate(pose, scenes)
+    assert found.terms["expected_miss_rate"] == pytest.approx(expected, rel=1e-5)
+    assert found.objective == pytest.approx(expected, rel=1e-5)
+    assert abs(expected - np.prod(1.0 - p, axis=0).mean()) > 0.02
+    # only ratios count, also where the sum is below 1
+    tiny = SETTINGS.model_copy(update={"category": {"hatchback": 0.5e-3}})
+    assert objective_of(Importance(tiny), device=device).evaluate(pose, scenes).objective == pytest.approx(
+        expected, rel=1e-5
+    )
+    [values] = rig_values_of(objective, scenes)(pose[None])
+    assert values == pytest.approx(expected, rel=1e-5)
+    # of one scene, as metrics have it
+    of_first = (weight[:10] * np.prod(1.0 - p[:, :10], axis=0)).sum() / weight[:10].sum()
+    assert objective.observe_rig(objective.mount.rig(pose), scenes[0])[2] == pytest.approx(of_first, rel=1e-4)
+
+
+@pytest.mark.parametrize("combine", ["any", "best"])
+def test_the_weighted_gradient_is_the_sum_of_the_objects_own(device, combine):
+    """Gradients of single objects, taken with all other weights 0, add up to the weighted one by NumPy."""
+    scenes, pose = scenes_of(device)[:1], POSE.copy()
+    pose[1, YAW_RAD] = 0.7
+    loss = (1.0, ExpectedMissRate(combine))
+    weight = weights_by_hand(scenes[0].scene)
+
+    class Only(Importance):
+        def __init__(self, k):
+            super().__init__(SETTINGS)
+            self.k = k
+
+        def weights(self, scene):
+            return np.eye(scene.vehicle_count)[self.k]
+
+    def gradient(importance):
+        return objective_of(importance, loss, device=device).evaluate(pose, scenes, gradient=True).gradient
+
+    of_object = np.array([gradient(Only(k)) for k in range(10)])
+    assert (np.abs(of_object).max(axis=(1, 2)) > 1e-4).sum() >= 3
+    expected = np.einsum("o,ock->ck", weight, of_object) / weight.sum()
+    np.testing.assert_allclose(gradient(Importance(SETTINGS)), expected, rtol=1e-4, atol=1e-6)
+    by_term = objective_of(Importance(SETTINGS), loss, device=device).gradients(pose, scenes)["expected_miss_rate"]
+    np.testing.assert_allclose(by_term, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_the_weighted_gradient_matches_differences(device):
+    """Means over poses beside each other, as single renders are rough; `test_missed` does so for more numbers."""
+    rng = np.random.default_rng(0)
+    importance = Importance(ImportanceSettings(distance_m={0: 4.0, 10: 1.0, 15: 0.1}))
+    ours, unweighted, truth = np.zeros((3, 2, 2))
+    weighted, plain = (objective_of(each, device=device, supersampling=4) for each in (importance, None))
+    scenes, numbers = scenes_of(device)[:1], ((X_M, 0.03), (YAW_RAD, 0.006))
+    spread = np.array([0.05, 0.05, 0.02, 0.01, 0.0, 0.0, 0.0])
+    for _ in range(8):
+        at = (POSE + rng.uniform(-1.0, 1.0, POSE.shape) * spread).astype(np.float32)
+        for total, objective in ((ours, weighted), (unweighted, plain)):
+            total += objective.evaluate(at, scenes, gradient=True).gradient[:, [X_M, YAW_RAD]]
+        for (camera, k), _ in np.ndenumerate(truth):
+            number, step = numbers[k]
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = at.copy()
+                moved[camera, number] += sign * step
+                ends.append(weighted.evaluate(moved, scenes).objective)
+            truth[camera, k] += (ends[0] - ends[1]) / (2.0 * step)
+    ours, unweighted, truth = (each * [1.0, 0.2] for each in (ours, unweighted, truth))
+    # seen 0.072 and 0.48 on the CPU
+    assert np.linalg.norm(ours - truth) < 0.1 * np.linalg.norm(truth)
+    assert np.linalg.norm(unweighted - truth) > 0.3 * np.linalg.norm(truth)
+
+
+def test_weights_of_one_change_no_bit(device):
+    """Neither value nor gradient, of a batch and of the whole; nothing set is no `Importance` at all."""
+    scenes = scenes_of(device)
+    ones = Importance(ImportanceSettings(distance_m={0: 1.0}))
+    for schedule in (None, LossSchedule(0.5)):
+        plain, weighted = (
+            objective_of(each, device=device).evaluate(POSE, scenes, gradient=True, schedule=schedule)
+            for each in (None, ones)
+        )
+        assert (plain.total, plain.objective, plain.terms) == (weighted.total, weighted.objective, weighted.terms)
+        assert plain.gradient.tobytes() == weighted.gradient.tobytes()
+    assert Importance.of(ImportanceSettings()) is None
+    assert objective_of(None).object_weight(scenes) is None
+
+
+def test_a_loss_of_ones_own_gets_the_weights():
+    seen = []
+
+    def misses(probability, objects):
+        seen.append((objects.scene, objects.weight))
+        return 0.0, np.zeros_like(probability)
+
+    scenes = scenes_of()
+    for importance in (Importance(SETTINGS), None):
+        seen.clear()
+        objective_of(importance, (1.0, misses)).evaluate(POSE, scenes)
+        expected = {each.scene.name: weights_by_hand(each.scene) for each in scenes}
+        assert len(seen) == 2
+        for name, weight in seen:
+            np.testing.assert_allclose(weight, np.ones(len(weight)) if importance is None else expected[name])
+
+
+# --- the search by a pool --------------------------------------------------------------------------------------------
+
+
+def rate(probability, weight):
+    """Without kernels: the weighted share of the objects that a rig misses."""
+    missed = np.prod(1.0 - np.minimum(np.asarray(probability, np.float64), 0.9999), axis=0)
+    return (weight * missed).sum() / weight.sum()
+
+
+def test_a_weight_of_pedestrians_moves_the_selection_of_a_small_pool():
+    category, kind = ["van", "bus", "lorry", "pedestrian"], ["vehicle"] * 3 + ["pedestrian"]
+    #                  van  bus  lorry person
+    pool = np.array([[0.9, 0.0, 0.0, 0.0], [0.0, 0.8, 0.7, 0.0], [0.0, 0.0, 0.0, 0.9]])
+    place_m = np.zeros((4, 2)) + 5.0
+    chosen = {}
+    for factor in (1.0, 3.0):
+        weight = Importance(ImportanceSettings(category={"pedestrian": factor})).weights_at(category, kind, place_m)
+        found = select(pool, 1, weight=weight, gap=0.0)
+        best = min(range(3), key=lambda k, w=weight: rate(pool[[k]], w))
+        assert found.cameras.tolist() == [best]
+        assert found.objective == pytest.approx(rate(pool[[best]], weight))
+        chosen[factor] = best
+    assert chosen == {1.0: 1, 3.0: 2}
+
+
+@functools.cache
+def searched(polishes):
+    mount, weight = mount_of(free=None), np.array([0.0, 1.0, 9.0, 0.3, 0.0, 1.0, 2.0, 0.1, 7.0, 1.0])
+    settings = PoolSearchSettings(
+        pool_cameras=24, rounds=1, priced_cameras=4, gap=0.0, refinements=1, polishes=polishes
+    )
+    states = list(
+        pool_search(cameras_of(mount=mount), streets(), zone_of(mount), 3, settings=settings, object_weight=weight)
+    )
+    return mount, weight, states
+
+
+def test_the_weighted_selection_is_the_best_rig_of_the_pool_by_brute_force():
+    mount, weight, [chosen, _] = searched(False)
+    constraints = zone_of(mount)
+    pose = spread_mount_poses(mount, constraints, 24, seed=0)
+    pool = CameraPool.draw(pose, scenes=streets(), cameras=cameras_of(mount=mount)).detection_probability
+    point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
+    rigs = [
+        list(rig)
+        for rig in itertools.combinations(range(len(pose)), 3)
+        if all(np.linalg.norm(point[i] - point[j]) > 0.3 + 1e-6 for i, j in itertools.combinations(rig, 2))
+    ]
+    best = min(rate(pool[rig], weight) for rig in rigs)
+    assert chosen.objective == pytest.approx(best, abs=1e-7)
+    assert chosen.bound <= best + 1e-9
+    # without the weights another rig would have been chosen
+    alike = min(rigs, key=lambda rig: rate(pool[rig], np.ones(10)))
+    assert rate(pool[alike], weight) > best + 1e-3
+
+
+def test_every_state_of_a_weighted_search_has_the_weighted_miss_rate_of_its_rig():
+    mount, weight, states = searched(True)
+    cameras = cameras_of(mount=mount)
+    assert {state.stage for state in states} >= {"selection", "polish", "settled"}
+    for state in states:
+        found = np.concatenate([cameras.detection_probability(state.mount_pose, each) for each in streets()], axis=1)
+        assert rate(found, weight) == pytest.approx(state.objective, abs=1e-6)
+    assert states[-1].objective < states[0].objective
+
+
+def test_further_cameras_replacements_and_exchanges_count_by_weight(rng):
+    pool, weight = rng.uniform(0.0, 0.9, (8, 20)), rng.uniform(0.0, 3.0, 20)
+    rig, before = np.array([0, 1, 2]), rate(pool[:3], weight)
+    missed = np.prod(1.0 - pool[:3], axis=0)
+    expected = [before - rate(np.vstack([pool[:3], each]), weight) for each in pool]
+    np.testing.assert_allclose(further_gain(missed, pool, weight), expected, atol=1e-12)
+    pose = np.c_[np.arange(8.0), np.zeros((8, 6))]
+    found = Replacements(pose, pool, rig, np.zeros((8, 3), bool), np.ones(7), weight=weight)
+    for camera, slot in itertools.product(range(8), range(3)):
+        other = rig.copy()
+        other[slot] = camera
+        assert found.miss_rate[camera, slot] == pytest.approx(rate(pool[other], weight), abs=1e-12)
+    exchanged = exchange_cameras(pool, rig, weight=weight)
+    for camera, slot in itertools.product(range(8), range(3)):
+        other = exchanged.copy()
+        other[slot] = camera
+        assert rate(pool[other], weight) >= rate(pool[exchanged], weight) - 1e-12
+
+
+# --- the configuration -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ("category=[car]", "expected a table of categories and weights, such as {pedestrian: 2.0}, got [car]"),
+        ("category={lorry: -1}", "expected a finite weight of at least 0 for lorry, got -1"),
+        ("category={lorry: .inf}", "expected a finite weight of at least 0 for lorry, got inf"),
+        ("category={lorry: much}", "expected a finite weight of at least 0 for lorry, got 'much'"),
+        ("category={cyclist: 2}", "expected road users out of scenes.targets, vehicle, got 'cyclist'; add cyclist to"),
+        ("distance_m={0: 1, 30: 2, 20: 1}", "expected rising distances, got 20 after 30"),
+        ("distance_m={5: 1}", "expected 0 as the first distance, got 5"),
+        ("distance_m={0: 1, far: 2}", "got 'far' as a distance"),
+        ("distance_m={0: 0, 20: 0}", "expected a weight above 0 at some distance, got only zeros"),
+        ("sector_deg=[{from: 0, to: 30}]", "expected a list of sectors, such as [{from: -30, to: 30, weight: 2.0}]"),
+        ("sector_deg=[{from: 170, to: -170, weight: 1}]", "got 170 to -170; write 170 to 190"),
+        (
+            "sector_deg=[{from: 170, to: 190, weight: 1}, {from: -175, to: 0, weight: 2}]",
+            "expected sectors that do not overlap, got 170 to 190 and -175 to 0",
+        ),
+        ("sector_deg=[{from: 0, to: 400, weight: 1}]", "that end above their start, by at most 360, got 0 to 400"),
+        ("sector_deg=[{from: 0, to: 360, weight: 0}]", "expected a weight above 0 in some direction, got only zeros"),
+        ("sector_deg=[{from: 0, to: 30, weight: -2}]", "expected a finite weight of at least 0 for the sector from 0"),
+    ],
+)
+def test_a_wrong_weight_is_told_in_one_line(option, expected):
+    with pytest.raises(InputError) as error:
+        load_config(None, [f"importance.{option}"])
+    assert f"importance.{option.partition('=')[0]}: " in str(error.value)
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_weights_need_a_loss_that_knows_them():
+    with pytest.raises(InputError, match="importance: expected nothing, as only the loss expected_miss_rate knows"):
+        load_config(None, ["method=thesis", "importance.distance_m={0: 2, 20: 1}"])
+
+
+def test_an_unknown_category_gets_a_suggestion():
+    config = load_config(None, ["importance.category={lorri: 2}"])
+    with pytest.raises(InputError, match=r"expected some of vehicle, .*, got 'lorri'; did you mean lorry\?"):
+        config.placement()
+    scenes = [each.scene for each in scenes_of()]
+    with pytest.raises(InputError, match=r"got 'hatchbak'; did you mean hatchback\?"):
+        Importance(ImportanceSettings(category={"hatchbak": 2.0})).check(scenes)
+    own = [dataclasses.replace(scenes[2], category=("Tram",) * 4)]
+    Importance(ImportanceSettings(category={"tram": 2.0})).check(own)
+    with pytest.raises(InputError, match="importance: expected a weight above 0 for some road user, got 0 for all 14"):
+        Importance(ImportanceSettings(category={"vehicle": 0.0})).check(scenes)
+
+
+def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tmp_path):
+    options = [
+        "scenes.targets=[vehicle, pedestrian]",
+        "importance.category.pedestrian=2",
+        "importance.distance_m={0: 2.0, 20.5: 1.0, 5000 cm: 0.5}",
+        'importance.sector_deg=[{from: -30, to: "0.5 rad", weight: 2.0}]',
+    ]
+    config = load_config(None, options)
+    assert config.importance.category == {"pedestrian": 2.0}
+    assert config.importance.distance_m == {0.0: 2.0, 20.5: 1.0, 50.0: 0.5}
+    assert config.importance.sector_deg[0].to_deg == pytest.approx(28.6479, abs=1e-4)
+    file = tmp_path / "config.yaml"
+    file.write_text(dump_config(config))
+    assert load_config(file) == config
+    assert load_config(config) == config
+    assert "importance" not in dump_config(Config())
+    assert option_values(Config())["importance.category"] == {}
