@@ -45,6 +45,13 @@ def draw_vehicle(folder: Path) -> None:
     _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--image", str(PICTURES / "vehicle.png"))
 
 
+def draw_zones(folder: Path) -> None:
+    """zones.png: where on the body of the embedded vehicle cameras may stand."""
+    _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
+    image = str(PICTURES / "zones.png")
+    _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -174,6 +181,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "detections.png": draw_run,
     "coverage.png": draw_coverage,
     "vehicle.png": draw_vehicle,
+    "zones.png": draw_zones,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
 }

@@ -14,6 +14,7 @@ from typing import Any
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
+from warpav.core.fingerprint import digest
 from warpav.runs.config import Config, dump_config, option_values
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest
@@ -116,9 +117,11 @@ def _options(config: Config) -> dict[str, Any]:
         for name, value in option_values(config).items()
         if name not in ("run.seed", "run.out")
         and not name.startswith("executor.")
-        # results from before there were weights are those of no weights
-        and (value or not name.startswith("importance."))
+        # results from before there were weights and zones are those of none
+        and (value or not name.startswith(("importance.", "mount.zones")))
     }
+    if config.mount.zones is not None:
+        values["mount.zones"] = f"{config.mount.zones.name} {digest(config.mount.zones.read_bytes())}"
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
     return json.loads(json.dumps(values))

@@ -25,17 +25,21 @@ if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
     from warpav.raster.mesh import Mesh
 
+FLUSH_NEAR_M = 0.01
+"""What is nearer to a camera in a zone is not seen [m]: its own body is nearer than most near planes are."""
+
 SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 
 
 def camera_model(config: Config) -> CameraModel:
-    """The camera model that all cameras of a run share."""
+    """The camera model that all cameras of a run share; flush with a body they see what is a centimetre away."""
     camera = config.camera
+    near_m = camera.near_m if config.mount.zones is None else min(camera.near_m, FLUSH_NEAR_M)
     return CameraModel(
         camera.width_px,
         camera.height_px,
         math.radians(camera.fov_deg),
-        camera.near_m,
+        near_m,
         Lens(camera.lens),
         distortion=camera.distortion,
     )

@@ -28,8 +28,9 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
+from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.certificate import Certificate
-from warpav.runs.config import START_FILE, Config, dump_config, load_config, with_absolute_paths
+from warpav.runs.config import START_FILE, ZONES_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.events import flat_numbers, read_events
 from warpav.view import Canvas, drawing_of, plot
@@ -108,7 +109,9 @@ class RunFolder:
             write_rig(start, folder.rig_path("start"))
             rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
             config = config.model_copy(update={"rig": rig})
-        write_text(path / "config.yaml", dump_config(config))
+        if config.mount.zones is not None:
+            write_zones(read_zones(config.mount.zones), path / ZONES_FILE)
+        folder.replace_config(config)
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
         return folder
 
@@ -129,10 +132,13 @@ class RunFolder:
         return cls(folder)
 
     def replace_config(self, config: Config) -> None:
-        """Write ``config.yaml`` again, with the same start."""
-        rig = self.config().rig
+        """Write ``config.yaml`` (again), with the same start and zones."""
         if (self.path / START_FILE).is_file():
+            rig = self.config().rig if (self.path / "config.yaml").is_file() else config.rig
             config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
+        if (self.path / ZONES_FILE).is_file():
+            mount = config.mount.model_copy(update={"zones": Path(ZONES_FILE)})
+            config = config.model_copy(update={"mount": mount})
         write_text(self.path / "config.yaml", dump_config(config))
 
     def rig_path(self, role: RigRole) -> Path:

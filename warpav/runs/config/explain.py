@@ -150,6 +150,7 @@ def _number(value: object) -> str:
 def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
     tree = {"importance": config.importance.model_dump(mode="json"), **config.model_dump(mode="json")}
+    tree["mount"] = {"zones": None, **tree["mount"]}
     return {
         ".".join(location): functools.reduce(operator.getitem, location, tree)
         for location in option_locations(ConfigTree)

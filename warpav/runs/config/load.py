@@ -19,7 +19,7 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
-from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ConfigTree, merged
+from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ZONES_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
 from warpav.scene.vehicles import vehicle_file
 
@@ -76,9 +76,10 @@ def load_config(
     data, written_at = _read_file(file) if file else ({}, {})
     if isinstance(source, Config):
         data = source.model_dump(mode="json")
-    rig = data.get("rig")
-    if file and isinstance(rig, dict) and rig.get("start") == START_FILE and (file.parent / START_FILE).is_file():
-        rig["start"] = str((file.parent / START_FILE).absolute())
+    for section, option, name in (("rig", "start", START_FILE), ("mount", "zones", ZONES_FILE)):
+        values = data.get(section)
+        if file and isinstance(values, dict) and values.get(option) == name and (file.parent / name).is_file():
+            values[option] = str((file.parent / name).absolute())
     override_of: dict[Location, str] = {}
     new_name = dict(renamed_options(Config))
     for override in overrides:
@@ -119,6 +120,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
         ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
+        ("mount.zones", config.mount.zones),
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")

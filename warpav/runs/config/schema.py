@@ -47,6 +47,9 @@ EXTENDS = "extends"
 START_FILE = "rig_start.yaml"
 """A rig.start of this name is the file beside the configuration, as a run leaves it."""
 
+ZONES_FILE = "zones.yaml"
+"""A mount.zones of this name is the file beside the configuration, as a run leaves it."""
+
 MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
 
@@ -609,11 +612,13 @@ class ConfigTree(Section):
         return merged({"losses": METHOD_LOSSES[method]}, data)
 
     @model_serializer(mode="wrap")
-    def _without_unset_importance(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave ``importance`` out where nothing is set, so that files stay as they were before there was any."""
+    def _without_unset(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``importance`` and ``mount.zones`` where they are not set: files stay as before there were any."""
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
+        if self.mount.zones is None:
+            result["mount"].pop("zones", None)
         return result
 
     @property

@@ -1,0 +1,103 @@
+"""``warpav vehicle zones`` and runs with ``mount.zones``."""
+
+import json
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from tests.cli.small_run import complaint
+from tests.cli.test_pool_run import POOL
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.rig.chart import chart_of
+from warpav.rig.zone import read_zones
+from warpav.runs.config import load_config
+from warpav.runs.mounts import camera_model
+from warpav.runs.run_folder import RunFolder
+from warpav.scene.own_vehicle import write_vehicle
+from warpav.scene.town.town import town_scene
+
+pytestmark = pytest.mark.usefixtures("working_directory")
+
+
+@pytest.fixture
+def car(working_directory):
+    ego = town_scene(0).ego
+    write_vehicle(ego, working_directory / "car.glb")
+    return ego
+
+
+def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
+    assert main(["vehicle", "zones", "car.glb", "--out", "all.yaml", "--image", "zones.png"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"  {name}" in said for name in ("roof", "bonnet", "left", "right", "front", "rear"))
+    assert "mount.zones=all.yaml" in said
+    assert (working_directory / "zones.png").stat().st_size > 10_000
+    assert len(read_zones("all.yaml")) == 6
+    # edited: the doors alone, flush
+    (working_directory / "doors.yaml").write_text(
+        "zones:\n  door:\n    normal: left\n    box_m: [[0.5, 0.5, 0.6], [2.0, 1.0, 1.0]]\n    stand_off_m: 0.02\n"
+        "    yaw_deg: [40, 140]\n    pitch_deg: [5, 15]\n    mirror: true\n"
+    )
+    assert main(["optimise", *POOL, "mount.zones=doors.yaml", "run.out=doors"]) == 0
+    folder = RunFolder.open("doors")
+    chart = chart_of(read_zones("doors.yaml"), car)
+    for rig in (folder.rig(), folder.rig("initial")):
+        for camera in rig.cameras:
+            place_m, rise_m = chart.place_of(camera.position_m)
+            assert float(rise_m) == pytest.approx(0.02, abs=2e-3)  # cells of 2 and 4 cm differ a little
+            assert chart.zone_distance_m(place_m) > 0.0
+            side = 1.0 if camera.position_m[1] > 0.0 else -1.0
+            assert 39.9 < side * np.degrees(camera.yaw_rad) < 140.1
+            assert 4.9 < np.degrees(camera.pitch_rad) < 15.1
+    assert json.loads((folder.path / "evaluation.json").read_text())
+    # the run is read again from its folder, which keeps the zones, wherever it lies
+    (working_directory / "doors.yaml").unlink()
+    (working_directory / "doors").rename(working_directory / "moved")
+    folder = RunFolder.open("moved")
+    assert folder.config().mount.zones == working_directory / "moved" / "zones.yaml"
+    assert [zone.name for zone in read_zones(folder.config().mount.zones)] == ["door", "door_mirrored"]
+    assert main(["report", "moved"]) == 0
+    assert main(["inspect", "moved", "--out", "rig.png"]) == 0
+
+
+def test_cameras_in_zones_see_what_is_near(car):
+    config = load_config("quick", [])
+    zones = load_config("quick", ["mount.zones=null"])
+    assert camera_model(config).near_m == camera_model(zones).near_m == 0.1
+    assert main(["vehicle", "zones", "car.glb"]) == 0
+    assert camera_model(load_config("quick", ["mount.zones=zones.yaml"])).near_m == 0.01
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["mount.zones=zone.yaml"], ["mount.zones", "no such file"]),
+        (["mount.zones=zones.yaml", "method=thesis"], ["mount.zones", "method: default"]),
+        (["mount.zones=zones.yaml", "rig.free.height_m=[0.1,0.3]"], ["rig.free.height_m", "stand_off_m"]),
+    ],
+)
+def test_what_does_not_go_with_zones_is_one_line(car, capsys, overrides, words):
+    assert main(["vehicle", "zones", "car.glb"]) == 0
+    line = complaint(capsys, "optimise", *POOL, *overrides, "run.out=none")
+    assert all(word in line for word in words)
+
+
+def test_a_broken_file_of_zones_leaves_nothing(working_directory, capsys):
+    (working_directory / "zones.yaml").write_text("zones: {door: {normal: lefft}}\n")
+    line = complaint(capsys, "optimise", *POOL, "mount.zones=zones.yaml", "run.out=none")
+    assert "zones.door.normal" in line
+    assert "did you mean left" in line
+    assert not (working_directory / "none").exists()
+
+
+def test_the_api_takes_zones(working_directory, car):
+    (working_directory / "nowhere.yaml").write_text(
+        "zones: {nowhere: {normal: left, box_m: [[40, 0, 0], [41, 1, 1]]}}\n"
+    )
+    assert main(["vehicle", "zones", "car.glb"]) == 0
+    placement = wa.Placement(wa.town(range(1)), cameras=2, zones="zones.yaml")
+    assert [zone.name for zone in placement.mount.surface.zones][:2] == ["roof", "bonnet"]
+    with pytest.raises(InputError, match="zone 'nowhere'"):
+        _ = wa.Placement(wa.town(range(1)), cameras=2, zones="nowhere.yaml").mount
