@@ -39,6 +39,7 @@ _PLACES = {
     "highest_rig": ("warpav.runs.baseline_rigs", "highest_rig"),
     "import_rig": ("warpav.rig.formats.convert", "import_rig"),
     "losses": ("warpav.optimisation.losses", None),
+    "mount_tolerance": ("warpav.runs.evaluate", "mount_tolerance"),
     "optimise": ("warpav.runs.optimise", "optimise"),
     "plot": ("warpav.view", "plot"),
     "preset": ("warpav.rig.presets", "preset_rig"),

@@ -19,7 +19,7 @@ from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
 from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate
+from warpav.runs.evaluate import evaluate, mount_tolerance
 from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
@@ -55,6 +55,7 @@ __all__ = [
     "highest_rig",
     "import_rig",
     "losses",
+    "mount_tolerance",
     "optimise",
     "plot",
     "preset",

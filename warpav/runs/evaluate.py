@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,8 +10,10 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
+from warpav.evaluation.mount_tolerance import MountTolerance
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.rig_values import single_cameras_of
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
@@ -48,6 +51,59 @@ def evaluate(
             raise TypeError(f"rigs: expected rigs by name, got {type(rig).__name__} as {name!r}")
     with shown_progress(progress) as shown:
         return evaluate_on(named, placement.observed(scenes, progress=shown), placement, progress=shown)
+
+
+def mount_tolerance(
+    rig: Rig,
+    scenes: Sequence[Scene],
+    placement: Placement,
+    *,
+    position_m: float = 0.02,
+    angle_deg: float = 1.0,
+    sample_count: int = 32,
+    seed: int = 0,
+    progress: bool | Progress | None = None,
+) -> MountTolerance:
+    """What errors of mounting cost a rig, by rendering its cameras where they are off. Nothing is written.
+
+    Args:
+        rig: As many cameras as the placement has, of its camera model.
+        scenes: Scenes that no rig was optimised on.
+        placement: Gives the vehicle, the targets, the model of detection probability and the weights of objects.
+        position_m: Greatest error of a place in each direction [m], positive.
+        angle_deg: Greatest error of yaw, pitch and roll [deg], positive.
+        sample_count: Draws of all errors together, at least 1.
+        seed: Of the draws.
+        progress: As of `warpav.runs.optimise.optimise`.
+
+    Returns:
+        Expected misses per 100 objects: of the rig, of the draws, and with each camera off in each degree of freedom.
+
+    Raises:
+        InputError: The rig does not fit the placement, whose objective has to be the expected miss rate alone; a number
+            is not positive, or the scenes hold no objects.
+    """
+    with shown_progress(progress) as shown:
+        observed = placement.observed(scenes, progress=shown)
+        cameras = single_cameras_of(placement.objective)
+        if cameras is None:
+            raise InputError(
+                "losses: expected the expected_miss_rate alone, with combine=any, for what mount errors cost, got "
+                f"{', '.join(loss.name for _, loss in placement.objective.losses)}"
+            )
+        packed, importance = [each.scene for each in observed], placement.objective.importance
+        return MountTolerance.of(
+            [camera.name for camera in rig.cameras],
+            placement.mount_pose_of(rig),
+            cameras,
+            packed,
+            position_m=position_m,
+            angle_rad=math.radians(angle_deg),
+            sample_count=sample_count,
+            seed=seed,
+            weight=None if importance is None else importance.weights_of(packed),
+            progress=shown,
+        )
 
 
 @drawing_of.register(RigEvaluation)

@@ -456,7 +456,7 @@ class Placement:
             InputError: The rig does not fit the placement.
         """
         found = self.objective.evaluate(
-            self._pose_of(rig), self._scenes_for(rig, scenes), gradient=True, with_constraints=False
+            self.mount_pose_of(rig), self._scenes_for(rig, scenes), gradient=True, with_constraints=False
         )
         assert found.gradient is not None
         columns = {
@@ -483,12 +483,19 @@ class Placement:
         Raises:
             InputError: The rig does not fit the placement, or the objective takes no part in detection probability.
         """
-        found = self.objective.evaluate(self._pose_of(rig), self._scenes_for(rig, scenes), detection_probability=True)
+        found = self.objective.evaluate(
+            self.mount_pose_of(rig), self._scenes_for(rig, scenes), detection_probability=True
+        )
         if found.detection_probability is None:
             raise InputError("losses: expected a loss that knows detection probabilities, such as expected_miss_rate")
         return found.detection_probability
 
-    def _pose_of(self, rig: Rig) -> np.ndarray:
+    def mount_pose_of(self, rig: Rig) -> np.ndarray:
+        """The cameras of a rig as the placement's mount counts them, float32 [camera, 7].
+
+        Raises:
+            InputError: It has another number of cameras, or another camera model.
+        """
         if not isinstance(rig, Rig):
             raise TypeError(f"rig: expected a Rig, got {type(rig).__name__}")
         count = self.config.rig.cameras

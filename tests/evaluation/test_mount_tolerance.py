@@ -1,0 +1,105 @@
+"""What errors of mounting cost: against renders of rigs that are off, one by one."""
+
+import math
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
+from warpav.core.errors import InputError
+from warpav.evaluation.mount_tolerance import COLUMNS, MountTolerance
+from warpav.raster.camera import CameraModel
+
+MODEL = CameraModel(128, 128, math.pi / 2)
+NAMES = ("front", "left", "rear")
+CAMERAS = cameras_of(mount=mount_of(model=MODEL))
+POSE = poses_of(3, CAMERAS.mount)
+WEIGHT = np.linspace(0.5, 2.0, 10)
+
+
+def tolerance_of(position_m=0.05, angle_rad=0.03, sample_count=4, scenes=None, cameras=CAMERAS, **options):
+    scenes = streets() if scenes is None else scenes
+    return MountTolerance.of(
+        NAMES, POSE, cameras, scenes, position_m=position_m, angle_rad=angle_rad, sample_count=sample_count, seed=0,
+        **options,
+    )  # fmt: skip
+
+
+def misses(pose, weight=None):
+    """Expected misses per 100, a rig at a time and object by object."""
+    found = np.concatenate(
+        [CAMERAS.detection_probability(np.asarray(pose, np.float32), scene) for scene in streets()], axis=1
+    )
+    missed = [math.prod(1.0 - float(p) for p in column) for column in found.T]
+    return 100.0 * float(np.average(missed, weights=weight))
+
+
+@pytest.mark.parametrize("weight", [None, WEIGHT])
+def test_every_effect_is_that_of_a_rig_that_is_off(weight):
+    found = tolerance_of(weight=weight)
+    nominal = misses(POSE, weight)
+    assert found.nominal == pytest.approx(nominal, abs=1e-6)
+    assert [(effect.camera, effect.degree) for effect in found.effects] == [(n, d) for n in NAMES for d in COLUMNS]
+    for effect in found.effects:
+        off = 0.03 if effect.degree in ("yaw", "pitch", "roll") else 0.05
+        for sign, change in ((-1.0, effect.below), (1.0, effect.above)):
+            pose = POSE.astype(np.float64)
+            pose[NAMES.index(effect.camera), COLUMNS[effect.degree]] += sign * off
+            assert change == pytest.approx(misses(pose, weight) - nominal, abs=1e-5)
+    assert found.worst.worst == max(max(effect.below, effect.above) for effect in found.effects)
+    assert found.worst.worst > 0.1
+
+
+def test_derivatives_are_those_of_small_errors():
+    """In finer images fewer objects come into sight within a centimetre, where there is no derivative."""
+    cameras = cameras_of(mount=mount_of(model=CameraModel(256, 256, math.pi / 2)))
+    small = tolerance_of(position_m=0.01, angle_rad=0.01, sample_count=1, cameras=cameras)
+    slope = np.array([effect.per_unit for effect in small.effects])
+    difference = np.array([(effect.above - effect.below) / 0.02 for effect in small.effects])
+    assert np.abs(difference).max() > 100.0
+    assert np.corrcoef(slope, difference)[0, 1] > 0.98  # .9956
+
+
+def test_draws_stay_within_the_tolerance_and_repeat():
+    few, many = tolerance_of(sample_count=3), tolerance_of(sample_count=8)
+    np.testing.assert_array_equal(few.samples, many.samples[:3])
+    tiny = tolerance_of(position_m=1e-6, angle_rad=1e-6, sample_count=3)
+    np.testing.assert_allclose(tiny.samples, tiny.nominal, atol=1e-2)
+    assert np.ptp(many.samples) > 0.05
+
+
+def test_the_table_names_the_worst():
+    found = tolerance_of()
+    text = str(found.table())
+    assert f"{found.worst.worst:+.2f}" in text
+    assert all(name in text for name in (*NAMES, *COLUMNS))
+    assert "+-5 cm, +-1.71" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"position_m": 0.0}, "position_m: expected a positive number, got 0.0"),
+        ({"angle_rad": math.nan}, "angle_rad: expected a positive number, got nan"),
+        ({"sample_count": 0}, "sample_count: expected a positive number, got 0"),
+        ({"scenes": streets()[1:2]}, "scenes: expected at least one object, got none"),
+    ],
+)
+def test_what_cannot_be_is_one_line(options, words):
+    with pytest.raises(InputError, match=words):
+        tolerance_of(**options)
+
+
+def test_the_public_call_takes_a_rig_and_scenes():
+    scenes = wa.town(range(2))
+    placement = wa.Placement(scenes, cameras=2)
+    rig = wa.highest_rig(placement)
+    found = wa.mount_tolerance(rig, wa.town([1000]), placement, sample_count=4)
+    assert {effect.camera for effect in found.effects} == {camera.name for camera in rig.cameras}
+    assert found.position_m == 0.02
+    assert found.angle_rad == pytest.approx(math.radians(1.0))
+    assert 0.0 < found.nominal < 100.0
+    thesis = wa.Placement(scenes, cameras=2, losses={"detected_area": 1.0})
+    with pytest.raises(InputError, match="losses: expected the expected_miss_rate alone"):
+        wa.mount_tolerance(rig, wa.town([1000]), thesis)

@@ -1,0 +1,174 @@
+"""What errors of mounting cost a rig: each camera and degree of freedom alone, and all of them together by chance.
+
+All cameras are rendered by themselves, as a pool is; a rig's expected misses follow from what each of them detects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError
+from warpav.core.progress import NullProgress, Progress
+from warpav.evaluation.rig_evaluation import Table
+from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
+from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.scene.device_scene import DeviceScene
+
+COLUMNS = {"x": X_M, "y": Y_M, "z": HEIGHT_DELTA_M, "yaw": YAW_RAD, "pitch": PITCH_RAD, "roll": ROLL_RAD}
+"""Degrees of freedom, and their columns in a mount pose: places along the surface that a camera stands on (forwards and
+to the left on a roof) and off it, directions as in a rig's file."""
+
+ANGLES = ("yaw", "pitch", "roll")
+
+
+@dataclass(frozen=True)
+class MountEffect:
+    """One camera that is off in one degree of freedom.
+
+    Attributes:
+        camera: Its name.
+        degree: Out of `COLUMNS`.
+        per_unit: Derivative of the expected misses per 100 objects at the rig [1/m, 1/rad].
+        below: Change of the expected misses per 100 objects with the camera off by the tolerance, the number smaller.
+        above: Likewise, the number larger.
+    """
+
+    camera: str
+    degree: str
+    per_unit: float
+    below: float
+    above: float
+
+    @property
+    def worst(self) -> float:
+        """The greater of both changes."""
+        return max(self.below, self.above)
+
+
+@dataclass(frozen=True, eq=False)
+class MountTolerance:
+    """What errors of mounting cost a rig in expected misses per 100 objects, weighted where objects have weights.
+
+    Attributes:
+        position_m: Greatest error of a place [m], in each direction.
+        angle_rad: Greatest error of an angle [rad], of each of the three.
+        nominal: Expected misses per 100 objects of the rig as it is.
+        samples: The same with all cameras off, each number by chance and evenly within its tolerance, float64 [sample].
+        effects: Every camera and degree of freedom alone.
+    """
+
+    position_m: float
+    angle_rad: float
+    nominal: float
+    samples: np.ndarray
+    effects: tuple[MountEffect, ...]
+
+    @property
+    def worst(self) -> MountEffect:
+        """The camera and degree of freedom that cost most; of equal ones the first."""
+        return max(self.effects, key=lambda effect: effect.worst)
+
+    def table(self) -> Table:
+        """What each camera costs by degree of freedom: text when printed, HTML in a notebook."""
+        cameras = dict.fromkeys(effect.camera for effect in self.effects)
+        found = {(effect.camera, effect.degree): f"{effect.worst:+.2f}" for effect in self.effects}
+        limits = f"+-{100.0 * self.position_m:g} cm, +-{np.degrees(self.angle_rad):g} deg"
+        high = np.quantile(self.samples, 0.95)
+        return Table(
+            ("misses per 100, change", *COLUMNS),
+            tuple((name, *(found[name, degree] for degree in COLUMNS)) for name in cameras),
+            f"Worst change with one camera off by {limits} in one direction. The rig is expected to miss "
+            f"{self.nominal:.2f} of 100; with all cameras off by chance {self.samples.mean():.2f}, "
+            f"in 95 % of {len(self.samples)} draws at most {high:.2f}.",
+        )
+
+    @classmethod
+    def of(
+        cls,
+        camera: Sequence[str],
+        mount_pose: np.ndarray,
+        cameras: SingleCameras,
+        scenes: Sequence[DeviceScene],
+        *,
+        position_m: float,
+        angle_rad: float,
+        sample_count: int,
+        seed: int,
+        weight: np.ndarray | None = None,
+        progress: Progress | None = None,
+    ) -> MountTolerance:
+        """Render a rig's cameras with errors of mounting.
+
+        Args:
+            camera: Names of the cameras.
+            mount_pose: The rig, float [camera, 7].
+            cameras: What the cameras are, and how likely one is to detect.
+            scenes: On the mount's device.
+            position_m: Greatest error of a place [m], positive.
+            angle_rad: Greatest error of an angle [rad], positive.
+            sample_count: Draws of all errors together, at least 1.
+            seed: Of the draws.
+            weight: Of each object, at least 0, float [object]; None: all alike.
+            progress: Told of every scene.
+
+        Raises:
+            InputError: A tolerance is not positive, no draw was asked for, or the scenes hold no objects.
+        """
+        for name, value in (("position_m", position_m), ("angle_rad", angle_rad), ("sample_count", sample_count)):
+            if not value > 0.0:
+                raise ArgumentError(name, f"expected a positive number, got {value!r}")
+        if not any(scene.vehicle_count for scene in scenes):
+            raise ArgumentError("scenes", "expected at least one object, got none")
+        pose = np.asarray(mount_pose, np.float64)
+        count, columns = len(pose), list(COLUMNS.values())
+        tolerance = np.array([angle_rad if degree in ANGLES else position_m for degree in COLUMNS])
+        rng = np.random.default_rng(seed)
+        drawn = np.tile(pose, (sample_count, 1, 1))
+        drawn[..., columns] += tolerance * rng.uniform(-1.0, 1.0, (sample_count, count, len(columns)))
+        alone = np.tile(pose, (2, len(columns), 1, 1))  # [below or above, degree, camera, 7]
+        for k, column in enumerate(columns):
+            alone[0, k, :, column] -= tolerance[k]
+            alone[1, k, :, column] += tolerance[k]
+        every = np.concatenate([pose[None], alone.reshape(-1, count, pose.shape[1]), drawn]).astype(np.float32)
+        progress = progress or NullProgress()
+        found = np.concatenate(
+            [
+                cameras.detection_probability(every.reshape(-1, pose.shape[1]), scene)
+                for scene in progress.steps("mount errors", scenes, count=len(scenes))
+            ],
+            axis=1,
+        ).reshape(*every.shape[:2], -1)
+        share = shares_of(weight)
+
+        def misses(probability: np.ndarray) -> float:
+            return 100.0 * expected_miss_rate(probability, share)
+
+        plain, single, together = found[0], found[1 : 1 + 2 * len(columns)], found[1 + 2 * len(columns) :]
+        nominal = misses(plain)
+        single = single.reshape(2, len(columns), count, -1)
+        slope = _slopes(cameras, pose.astype(np.float32), scenes, share)
+        effects = []
+        for c, name in enumerate(camera):
+            for k, degree in enumerate(COLUMNS):
+                changes = []
+                for side in range(2):
+                    moved = plain.copy()
+                    moved[c] = single[side, k, c]
+                    changes.append(misses(moved) - nominal)
+                effects.append(MountEffect(name, degree, float(slope[c, columns[k]]), *changes))
+        return cls(position_m, angle_rad, nominal, np.array([misses(each) for each in together]), tuple(effects))
+
+
+def _slopes(
+    cameras: SingleCameras, mount_pose: np.ndarray, scenes: Sequence[DeviceScene], share: np.ndarray | None
+) -> np.ndarray:
+    """Derivatives of the expected misses per 100 to every number of every camera, float64 [camera, 7]."""
+    probability, jacobian = cameras.with_jacobian(mount_pose, scenes)
+    missed = 1.0 - probability
+    others = np.stack([np.prod(np.delete(missed, c, axis=0), axis=0) for c in range(len(missed))])
+    weight = np.full(missed.shape[1], 1.0 / missed.shape[1]) if share is None else share
+    return -100.0 * np.einsum("o,co,cok->ck", weight, others, jacobian)
