@@ -8,6 +8,7 @@ HEAVY = {
     "pyvista",
     "vtkmodules",
     "trimesh",
+    "collada",
     "embreex",
     "cv2",
     "onnxruntime",

@@ -57,9 +57,13 @@ DAE = """<?xml version="1.0"?>
   <library_materials><material id="mat"><instance_effect url="#fx"/></material></library_materials>
   <library_geometries><geometry id="geo"><mesh>
     <source id="pos"><float_array id="pos-a" count="12">0 0 0 4 0 0 4 2 0 0 2 0</float_array>
-      <technique_common><accessor source="#pos-a" count="4" stride="3"/></technique_common></source>
+      <technique_common><accessor source="#pos-a" count="4" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
     <source id="uv"><float_array id="uv-a" count="12">0.1 0.2 7 0.9 0.2 7 0.9 0.8 7 0.1 0.8 7</float_array>
-      <technique_common><accessor source="#uv-a" count="4" stride="3"/></technique_common></source>
+      <technique_common><accessor source="#uv-a" count="4" stride="3">
+        <param name="S" type="float"/><param name="T" type="float"/><param name="P" type="float"/>
+      </accessor></technique_common></source>
     <vertices id="vtx"><input semantic="POSITION" source="#pos"/></vertices>
     {faces}
   </mesh></geometry></library_geometries>
@@ -79,6 +83,20 @@ FACES = {
     "tristrips": f'<tristrips material="paint" count="1">{INPUTS}<p>0 0 1 1 3 3 2 2</p></tristrips>',
     "trifans": f'<trifans material="paint" count="1">{INPUTS}<p>0 0 1 1 2 2 3 3</p></trifans>',
 }
+SKIN = """<library_controllers><controller id="skin"><skin source="#geo">
+  <source id="joint"><Name_array id="joint-a" count="1">bone</Name_array><technique_common>
+    <accessor source="#joint-a" count="1"><param name="JOINT" type="name"/></accessor></technique_common></source>
+  <source id="bind"><float_array id="bind-a" count="16">1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</float_array><technique_common>
+    <accessor source="#bind-a" count="1" stride="16"><param name="TRANSFORM" type="float4x4"/></accessor>
+  </technique_common></source>
+  <source id="weight"><float_array id="weight-a" count="1">1</float_array><technique_common>
+    <accessor source="#weight-a" count="1"><param name="WEIGHT" type="float"/></accessor></technique_common></source>
+  <joints><input semantic="JOINT" source="#joint"/><input semantic="INV_BIND_MATRIX" source="#bind"/></joints>
+  <vertex_weights count="4"><input semantic="JOINT" source="#joint" offset="0"/>
+    <input semantic="WEIGHT" source="#weight" offset="1"/><vcount>1 1 1 1</vcount><v>0 0 0 0 0 0 0 0</v>
+  </vertex_weights>
+</skin></controller></library_controllers>
+<library_nodes><node id="skinned"><instance_controller url="#skin"/></node></library_nodes>"""
 TEXTURED = '<texture texture="sampler" texcoord="CHANNEL1"/>'
 
 
@@ -219,13 +237,19 @@ def test_a_gltf_without_its_texture_is_grey_and_without_its_buffer_refused(tmp_p
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("<COLLADA", "<OTHER"), "expected a readable dae file|expected a COLLADA file"),
-        (('source="#pos"', 'source="#none"'), "no element '#none'"),
-        (("2 2 0 0 2 2 3 3</p>", "2 2 0 0 2 2 9 3</p>"), "index 9 into 4 rows"),
-        (('count="4" stride="3"', 'count="40" stride="3"'), "of 12 numbers instead of 120"),
-        (("0 0 0 4 0 0", "0 0 0 four 0 0"), "could not convert string to float"),
+        (("<COLLADA", "<OTHER"), "expected a readable dae file, got: mismatched tag"),
+        (('source="#pos"', 'source="#none"'), "expected a readable dae file"),
+        (("2 2 0 0 2 2 3 3</p>", "2 2 0 0 2 2 9 3</p>"), "maxindex=9.* beyond the limits"),
+        (('count="4" stride="3"', 'count="40" stride="3"'), "of 4 rows instead of 40"),
+        (("0 0 0 4 0 0", "0 0 0 four 0 0"), "Corrupted float array"),
         ((TRIANGLES, ""), "expected a mesh with triangles, got none"),
-        (("<node>", '<node><instance_node url="#n"/></node><node id="n"><instance_node url="#n"/>'), "within nodes"),
+        (("<node>", '<node><instance_node url="#n"/></node><node id="n"><instance_node url="#n"/>'), "#n not found"),
+        (("<node>", "<node>" * 20_000), "expected a readable dae file"),
+        (("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>"), "skeleton"),
+        (("2 2 0 0 2 2 3 3</p>", "2 2 0 0 2 2 -1 3</p>"), "index -1"),
+        (("0 0 0 4 0 0", "0 0 0 nan 0 0"), "no numbers"),
+        (('<scene><instance_visual_scene url="#vs"/></scene>', ""), "no scene"),
+        (("<COLLADA", "<!DOCTYPE COLLADA [<!ENTITY a 'aa'><!ENTITY b '&a;&a;&a;&a;'>]><COLLADA"), "DOCTYPE"),
     ],
 )
 def test_broken_collada_is_refused_with_one_line(tmp_path, change, message):

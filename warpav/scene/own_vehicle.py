@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.collada import read_collada
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
 from warpav.scene.mesh_colours import FileFinder, vertex_rgb
 from warpav.scene.simulator_model import SimulatorModel, simulator_model
@@ -293,27 +293,25 @@ def read_vehicle_file(path: str | Path) -> VehicleFile:
         hint = "" if near is None else f"; did you mean {near}?"
         raise InputError(f"{path}: vehicle: expected {expected}, got no such file{hint}")
     suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in FORMATS and suffix not in trimesh.available_formats():
+    # a zipped COLLADA file hides its unit and axes
+    if suffix not in FORMATS and suffix not in trimesh.available_formats() - {"zae"}:
         raise InputError(
             f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
         )
     finder = FileFinder(path)
     # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
-    is_scene = is_own = False
     try:
         if suffix == "dae":
-            collada = read_collada(path, finder)
-            parts = collada.parts
-            usual = usual.changed(up=collada.up, scale=collada.metres)
-        else:
-            # the resolver has all that trimesh asks of one
-            file = trimesh.load_scene(path, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
-            nodes = [str(name) for name in file.graph.nodes_geometry]
-            is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
-            is_own = (file.metadata or {}).get("schema") == SCHEMA
-            names = [name for name in nodes if not is_scene or name == EGO_NODE]
-            parts = [part for name in names if (part := _part(file, name, finder)) is not None]
+            up, metres = _collada_frame(path)
+            usual = usual.changed(up=up, scale=metres)
+        # the resolver has all that trimesh asks of one
+        file = trimesh.load_scene(path, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
+        nodes = [str(name) for name in file.graph.nodes_geometry]
+        is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
+        is_own = (file.metadata or {}).get("schema") == SCHEMA
+        names = [name for name in nodes if not is_scene or name == EGO_NODE]
+        parts = [part for name in names if (part := _part(file, name, finder)) is not None]
     except InputError:
         raise
     except Exception as error:
@@ -686,6 +684,47 @@ def _place_findings(
     if len(wheels.axle_m) > 2:
         hints.append(f"{len(wheels.axle_m)} axles: the rearmost one counts as the rear axle; `rear_axle` overrides it")
     return shift_m, problems, hints
+
+
+def _collada_frame(path: Path) -> tuple[str, float]:
+    """Axis that points up, out of `AXES`, and unit [m] of a COLLADA file, which trimesh does not apply.
+
+    Raises:
+        ValueError: It holds what trimesh would leave out or read as something else.
+    """
+    from collada import Collada
+    from collada.common import DaeUnsupportedError
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = _refuse_doctype
+    parser.Parse(path.read_bytes(), True)
+    # trimesh leaves out what is broken; here it is an error
+    document: Any = Collada(str(path), ignore=[DaeUnsupportedError])
+    tag = document.tag
+    if document.scene is None:
+        raise ValueError("no scene")
+    if document.xmlnode.find(f".//{tag('instance_controller')}") is not None:
+        raise ValueError("meshes bound to a skeleton, which has to be applied first")
+    for geometry in document.geometries:
+        for name, source in geometry.sourceById.items():
+            if not isinstance(source, dict):
+                count = int(source.xmlnode.find(f".//{tag('accessor')}").get("count"))
+                if len(source) != count:  # pycollada looks at neither count, stride nor offset
+                    raise ValueError(f"source {name!r} of {len(source)} rows instead of {count}")
+        for faces in geometry.primitives:
+            if len(faces.index) and faces.index.min() < 0:
+                raise ValueError(f"index {faces.index.min()}")
+            position = faces.sources["VERTEX"][0][4]
+            if "nan" in (position.xmlnode.findtext(tag("float_array")) or "").lower():  # pycollada makes 0 of them
+                raise ValueError(f"source {position.id!r} with values that are no numbers")
+    up = document.xmlnode.findtext(f"{tag('asset')}/{tag('up_axis')}", "").strip()
+    metres = document.assetInfo.unitmeter or 1.0
+    return {"X_UP": "x", "Z_UP": "z"}.get(up, "y"), metres if metres > 0.0 else 1.0
+
+
+def _refuse_doctype(*_: object) -> None:
+    """Its entities may expand without end; COLLADA has none."""
+    raise ValueError("a DOCTYPE, which no COLLADA file has")
 
 
 def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
