@@ -224,7 +224,7 @@ def box_share(new):
 
 
 def missed(new):
-    return 1, [new(size=VEHICLES, low=-2.0, high=0.0)], [new(np.zeros(1))]
+    return 1, [new(size=VEHICLES, low=-2.0, high=0.0), new(size=VEHICLES, low=0.0, high=2.0)], [new(np.zeros(1))]
 
 
 CASES = {

@@ -1,12 +1,11 @@
 """The picture of a rig, drawn small and looked at pixel by pixel."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
+from warpav.rig.mount_surface import MountSurface
 from warpav.view import rig_view
 from warpav.view.frustum import frustum_points
 from warpav.view.opengl import load_pyvista
@@ -160,9 +159,8 @@ def test_bad_trajectory_is_refused(bad):
 
 
 def test_mount_surface_is_draped_at_its_height(draw):
-    surface = SimpleNamespace(
-        height_m=np.array([[1.5, 1.5], [1.6, 1.6], [1.7, 1.7]], np.float32), origin_m=np.array([0.0, -0.5]), cell_m=1.0
-    )
+    height_m = np.array([[1.5, 1.5], [1.6, 1.6], [1.7, 1.7]], np.float32)
+    surface = MountSurface(height_m, origin_m=np.array([0.0, -0.5]), cell_m=1.0)
     plotter = draw(rig(1), ego=ego(), mount_surface=surface)
     render_rgb(plotter)
     grid = plotter.actors["mount_surface"].mapper.dataset
