@@ -8,46 +8,16 @@ import warp as wp
 
 from warpav.raster.buffers import Buffers
 from warpav.raster.scene import Scene
-from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, NEAR_CUT, Layers, place_in, step_of
+from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
 from warpav_kernels.raster.rasterise import LEAST_OFFSET
+from warpav_kernels.raster.trace import first_hit
 from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
-FARTHEST_M = wp.constant(1.0e6)
 CROSSING_STEPS = wp.constant(12)  # halvings of a sample
 NEAR_TOLERANCE = wp.constant(3.0e-4)  # of 1/z, by which a surface ends where it is too near
 LEAST_STEP = wp.constant(0.1)  # of 1/z, from a layer's front to a part behind it
-
-
-@wp.struct
-class Hit:
-    """What a ray hits.
-
-    Attributes:
-        inverse_depth: 1/depth [1/m]; 0 where it hits nothing.
-        triangle: The triangle; -1 where it hits nothing.
-    """
-
-    inverse_depth: float
-    triangle: int
-
-
-@wp.func
-def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
-    """The nearest surface along a ray of depth 1 in camera coordinates; none for a ray of zero."""
-    hit = Hit()
-    hit.inverse_depth = 0.0
-    hit.triangle = -1
-    if wp.length_sq(ray) > 0.0:
-        direction = wp.transpose(camera.camera_from_world) * ray
-        # what is nearer is cut away
-        start_world_m = camera.position_world_m + camera.near_m * direction
-        query = wp.mesh_query_ray(mesh, start_world_m, direction, FARTHEST_M, root)
-        if query.result:
-            hit.inverse_depth = wp.max(1.0 / (camera.near_m + query.t), LEAST_INVERSE_DEPTH)
-            hit.triangle = query.face
-    return hit
 
 
 @wp.kernel(enable_backward=False)
