@@ -12,7 +12,9 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 """Commands that are not run here: an installation, what differs from machine to machine, a second run, a mistake."""
 
 
-LEFT_OUT = re.compile(r"(?:scenes|pool of cameras): \d+/|iteration |[│├┃┡└┏]|recall of the rig")
+LEFT_OUT = re.compile(
+    r"(?:scenes|pool of cameras): \d+/|iteration |[│├┃┡└┏]|recall of the rig|optimised without one camera"
+)
 """Lines that the tutorial says it leaves out, or some of."""
 
 
