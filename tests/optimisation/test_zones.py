@@ -10,6 +10,7 @@ import warp as wp
 
 from tests.driving_scene import street
 from tests.optimisation.test_pool import cameras_of
+from warpav.core.errors import InputError
 from warpav.optimisation.camera_jacobians import _placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
@@ -19,6 +20,7 @@ from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 from warpav.rig.chart import chart_of
+from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import NORMALS, Zone
 from warpav.scene.device_scene import DeviceScene
 
@@ -210,3 +212,27 @@ def test_jacobians_match_differences_of_supersampled_renders(name):
         cosine = (mine * truth)[seen, :count].sum(axis=1) / size[seen]
         sys.stdout.write(f"{name}, {count} numbers: {np.median(cosine):.5f}\n")
         assert np.median(cosine) >= least
+
+
+def test_cameras_that_stay_are_where_they_were_or_are_refused():
+    """Far away a place of the chart may belong to another zone than the point was laid out in."""
+    mount = mount_of()
+    others = mount.rig(spread()[:2]).cameras
+    kept = refused = 0
+    for position_m in np.random.default_rng(0).uniform(-40.0, 40.0, (60, 3)):
+        rig = Rig([RigCamera("far", position_m, model=MODEL), *others])
+        try:
+            frozen = mount.freezing(rig, ["far"]).frozen
+        except InputError:
+            refused += 1
+            with pytest.raises(InputError, match=r"^camera 'far': expected one above a zone of mount\.zones"):
+                mount.freezing(rig, ["far"])
+            continue
+        assert frozen is not None
+        np.testing.assert_allclose(mount.position_m(frozen.mount_pose)[0], position_m, atol=1e-3)
+        kept += 1
+    assert kept > 5
+    assert refused > 5
+    place_m, rise_m = chart().place_of(np.random.default_rng(1).uniform(-40.0, 40.0, (60, 3)))
+    assert np.isfinite(place_m).all()
+    assert np.isfinite(rise_m).all()

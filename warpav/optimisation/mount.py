@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpav.core.errors import InputError
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
 from warpav.rig.mount_surface import MountSurface
@@ -23,6 +24,7 @@ HEIGHT_DELTA_M, LOG_ZOOM = int(kernels.HEIGHT_DELTA_M), int(kernels.LOG_ZOOM)
 MOUNT_POSE_SIZE = int(kernels.MOUNT_POSE_SIZE)
 
 _ROUNDING = 1e-9
+_FROZEN_OFF_M = 1e-3  # rig files keep micrometres, mount poses single precision
 
 
 @dataclass(frozen=True)
@@ -208,6 +210,7 @@ class CameraMount:
         Raises:
             ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
                 camera: all share image size and lens.
+            InputError: One that stays is above none of the surface's zones.
         """
         is_frozen = np.array([camera.name in names for camera in rig.cameras])
         if is_frozen.sum() != len(set(names)) or is_frozen.all():
@@ -218,8 +221,15 @@ class CameraMount:
                 raise ValueError(
                     f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
                 )
+        mount_pose = self.mount_pose_of_rig(rig)
+        for camera, place_m in zip(rig.cameras, self.position_m(mount_pose), strict=True):
+            if camera.name in names and math.dist(camera.position_m, place_m) > _FROZEN_OFF_M:
+                raise InputError(
+                    f"camera {camera.name!r}: expected one above a zone of mount.zones, as it is to stay, got one at "
+                    f"{', '.join(f'{each:g}' for each in camera.position_m)} m; let a zone reach there"
+                )
         mount = copy.copy(self)
-        mount.frozen = FrozenCameras(rig.cameras, is_frozen, self.mount_pose_of_rig(rig))
+        mount.frozen = FrozenCameras(rig.cameras, is_frozen, mount_pose)
         narrowest_rad = min(self._narrowest_rad, *(camera.model.fov_rad for camera in frozen))
         mount.rotation_count, mount.rotation_step_rad = rotational_additions(narrowest_rad)
         return mount

@@ -6,12 +6,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.zone import Zone
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
@@ -79,7 +83,8 @@ class MountSurface:
     def place_of(self, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The place of the chart that a camera at a point stands at, and its height over the surface there.
 
-        With zones it is that of the zone whose surface and stand-off are nearest.
+        With zones it is that of the zone whose surface and stand-off are nearest; for a point that is above none of
+        them, the nearest cell's.
 
         Args:
             point_m: In the ego frame [m], [..., 3].
@@ -104,7 +109,24 @@ class MountSurface:
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
+        is_lost = np.isinf(best_m)
+        if is_lost.any():
+            cell_place_m, cell_point_m, tree = self._cells
+            _, cell = tree.query(point_m[is_lost])
+            place_m[is_lost] = cell_place_m[cell]
+            normal = self.axes[self.zone_at(cell_place_m[cell]), 2]
+            rise_m[is_lost] = np.einsum("ki,ki->k", point_m[is_lost] - cell_point_m[cell], normal)
         return place_m, rise_m
+
+    @cached_property
+    def _cells(self) -> tuple[np.ndarray, np.ndarray, KDTree]:
+        """Places and points [m] of the cells that can carry a camera, [cell, 2] and [cell, 3], and a tree of these."""
+        from scipy.spatial import KDTree
+
+        inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
+        place_m = self.origin_m + self.cell_m * np.argwhere(inside)
+        point_m = self.point_m(place_m, self.height_m[inside])
+        return place_m, point_m, KDTree(point_m)
 
     @cached_property
     def over_ground(self) -> MountSurface:
