@@ -159,7 +159,7 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
 
     The part with the highest point is the roof. What is lower than it by `BONNET_BELOW` is bonnet or front before the
     roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
-    and bonnet: these are told apart by the kinks in between.
+    and bonnet: what separates these are the kinks in between.
 
     Args:
         surface: Of the vehicle.
