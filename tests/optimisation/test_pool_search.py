@@ -69,7 +69,7 @@ def test_what_is_proven_at_the_end_is_of_the_whole_pool():
 
 
 def test_cameras_keep_their_places_in_the_rig():
-    assembly = _Assembly(mount_of(free=None), 3)
+    assembly = _Assembly(mount_of(free=None))
     rig = poses_of(3, mount_of(free=None))
     moved = rig + np.float32(0.01)
     np.testing.assert_array_equal(assembly.rig(moved[[2, 0, 1]], like=rig), moved)

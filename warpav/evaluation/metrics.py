@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -30,6 +30,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation.objective import RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
+from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
@@ -300,7 +301,7 @@ class RigObserver:
         occlusion: Occlusion,
         supersampling: int,
         device: str,
-        camera_probability: CameraProbability | None = None,
+        probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
         """Create the renderers; cameras of one model share one.
 
@@ -312,9 +313,10 @@ class RigObserver:
             occlusion: What hides an object.
             supersampling: Samples per pixel along each axis.
             device: Warp device.
-            camera_probability: How likely a camera of this rig is to detect; None: it is not asked for.
+            probability_of: How likely a camera of a model is to detect, None where it is not known; None: it is not
+                asked for.
         """
-        self._probability = camera_probability
+        self._probability_of = probability_of
         self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         self._groups: list[tuple[Renderer, Rig]] = []
@@ -344,9 +346,11 @@ class RigObserver:
             observations.append(observation)
             measures = frame.measure()
             area_px.append(_amodal_area_px(measures, forward_view))
-            if self._probability is not None:
-                found.append(_detection_probability(self._probability, frame, scene, views, measures))
-        probability = np.concatenate(found)[np.argsort(self._camera)] if found else None
+            known = None if self._probability_of is None else self._probability_of(part.cameras[0].model)
+            if known is not None:
+                found.append(_detection_probability(known, frame, scene, views, measures))
+        is_known = len(found) == len(self._groups)
+        probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
         return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
 
 
@@ -428,9 +432,9 @@ def observe_scenes(
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
-    has_objective = with_objective and is_of_mount and len(rig.cameras) == objective.camera_count
+    has_objective = with_objective and is_of_mount and (mount.is_mixed or len(rig.cameras) == objective.camera_count)
     observer = None
-    if not has_objective:
+    if mount.is_mixed or not has_objective:
         observer = RigObserver(
             rig,
             objective.detector,
@@ -439,7 +443,7 @@ def observe_scenes(
             occlusion=objective.occlusion,
             supersampling=objective.supersampling,
             device=objective.device,
-            camera_probability=objective.camera_probability if with_probability and is_of_mount else None,
+            probability_of=objective.probability_of if with_probability or has_objective else None,
         )
     observations: list[RigObservation] = []
     losses = []
@@ -452,6 +456,9 @@ def observe_scenes(
             losses.append(loss)
         else:
             observations.append(observer.observe(assigned.scene))
+            probability = observations[-1].detection_probability
+            if has_objective and probability is not None:
+                losses.append(objective.value_of(probability, assigned))
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
 
 

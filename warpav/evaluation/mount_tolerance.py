@@ -14,7 +14,7 @@ from warpav.core.errors import ArgumentError
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.rig_evaluation import Table
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.polish import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
@@ -167,8 +167,4 @@ def _slopes(
     cameras: SingleCameras, mount_pose: np.ndarray, scenes: Sequence[DeviceScene], share: np.ndarray | None
 ) -> np.ndarray:
     """Derivatives of the expected misses per 100 to every number of every camera, float64 [camera, 7]."""
-    probability, jacobian = cameras.with_jacobian(mount_pose, scenes)
-    missed = 1.0 - probability
-    others = np.stack([np.prod(np.delete(missed, c, axis=0), axis=0) for c in range(len(missed))])
-    weight = np.full(missed.shape[1], 1.0 / missed.shape[1]) if share is None else share
-    return -100.0 * np.einsum("o,co,cok->ck", weight, others, jacobian)
+    return 100.0 * expected_miss_slope(*cameras.with_jacobian(mount_pose, scenes), share)

@@ -13,7 +13,8 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD
 def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     """Cameras around the highest point of the mount surface, evenly turned, the first facing forward.
 
-    They stand on the smallest circle that keeps neighbours apart, each on the side that it faces.
+    They stand on the smallest circle that keeps neighbours apart, each on the side that it faces. Modules stand so
+    around the highest point of their zones.
 
     Args:
         constraints: Where the cameras may stand, and how close.
@@ -29,7 +30,9 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
     pose[:, YAW_RAD] = 2.0 * math.pi * np.arange(camera_count) / camera_count
     radius_m = 0.5 * constraints.min_spacing_m / math.sin(math.pi / camera_count) if camera_count > 1 else 0.0
     outward = np.stack([np.cos(pose[:, YAW_RAD]), np.sin(pose[:, YAW_RAD])], axis=1)
-    place = constraints.surface.highest_point_m()[:2] + radius_m * outward
+    modules = np.full(camera_count, -1) if constraints.module is None else constraints.module
+    highest_m = {int(module): constraints.surface.highest_point_m(int(module))[:2] for module in np.unique(modules)}
+    place = np.array([highest_m[int(module)] for module in modules]) + radius_m * outward
     pose[:, [X_M, Y_M]] = constraints.project(place)
     return pose
 

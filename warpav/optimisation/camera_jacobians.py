@@ -22,6 +22,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
+from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
 
@@ -33,16 +34,21 @@ class CameraJacobians:
     """Probabilities of single cameras and their Jacobians, as `SingleCameras.with_jacobian` gives them."""
 
     def __init__(
-        self, mount: CameraMount, probability: CameraProbability, renderers_for: Callable[[int], list[Renderer]]
+        self,
+        mount: CameraMount,
+        camera: CameraModel,
+        probability: CameraProbability,
+        renderers_for: Callable[[int], list[Renderer]],
     ) -> None:
         """Prepare nothing yet.
 
         Args:
             mount: Where the cameras stand.
+            camera: Which of the mount's models they have.
             probability: How likely a camera is to detect.
             renderers_for: Makes renderers of so many views, one for each thread.
         """
-        self.mount, self.probability = mount, probability
+        self.mount, self.camera, self.probability = mount, camera, probability
         self._renderers_for = renderers_for
         self._views: dict[int, _Views] = {}
 
@@ -81,8 +87,8 @@ class CameraJacobians:
                 leaves[1],
                 leaves[2],
                 wp.array(shown.contrast, dtype=float, device=device),
-                width_px=self.mount.camera.width_px,
-                height_px=self.mount.camera.height_px,
+                width_px=self.camera.width_px,
+                height_px=self.camera.height_px,
             )
             found = self.probability.share_of_box(seen) or seen.probability
         tape.backward(grads={found: wp.ones_like(found)})

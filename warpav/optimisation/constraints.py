@@ -8,7 +8,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,7 +73,14 @@ class Constraints(ABC):
 
     are_inequalities: bool
 
-    def __init__(self, surface: MountSurface, *, min_spacing_m: float, frozen: FrozenCameras | None = None) -> None:
+    def __init__(
+        self,
+        surface: MountSurface,
+        *,
+        min_spacing_m: float,
+        frozen: FrozenCameras | None = None,
+        module: np.ndarray | None = None,
+    ) -> None:
         """Constraints on a surface.
 
         Args:
@@ -82,6 +88,8 @@ class Constraints(ABC):
             min_spacing_m: Least distance between two camera centres [m], positive.
             frozen: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
                 them.
+            module: Which of the surface's modules each camera of a rig is, int [camera]; rigs of so many cameras are
+                brought to zones that carry these. None: every camera stays what it is.
 
         Raises:
             ValueError: ``min_spacing_m`` is not positive.
@@ -92,12 +100,20 @@ class Constraints(ABC):
         self.min_spacing_m = min_spacing_m
         self.margin_m = 0.0
         self.frozen = frozen
+        self.module = module
 
     @property
     def of_single_cameras(self) -> Constraints:
         """The same for cameras none of which is frozen; projections and slacks alone, which take any number of them."""
-        constraints = copy.copy(self)
+        constraints = self.of_any_modules
         constraints.frozen = None
+        return constraints
+
+    @property
+    def of_any_modules(self) -> Constraints:
+        """The same for rigs whose cameras are of whatever modules: each stays the one that it is."""
+        constraints = copy.copy(self)
+        constraints.module = None
         return constraints
 
     @property
@@ -131,7 +147,7 @@ class Constraints(ABC):
         Exactly 0 if it breaks none. The rig may have any number of cameras. Frozen cameras break none by themselves.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
-        place_m, _ = self.surface.place_of(position_m)
+        place_m, _ = self.surface.place_of(position_m, self.surface.modules_of(rig.cameras))
         is_frozen = self._stands_frozen(position_m)
         missing = sum(
             max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
@@ -204,7 +220,8 @@ class Constraints(ABC):
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
         is_frozen = self._stands_frozen(position_m)
-        border_m = self._border_distance_m(self.surface.place_of(position_m)[0])
+        place_m, _ = self.surface.place_of(position_m, self.surface.modules_of(rig.cameras))
+        border_m = self._border_distance_m(place_m)
         free = [
             Margin.of("border", [camera], border_m[k], self.margin_m)
             for k, camera in enumerate(rig.cameras)
@@ -235,6 +252,7 @@ class Constraints(ABC):
         place = np.array(place_m, np.float64)
         height_delta = np.zeros(len(place)) if height_delta_m is None else np.array(height_delta_m, np.float64)
         is_frozen = self._put_frozen(place, height_delta)
+        module = self.module if self.module is not None and len(self.module) == len(place) else None
         wanted_m = self.min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
         rng = np.random.default_rng(0)
         for projection_round in range(1, PROJECTION_ROUNDS + 1):
@@ -242,7 +260,7 @@ class Constraints(ABC):
                 # cameras on one line, such as an edge of the surface, would push each other along it for ever
                 shaken = rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
                 place[~is_frozen] += shaken[~is_frozen]
-            place[~is_frozen] = self._brought_in(place[~is_frozen])
+            place[~is_frozen] = self._brought_in(place[~is_frozen], None if module is None else module[~is_frozen])
             moved = False
             for i, j in itertools.combinations(range(len(place)), 2):
                 if is_frozen[i] and is_frozen[j]:
@@ -338,8 +356,13 @@ class Constraints(ABC):
         """By how much places [camera, 2] lie beyond the borders [m], of any shape."""
 
     @abstractmethod
-    def _brought_in(self, place: np.ndarray) -> np.ndarray:
-        """The nearest places within the borders, with room for the rounding to float32."""
+    def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
+        """The nearest places within the borders, with room for the rounding to float32.
+
+        Args:
+            place: x and y [m], float64 [camera, 2].
+            module: Whose zones they are brought to, int [camera]; None: those of any.
+        """
 
     @abstractmethod
     def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
@@ -400,7 +423,7 @@ class BoundsAndSpacing(Constraints):
         low_m, high_m = self.surface.bounds_m
         return np.maximum(low_m - place, 0.0) + np.maximum(place - high_m, 0.0)
 
-    def _brought_in(self, place: np.ndarray) -> np.ndarray:
+    def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
         low_m, high_m = self.surface.bounds_m
         return np.clip(place, low_m + 1e-6, high_m - 1e-6)
 
@@ -424,6 +447,7 @@ class ZoneAndSpacing(Constraints):
         min_spacing_m: float = 0.2,
         margin_m: float = 0.0,
         frozen: FrozenCameras | None = None,
+        module: np.ndarray | None = None,
     ) -> None:
         """Constraints for rigs of ``camera_count`` cameras.
 
@@ -433,12 +457,13 @@ class ZoneAndSpacing(Constraints):
             min_spacing_m: Least distance between two camera centres [m], positive.
             margin_m: Least distance of a camera's centre to the border of the zone [m], at least 0.
             frozen: As in `Constraints`.
+            module: Likewise.
 
         Raises:
             InputError: No place of the zone is so far from its border.
             ValueError: An option is out of its range.
         """
-        super().__init__(surface, min_spacing_m=min_spacing_m, frozen=frozen)
+        super().__init__(surface, min_spacing_m=min_spacing_m, frozen=frozen, module=module)
         if frozen is not None and len(frozen.is_frozen) != camera_count:
             raise ValueError(f"frozen must be of a rig of {camera_count} cameras, got {len(frozen.is_frozen)}")
         if camera_count < 1:
@@ -455,6 +480,7 @@ class ZoneAndSpacing(Constraints):
                 f"got {margin_m:g}",
             )
         self._arrays: dict[tuple[str, str], wp.array] = {}
+        self._borders: dict[int, tuple[np.ndarray, KDTree]] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -549,17 +575,24 @@ class ZoneAndSpacing(Constraints):
     def _excess_m(self, place: np.ndarray) -> np.ndarray:
         return np.maximum(self.margin_m - self.surface.zone_distance_m(place), 0.0)
 
-    def _brought_in(self, place: np.ndarray) -> np.ndarray:
+    def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
         place = place.copy()
-        is_outside = self.surface.zone_distance_m(place) < self._kept_m
-        outside = place[is_outside]
-        if len(outside):
+        of_module = np.full(len(place), -1) if module is None else module
+        is_elsewhere = (of_module >= 0) & (self.surface.module_at(place) != of_module)
+        is_outside = (self.surface.zone_distance_m(place) < self._kept_m) | is_elsewhere
+        for number in np.unique(of_module[is_outside]):
+            which = is_outside & (of_module == number)
+            outside = place[which]
             # the nearest place of a fine grid is near the nearest of all; uphill lies the nearest of all, as a rule
-            _, nearest = self._border_tree.query(outside)
-            inside = np.stack([self._border_places[nearest], self._uphill(outside)])
+            border_places, tree = self._border(int(number))
+            _, nearest = tree.query(outside)
+            inside = np.stack([border_places[nearest], self._uphill(outside)])
             found = self._first_inside(outside, inside)
+            if number >= 0:
+                found[0] = border_places[nearest]  # the way there may lead through zones of other modules
+                found[1, self.surface.module_at(np.nan_to_num(found[1], posinf=0.0)) != number] = np.inf
             is_uphill_nearer = np.less(*np.linalg.norm(found - outside, axis=-1)[::-1])
-            place[is_outside] = np.where(is_uphill_nearer[:, None], found[1], found[0])
+            place[which] = np.where(is_uphill_nearer[:, None], found[1], found[0])
         return place
 
     def _uphill(self, place: np.ndarray) -> np.ndarray:
@@ -588,29 +621,41 @@ class ZoneAndSpacing(Constraints):
         met = np.where((high < 1.0)[..., None], outside + high[..., None] * (inside - outside), inside)
         return np.where(is_inside[..., None], met, np.inf)
 
-    @cached_property
-    def _border_places(self) -> np.ndarray:
-        """Places all along the border, a quarter of a cell apart, just inside [m], float64 [place, 2]."""
-        surface = self.surface
-        x_m, y_m = (
-            origin + np.arange(4 * (n - 1) + 1) * (0.25 * surface.cell_m)
-            for origin, n in zip(surface.origin_m, surface.height_m.shape, strict=True)
-        )
-        place = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-        distance_m = surface.zone_distance_m(place)
-        return place[(distance_m >= self._kept_m) & (distance_m <= self._kept_m + surface.cell_m)]
+    def _border(self, module: int) -> tuple[np.ndarray, KDTree]:
+        """Places all along the border of a module's zones, -1: of all, just inside [m], [place, 2]; and their tree.
 
-    @cached_property
-    def _border_tree(self) -> KDTree:
+        They are a quarter of a cell apart.
+        """
         from scipy.spatial import KDTree
 
-        return KDTree(self._border_places)
+        if module not in self._borders:
+            surface = self.surface
+            x_m, y_m = (
+                origin + np.arange(4 * (n - 1) + 1) * (0.25 * surface.cell_m)
+                for origin, n in zip(surface.origin_m, surface.height_m.shape, strict=True)
+            )
+            place = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+            distance_m = surface.zone_distance_m(place)
+            place = place[(distance_m >= self._kept_m) & (distance_m <= self._kept_m + surface.cell_m)]
+            place = place if module < 0 else place[surface.module_at(place) == module]
+            self._borders[module] = place, KDTree(place)
+        return self._borders[module]
 
     def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
+        if self.module is not None and len(self.module) == camera_count:
+            return np.concatenate([self._drawn_within(1, rng, int(module)) for module in self.module])
+        return self._drawn_within(camera_count, rng, -1)
+
+    def _drawn_within(self, camera_count: int, rng: np.random.Generator, module: int) -> np.ndarray:
+        """Places in the zones of a module, -1: in all, float64 [camera, 2]."""
         place = np.zeros((0, 2))
+        bounds_m = self.surface.bounds_m if module < 0 else self.surface.bounds_of(module)
         while len(place) < camera_count:
-            drawn = rng.uniform(*self.surface.bounds_m, size=(4 * camera_count, 2))
-            place = np.concatenate([place, drawn[self.contains(drawn)]])
+            drawn = rng.uniform(*bounds_m, size=(4 * camera_count, 2))
+            inside = self.contains(drawn)
+            if module >= 0:
+                inside &= self.surface.module_at(drawn) == module
+            place = np.concatenate([place, drawn[inside]])
         return place[:camera_count]
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,38 +115,60 @@ class CameraMount:
         self,
         surface: MountSurface,
         *,
-        camera: CameraModel,
+        camera: CameraModel | Sequence[CameraModel],
         height_offset_m: float,
         device: str = "cpu",
         free: FreeRanges | None = None,
     ) -> None:
-        """Mount for cameras of one model.
+        """Mount for cameras of one model, or of the models of several modules.
 
         Args:
             surface: Height map of the ego vehicle.
-            camera: The model of all cameras at log zoom 0; the narrowest field of view gives the rotational additions.
+            camera: The model of all cameras at log zoom 0, or that of each of the surface's modules; the narrowest
+                field of view gives the rotational additions.
             height_offset_m: Height of the camera centres above the surface at height delta 0 [m].
             device: Warp device.
             free: What else may differ from camera to camera; None: nothing.
 
         Raises:
-            ValueError: A range of ``free`` does not hold what is configured, or the lens cannot see that wide.
+            ValueError: A range of ``free`` does not hold what is configured, or the lens cannot see that wide; not one
+                model for each module.
         """
         self.surface = surface
-        self.camera = camera
+        self.cameras = (camera,) if isinstance(camera, CameraModel) else tuple(camera)
+        if len(self.cameras) != max(len(surface.modules), 1):
+            raise ValueError(
+                f"camera must be one model for each of {max(len(surface.modules), 1)}, got {len(self.cameras)}"
+            )
         self.height_offset_m = height_offset_m
         self.device = device
         self.free = free = free or FreeRanges()
-        narrowest_rad = camera.fov_rad if free.fov_rad is None else free.fov_rad[0]
+        narrowest_rad = min(each.fov_rad for each in self.cameras) if free.fov_rad is None else free.fov_rad[0]
         self.frozen: FrozenCameras | None = None
         self._narrowest_rad = narrowest_rad
         self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
-        ends = [self._ends(zone) for zone in surface.zones or (None,)]
+        of_zone = surface.module_of_zone if surface.modules else np.zeros(max(len(surface.zones), 1), int)
+        zones = zip(surface.zones or (None,), of_zone, strict=True)
+        ends = [self._ends(zone, self.cameras[module]) for zone, module in zones]
         self._zone_low, self._zone_high = (np.stack(each) for each in zip(*ends, strict=True))
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
         self._zone_of_cell = wp.array(surface.zone_of_cell, dtype=wp.int32, device=device)
         self._plane_m = wp.array(surface.plane_m, dtype=wp.vec3, device=device)
         self._axes = wp.array(surface.axes, dtype=wp.mat33, device=device)
+
+    @property
+    def camera(self) -> CameraModel:
+        """The model of all cameras at log zoom 0; of a mount of several modules the first one's."""
+        return self.cameras[0]
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether it carries modules, each with a camera model of its own."""
+        return bool(self.surface.modules)
+
+    def module_of(self, mount_pose: np.ndarray) -> np.ndarray:
+        """Which of `cameras` the cameras at ``mount_pose`` [camera, 7] are: the zone says it, int [camera]."""
+        return self.surface.module_at(mount_pose[:, [X_M, Y_M]])
 
     @property
     def low(self) -> np.ndarray:
@@ -162,10 +185,10 @@ class CameraMount:
         zone = self.surface.zone_at(place_m)
         return self._zone_low[zone], self._zone_high[zone]
 
-    def _ends(self, zone: Zone | None) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest mount pose in a zone, float32 [7]."""
+    def _ends(self, zone: Zone | None, camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest mount pose of a camera in a zone, float32 [7]."""
         low, high = (np.full(MOUNT_POSE_SIZE, end, np.float32) for end in (-np.inf, np.inf))
-        free, camera = self.free, self.camera
+        free = self.free
         ranges: dict[int, tuple[float, float]] = {}
         if free.pitch_rad is not None:
             ranges[PITCH_RAD] = free.pitch_rad
@@ -217,7 +240,7 @@ class CameraMount:
             raise ValueError(f"names must be some of the rig's cameras and not all, got {sorted(names)}")
         frozen = [camera for camera in rig.cameras if camera.name in names]
         for camera in frozen:
-            if not camera.model.fits_beside(self.camera):
+            if not self.is_mixed and not camera.model.fits_beside(self.camera):
                 raise ValueError(
                     f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
                 )
@@ -267,7 +290,7 @@ class CameraMount:
 
     def has_model(self, model: CameraModel) -> bool:
         """Whether a camera of this model can be one of the mount's."""
-        if model == self.camera or (self.free.fov_rad is not None and model.is_zoom_of(self.camera)):
+        if model in self.cameras or (self.free.fov_rad is not None and model.is_zoom_of(self.camera)):
             return True
         frozen = self.frozen
         return frozen is not None and any(frozen.camera[k].model == model for k in np.flatnonzero(frozen.is_frozen))
@@ -356,20 +379,25 @@ class CameraMount:
         """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
 
         Where some are frozen, all have the names of the rig that these are of, and these are the same to the last bit.
+        Modules have the names of the catalogue, ``side_2mp_100_1``, ``side_2mp_100_2`` where there are several.
         """
         frozen = self.frozen
         position_m = self.position_m(mount_pose)
+        module = self.module_of(mount_pose)
+        modules = self.surface.modules
+        names = _numbered([modules[k] for k in module]) if modules else [f"camera_{i}" for i in range(len(module))]
         return Rig(
             [
                 frozen.camera[i]
                 if frozen is not None and frozen.is_frozen[i]
                 else RigCamera(
-                    name=f"camera_{i}" if frozen is None else frozen.camera[i].name,
+                    name=names[i] if frozen is None else frozen.camera[i].name,
                     position_m=position_m[i],
                     yaw_rad=float(pose[YAW_RAD]),
                     pitch_rad=float(pose[PITCH_RAD]),
                     roll_rad=float(pose[ROLL_RAD]),
-                    model=self.camera.zoomed(float(pose[LOG_ZOOM])),
+                    model=self.cameras[module[i]].zoomed(float(pose[LOG_ZOOM])),
+                    module=modules[module[i]] if modules else None,
                 )
                 for i, pose in enumerate(mount_pose)
             ]
@@ -378,23 +406,53 @@ class CameraMount:
     def mount_pose_of_rig(self, rig: Rig, *, as_configured: bool = False) -> np.ndarray:
         """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
 
-        Cameras of another model than the mount's give the zoom at which the mount's has their focal length.
+        Cameras of another model than the mount's give the zoom at which the mount's has their focal length; those of a
+        mount of modules must be these.
 
         Args:
             rig: The rig.
             as_configured: Whether height and field of view are as configured where they are not free, whatever the
                 rig's are.
+
+        Raises:
+            InputError: A camera is none of the mount's modules.
         """
         rows = []
         for camera in rig.cameras:
-            (x_m, y_m), rise_m = self.surface.place_of(camera.position_m)
+            module = self._module_of_camera(camera)
+            (x_m, y_m), rise_m = self.surface.place_of(camera.position_m, np.array(module) if self.is_mixed else None)
             height_delta_m = float(rise_m) - self.height_offset_m
-            log_zoom = camera.model.log_zoom_over(self.camera)
+            log_zoom = camera.model.log_zoom_over(self.cameras[module])
             rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, height_delta_m, log_zoom])
         pose = np.array(rows, np.float32)
         if as_configured:
             pose[:, [n for n in (HEIGHT_DELTA_M, LOG_ZOOM) if not self.is_free[n]]] = 0.0
         return pose
+
+    def _module_of_camera(self, camera: RigCamera) -> int:
+        """Which of the mount's modules a camera of a rig is, by name, or else by its model; 0 without modules."""
+        modules = self.surface.modules
+        if not modules:
+            return 0
+        if camera.module in modules:
+            return modules.index(camera.module)
+        near_m = self.camera.near_m
+        if camera.module is None and (model := dataclasses.replace(camera.model, near_m=near_m)) in self.cameras:
+            return self.cameras.index(model)
+        raise InputError(
+            f"camera {camera.name!r}: module: expected one of {', '.join(modules)}, got "
+            f"{camera.module or f'a camera of {camera.model.width_px} x {camera.model.height_px} px without one'}"
+        )
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    """The names with a number from 1 where there are several of one."""
+    count = dict.fromkeys(names, 0)
+    numbered = []
+    for name in names:
+        count[name] += 1
+        numbered.append(f"{name}_{count[name]}" if names.count(name) > 1 else name)
+    return numbered
 
 
 def views_of_rig(

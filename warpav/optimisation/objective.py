@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from operator import or_
 
 import numpy as np
@@ -21,13 +21,17 @@ from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
 from warpav.optimisation.exchange import Exchange
 from warpav.optimisation.importance import Importance
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses.lagrangian import Lagrangian
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
+from warpav.optimisation.polish import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.scene_step import Objective, RigViews, SceneLosses, SceneStep
+from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.areas import Measures
+from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
@@ -98,7 +102,7 @@ class RigObjective:
         *,
         camera_count: int,
         losses: Sequence[tuple[float, Loss | LossFunction]],
-        camera_probability: CameraProbability | None = None,
+        camera_probability: CameraProbability | Sequence[CameraProbability] | None = None,
         constraints: Constraints | None = None,
         multiplier_damping: float = 0.0,
         confidence_min: float = 0.1,
@@ -115,7 +119,8 @@ class RigObjective:
             camera_count: Number of cameras, at least 1.
             losses: Every loss with its weight, at least 0; those of weight 0 are left out. A function of the detection
                 probabilities and the objects is a loss as well, see `LossFunction`.
-            camera_probability: How likely a camera is to detect; some losses need it.
+            camera_probability: How likely a camera is to detect, or of a mount of modules how likely each of these is;
+                some losses need it.
             constraints: Where the cameras may stand; None: the thesis's bounds, 0.2 m apart.
             multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
             confidence_min: Least confidence of a true positive.
@@ -126,14 +131,17 @@ class RigObjective:
 
         Raises:
             InputError: There is no loss, two have one name, or one needs something that is not there: the detection
-                probability, or one field of view for all cameras while the mount's are free.
+                probability, or one field of view for all cameras while the mount's are free. A mount of modules asks
+                for the expected miss rate alone, which single cameras give.
         """
         self.mount = mount
         self.detector = detector
         self.losses: list[tuple[float, Loss]] = [
             (weight, loss if isinstance(loss, Loss) else UserLoss.of(loss)) for weight, loss in losses if weight != 0.0
         ]
-        self._check(camera_probability)
+        given = (camera_probability,) if isinstance(camera_probability, CameraProbability) else camera_probability
+        self._probabilities = tuple(given or ())
+        self._check()
         self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
         self.camera_count = camera_count
         self.confidence_min = confidence_min
@@ -146,7 +154,7 @@ class RigObjective:
         self._objective = Objective(
             tuple(loss for _, loss in self.losses if isinstance(loss, DeviceLoss)),
             tuple(loss for _, loss in self.losses if isinstance(loss, HostLoss)),
-            camera_probability if self._needs(self.final_schedule).detection_probability else None,
+            self._probabilities[0] if self.camera_probabilities is not None else None,
             importance,
         )
         device_weights = [weight for weight, loss in self.losses if isinstance(loss, DeviceLoss)]
@@ -164,7 +172,7 @@ class RigObjective:
             device=mount.device,
         )
 
-    def _check(self, camera_probability: CameraProbability | None) -> None:
+    def _check(self) -> None:
         names = [loss.name for _, loss in self.losses]
         twice = sorted({name for name in names if names.count(name) > 1})
         if not names:
@@ -176,10 +184,15 @@ class RigObjective:
             raise InputError(f"losses: {negative[0]}: expected a weight of at least 0")
         for _, loss in self.losses:
             needs = loss.needs(LossSchedule())
-            if needs.detection_probability and camera_probability is None:
+            if needs.detection_probability and not self._probabilities:
                 raise InputError(f"losses: {loss.name} needs the model of detection probability, got none")
             if needs.one_field and not self.mount.has_one_field:
                 raise InputError(f"losses: {loss.name} takes one field of view for all cameras, got several")
+        if self.mount.is_mixed and not self.is_by_single_cameras:
+            raise InputError(
+                "losses: expected the expected_miss_rate alone, with combine=any and detector_share=0, for modules of "
+                f"different images, got {', '.join(names)}"
+            )
 
     @property
     def forward_view(self) -> list[int]:
@@ -187,9 +200,46 @@ class RigObjective:
         return self._views_for(self.final_schedule).ahead
 
     @property
-    def camera_probability(self) -> CameraProbability | None:
-        """How likely a camera is to detect; None where no loss needs it."""
-        return self._objective.camera_probability
+    def camera_probabilities(self) -> tuple[CameraProbability, ...] | None:
+        """How likely a camera of each of the mount's models is to detect; None where no loss needs it."""
+        return self._probabilities if self._needs(LossSchedule()).detection_probability else None
+
+    def probability_of(self, model: CameraModel) -> CameraProbability | None:
+        """How likely a camera of a model is to detect; None where no loss needs it, or it is none of the mount's."""
+        found, mount = self.camera_probabilities, self.mount
+        if found is None or not mount.has_model(model):
+            return None
+        return found[mount.cameras.index(model)] if mount.is_mixed else found[0]
+
+    @property
+    def is_by_single_cameras(self) -> bool:
+        """Whether a rig's value follows from what each camera detects by itself.
+
+        That is so of the expected miss rate alone, with ``combine=any`` and without the detector's own word.
+        """
+        losses = [loss for _, loss in self.losses]
+        loss = losses[0]
+        if len(losses) > 1 or not isinstance(loss, ExpectedMissRate) or not self._probabilities:
+            return False
+        return loss.combine == "any" and not loss.detector_share > 0.0
+
+    def value_of(self, detection_probability: np.ndarray, scene: AssignedScene) -> float:
+        """The objective of a rig on one scene by what its cameras detect, float [camera, object].
+
+        Only where `is_by_single_cameras`; a scene without objects has 0.
+        """
+        [(weight, _)] = self.losses
+        object_weight = self.object_weight([scene])
+        if not detection_probability.shape[1] or (object_weight is not None and not object_weight.any()):
+            return 0.0
+        return weight * expected_miss_rate(detection_probability, shares_of(object_weight))
+
+    @cached_property
+    def single_cameras(self) -> SingleCameras:
+        """Its cameras each by itself; only where `is_by_single_cameras`."""
+        assert self.is_by_single_cameras
+        probability = self._probabilities if self.mount.is_mixed else self._probabilities[0]
+        return SingleCameras(self.mount, probability, self.occlusion, self.supersampling)
 
     @property
     def needs_panorama(self) -> bool:
@@ -242,9 +292,11 @@ class RigObjective:
                 either way.
         """
         started = time.perf_counter()
+        pose = np.asarray(mount_pose, np.float32)
+        if self.mount.is_mixed:
+            return self._evaluate_single_cameras(pose, scenes, gradient=gradient)
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
         schedule = schedule or self.final_schedule
-        pose = np.asarray(mount_pose, np.float32)
         views, exchange = self._views_for(schedule), self._exchange
         multiplier = np.zeros(len(self.constraints.names), np.float32) if multiplier is None else multiplier
         count = {loss.name: self._count(loss, scenes) for _, loss in self.losses}
@@ -297,6 +349,36 @@ class RigObjective:
             multiplier_gradient=fetched.multiplier_gradient if gradient else None,
             seconds=seconds,
             detection_probability=_side_by_side(losses) if detection_probability else None,
+        )
+
+    def _evaluate_single_cameras(
+        self, pose: np.ndarray, scenes: Sequence[AssignedScene], *, gradient: bool
+    ) -> Evaluation:
+        """The same of cameras of different images, each rendered by itself; constraints are left out."""
+        started = time.perf_counter()
+        packed, [(weight, loss)] = [each.scene for each in scenes], self.losses
+        jacobian = None
+        if gradient:
+            probability, jacobian = self.single_cameras.with_jacobian(pose, packed)
+        else:
+            found = [self.single_cameras.detection_probability(pose, scene) for scene in packed]
+            probability = np.concatenate(found, axis=1)
+        share = shares_of(self.object_weight(scenes))
+        value = expected_miss_rate(probability, share) if probability.shape[1] else 0.0
+        slope = None
+        if jacobian is not None:
+            slope = (weight * expected_miss_slope(probability, jacobian, share)).astype(np.float32)
+            if self.mount.frozen is not None:
+                slope[self.mount.frozen.is_frozen] = 0.0
+        seconds = time.perf_counter() - started
+        return Evaluation(
+            total=weight * value,
+            objective=weight * value,
+            terms={loss.name: value},
+            gradient=slope,
+            multiplier_gradient=None,
+            seconds={"render": seconds, "detect": 0.0, "backward": 0.0, "total": seconds},
+            detection_probability=probability,
         )
 
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:

@@ -67,6 +67,22 @@ def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | N
     return float(missed.mean() if weight is None else weight @ missed)
 
 
+def expected_miss_slope(
+    detection_probability: np.ndarray, jacobian: np.ndarray, weight: np.ndarray | None = None
+) -> np.ndarray:
+    """Derivatives of `expected_miss_rate` to the mount poses, float64 [camera, 7].
+
+    Args:
+        detection_probability: Of each camera for each object, float [camera, object].
+        jacobian: Of these to the mount poses, float [camera, object, 7].
+        weight: As in `expected_miss_rate`.
+    """
+    missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
+    others = np.stack([np.prod(np.delete(missed, camera, axis=0), axis=0) for camera in range(len(missed))])
+    share = np.full(missed.shape[1], 1.0 / max(missed.shape[1], 1)) if weight is None else weight
+    return -np.einsum("o,co,cok->ck", share, others, jacobian)
+
+
 def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
     """Weights of objects, at least 0 and not all 0, divided by their sum, as `expected_miss_rate` takes them."""
     return None if weight is None else np.asarray(weight, np.float64) / np.sum(weight)

@@ -52,7 +52,7 @@ def pool_cache_folder() -> Path:
 def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int, *, seed: int) -> np.ndarray:
     """Cameras spread evenly over all that is free: a scrambled Sobol sequence, cut to where cameras may stand.
 
-    The first n of more cameras are the n cameras of the same seed.
+    The first n of more cameras are the n cameras of the same seed. Of modules there are equally many, in turns.
 
     Args:
         mount: Where the cameras stand; its free ranges are covered, what is not free is as configured.
@@ -66,13 +66,25 @@ def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int,
     Raises:
         InputError: No camera was asked for, or there is next to no room for any.
     """
-    from scipy.stats import qmc
-
     if count < 1:
         raise ArgumentError("count", f"expected at least 1 camera, got {count}")
+    if not mount.is_mixed:
+        return _spread(mount, constraints, count, np.random.default_rng(seed), 0)
+    modules = len(mount.cameras)
+    each = -(-count // modules)
+    of_module = [_spread(mount, constraints, each, np.random.default_rng([seed, k]), k) for k in range(modules)]
+    return np.stack(of_module, axis=1).reshape(each * modules, MOUNT_POSE_SIZE)[:count]
+
+
+def _spread(
+    mount: CameraMount, constraints: Constraints, count: int, rng: np.random.Generator, module: int
+) -> np.ndarray:
+    """Cameras of one module, as `spread_mount_poses`."""
+    from scipy.stats import qmc
+
     numbers = np.r_[X_M, Y_M, YAW_RAD, np.flatnonzero(mount.is_free)]
-    low_m, high_m = mount.surface.bounds_m
-    sequence = qmc.Sobol(len(numbers), scramble=True, rng=seed)
+    low_m, high_m = mount.surface.bounds_of(module)
+    sequence = qmc.Sobol(len(numbers), scramble=True, rng=rng)
     kept = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
     for _ in range(_SPREAD_TRIES // _SPREAD_BLOCK):
         pose = np.zeros((_SPREAD_BLOCK, MOUNT_POSE_SIZE), np.float32)
@@ -84,7 +96,8 @@ def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int,
         others = numbers[2:]
         pose[:, others] = low[:, others] + share[:, 2:] * (high - low)[:, others]
         pose = mount.clipped(pose)
-        kept = np.concatenate([kept, pose[constraints.contains(pose[:, [X_M, Y_M]])]])
+        is_kept = constraints.contains(pose[:, [X_M, Y_M]]) & (mount.module_of(pose) == module)
+        kept = np.concatenate([kept, pose[is_kept]])
         if len(kept) >= count:
             return kept[:count]
     raise constraints.do_not_fit(1)

@@ -21,6 +21,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_R
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
+from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.rig_values import single_cameras_of
 
 
@@ -46,6 +47,7 @@ class PoolDescent:
         executor: Executor | None = None,
         cache: Path | None = None,
         progress: Progress | None = None,
+        limits: RigLimits | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -58,6 +60,7 @@ class PoolDescent:
             executor: Where the pool is drawn; None: here.
             cache: Folder that keeps what is drawn; None: nothing is kept.
             progress: Shows the drawing of the pool.
+            limits: How many cameras of which module a rig may have; None where all are equal.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -81,7 +84,7 @@ class PoolDescent:
             cameras,
             [each.scene for each in scenes],
             objective.constraints,
-            objective.camera_count,
+            objective.camera_count if limits is None else limits.count[1],
             start=self.start,
             settings=settings,
             seed=seed,
@@ -89,6 +92,7 @@ class PoolDescent:
             cache=cache,
             progress=progress,
             object_weight=self._object_weight,
+            limits=limits,
         )
 
     @property

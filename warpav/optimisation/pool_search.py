@@ -28,9 +28,10 @@ from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, 
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
+from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.selection.exchange import exchange
 from warpav.optimisation.selection.price import Price
-from warpav.optimisation.selection.problem import SelectionProblem
+from warpav.optimisation.selection.problem import Row, SelectionProblem
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
@@ -51,6 +52,7 @@ NEAR_CAMERAS = 16
 REFINED_FROM, REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
+_OTHER_MODULE = 1e6  # farther than any camera of the same module
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,7 @@ def pool_search(
     cache: Path | None = None,
     progress: Progress | None = None,
     object_weight: np.ndarray | None = None,
+    limits: RigLimits | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -146,6 +149,8 @@ def pool_search(
         progress: Shows the drawing of the pool.
         object_weight: Of the objects of all scenes, one scene after the other, at least 0, not all 0, float [object];
             None: all alike. Miss rates and bounds are weighted means.
+        limits: How many cameras of each of the mount's modules a rig may have; at most ``camera_count`` in all, and
+            none of them frozen where fewer are allowed too. None: any ``camera_count`` cameras.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -159,7 +164,7 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight)
+    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits)
     yield from search.states(start, executor, cache, progress)
     yield search.found("settled")
 
@@ -180,11 +185,12 @@ class _Search:
         settings: PoolSearchSettings,
         seed: int,
         object_weight: np.ndarray | None,
+        limits: RigLimits | None,
     ) -> None:
-        self.cameras, self.scenes, self.constraints = cameras, scenes, constraints
-        self.camera_count, self.settings, self.seed = camera_count, settings, seed
+        self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
+        self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
         self.object_weight = object_weight
-        self.assembly = _Assembly(cameras.mount, camera_count)
+        self.assembly = _Assembly(cameras.mount)
         self.began = time.perf_counter()
         self.pool: CameraPool
         self.best: np.ndarray | None = None
@@ -231,7 +237,7 @@ class _Search:
             pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
         )
         if start is not None:
-            of_start = self.pool.detection_probability[: self.camera_count]
+            of_start = self.pool.detection_probability[: len(start)]
             self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)))
             yield self.found("start")
         if self.settings.polishes:
@@ -274,7 +280,8 @@ class _Search:
                 yield from self._select_and_polish(FURTHER_POLISH)
                 vain = 0 if self.objective < before - _SAME else vain + 1
             radius = REFINED_FROM
-            count = NEAR_CAMERAS * (self.camera_count - len(self.assembly.frozen))
+            assert self.best is not None
+            count = NEAR_CAMERAS * (len(self.best) - len(self.assembly.frozen))
             while radius > REFINED_TO and self._affordable(count) == count:
                 before = self.objective
                 yield from self._look_nearby(radius, rng)
@@ -308,25 +315,41 @@ class _Search:
     def _select(self, gap: float) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
         pool, known = self.pool, None
+        absent = 0 if self.limits is None else self.limits.absent
+        cameras = len(pool.mount_pose)
         if self.best is not None:
-            known = self._rows_of_best()
+            missing = np.arange(self.camera_count - len(self.best))
+            known = np.concatenate([self._rows_of_best(), cameras + missing])
         self.selection = selection = select(
-            np.minimum(pool.detection_probability, SUREST),
+            _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
-            conflict=too_near(pool.mount_pose, self.constraints),
+            conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
             required=np.arange(len(self.assembly.frozen)),
+            rows=self._rows_for(pool.mount_pose, absent),
             weight=self.object_weight,
             start=known,
             gap=gap,
             time_limit_s=self.settings.selection_time_s,
             seed=self.seed,
         )
-        chosen = self.assembly.rig(pool.mount_pose[selection.cameras], like=self.best)
+        chosen = selection.cameras[selection.cameras < cameras]
+        chosen = self.assembly.rig(pool.mount_pose[chosen], like=self.best)
         is_better = self._is_better(chosen, selection.objective)
         yield self.found("selection")
         if selection.ended == "interrupted":  # what it has found is kept, the search ends
             raise KeyboardInterrupt
         return chosen, is_better
+
+    def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> list[Row]:
+        """The limits for cameras [camera, 7], behind which some that are not there stand."""
+        if self.limits is None:
+            return []
+        return self.limits.rows(np.append(self.cameras.mount.module_of(mount_pose), np.full(absent, -1)))
+
+    def _coefficients_for(self, mount_pose: np.ndarray) -> np.ndarray | None:
+        """The cameras' coefficients in the rows of the limits, float [camera, row]; None where there are none."""
+        rows = self._rows_for(mount_pose)
+        return np.stack([row.coefficient for row in rows], axis=1) if rows else None
 
     def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
         is_first = self.selection is None
@@ -335,7 +358,7 @@ class _Search:
             yield from self._polish(chosen, *schedule)
 
     def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
-        if self._affordable(self.camera_count) < self.camera_count:
+        if self._affordable(len(rig)) < len(rig):
             return
         steps = polish(
             rig,
@@ -368,7 +391,8 @@ class _Search:
         count = self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
         if price is None or count < 1:
             return
-        cost = price.reduced_cost(np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST))
+        found = np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST)
+        cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose))
         mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
         pose = _apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
         length = np.full(len(pose), 0.5)
@@ -377,7 +401,7 @@ class _Search:
         for _ in range(PRICED_STEPS):
             probability, jacobian = self._detect_and_keep(tried)
             probability = np.minimum(probability, SUREST)
-            cost = price.reduced_cost(probability)
+            cost = price.reduced_cost(probability, self._coefficients_for(tried))
             is_lower = cost < lowest
             length = np.where(is_lower, length, 0.4 * length)
             kept = np.where(is_lower[:, None], tried, kept)
@@ -398,8 +422,16 @@ class _Search:
         conflict = too_near(pool.mount_pose, self.constraints)
         near = (conflict + conflict.T)[:, rig].toarray()
         unit, held = step_unit(self.cameras.mount), len(self.assembly.frozen)
+        module = self.cameras.mount.module_of(pool.mount_pose)
         return Replacements(
-            pool.mount_pose, pool.detection_probability, rig, near, unit, held=held, weight=self.object_weight
+            pool.mount_pose,
+            pool.detection_probability,
+            rig,
+            near,
+            unit,
+            held=held,
+            weight=self.object_weight,
+            fits=module[:, None] == module[rig],
         )
 
     def _rows_of_best(self) -> np.ndarray:
@@ -442,10 +474,10 @@ class _Search:
         around = np.union1d(rig, np.arange(before, len(pool.mount_pose)))  # frozen cameras are the pool's first
         problem = SelectionProblem.create(
             np.minimum(pool.detection_probability[around], SUREST),
-            self.camera_count,
+            len(rig),
             conflict=too_near(pool.mount_pose[around], self.constraints),
             required=np.arange(len(self.assembly.frozen)),
-            rows=(),
+            rows=self._rows_for(pool.mount_pose[around]),
             weight=self.object_weight,
         )
         rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])
@@ -456,34 +488,44 @@ class _Search:
 class _Assembly:
     """Rigs of a mount, some of whose cameras may be frozen: their own come first in a pool, and keep their places."""
 
-    def __init__(self, mount: CameraMount, camera_count: int) -> None:
-        frozen = mount.frozen
-        self.is_frozen = np.zeros(camera_count, bool) if frozen is None else frozen.is_frozen
+    def __init__(self, mount: CameraMount) -> None:
+        self.mount, frozen = mount, mount.frozen
+        self.is_frozen = np.zeros(0, bool) if frozen is None else frozen.is_frozen
         self.frozen = (
             np.zeros((0, 7), np.float32) if frozen is None else frozen.mount_pose[frozen.is_frozen].astype(np.float32)
         )
 
     def in_order(self, rig: np.ndarray) -> np.ndarray:
         """The cameras of a rig, the frozen ones first, as `rig` takes them."""
-        return np.concatenate([self.frozen, rig[~self.is_frozen]])
+        return np.concatenate([self.frozen, rig[~self._is_held(len(rig))]])
 
     def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
         """The rig of chosen cameras, the frozen ones first among them, float32 [camera, 7].
 
         Args:
             pose: The cameras, float32 [camera, 7].
-            like: A rig whose cameras' places in the list those take that are nearest to them, float [camera, 7].
+            like: A rig whose cameras' places in the list those of the same module take that are nearest to them, where
+                it has as many, float [camera, 7].
         """
-        result = np.empty((len(self.is_frozen), 7), np.float32)
+        is_held = self._is_held(len(pose))
+        result = np.empty((len(pose), 7), np.float32)
         count = len(self.frozen)
-        result[self.is_frozen], free = pose[:count], pose[count:]
-        if like is not None:
+        result[is_held], free = pose[:count], pose[count:]
+        if like is not None and len(like) == len(pose):
             from scipy.optimize import linear_sum_assignment
 
-            _, order = linear_sum_assignment(_distance(like[~self.is_frozen], free))
+            module, other = (self.mount.module_of(each) for each in (like[~is_held], free))
+            _, order = linear_sum_assignment(
+                _distance(like[~is_held], free) + _OTHER_MODULE * (module[:, None] != other)
+            )
             free = free[order]
-        result[~self.is_frozen] = free
+        elif self.mount.is_mixed:
+            free = free[np.argsort(self.mount.module_of(free), kind="stable")]
+        result[~is_held] = free
         return result
+
+    def _is_held(self, count: int) -> np.ndarray:
+        return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -505,8 +547,19 @@ def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_array:
-    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
+def _with_absent(detection_probability: np.ndarray, absent: int) -> np.ndarray:
+    """The cameras of a pool and behind them some that are not there and detect nothing, [camera, object]."""
+    return np.pad(detection_probability, ((0, absent), (0, 0))) if absent else detection_probability
+
+
+def too_near(mount_pose: np.ndarray, constraints: Constraints, *, absent: int = 0) -> sparse.csr_array:
+    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may.
+
+    Args:
+        mount_pose: The cameras, float [camera, 7].
+        constraints: Ask for the spacing.
+        absent: Cameras behind them that are not there, and near to none.
+    """
     from scipy.spatial import KDTree
 
     place = mount_pose[:, [X_M, Y_M]].astype(np.float64)
@@ -515,5 +568,5 @@ def too_near(mount_pose: np.ndarray, constraints: Constraints) -> sparse.csr_arr
     pair = KDTree(point_m).query_pairs(constraints.min_spacing_m, output_type="ndarray")
     held = 0 if constraints.frozen is None else int(constraints.frozen.is_frozen.sum())
     pair = pair[pair.max(axis=1, initial=-1) >= held]
-    count = len(mount_pose)
+    count = len(mount_pose) + absent
     return sparse.csr_array((np.ones(len(pair), bool), (pair[:, 0], pair[:, 1])), shape=(count, count))

@@ -43,6 +43,7 @@ class Replacements:
         *,
         held: int = 0,
         weight: np.ndarray | None = None,
+        fits: np.ndarray | None = None,
     ) -> None:
         """All replacements of a single camera.
 
@@ -54,6 +55,8 @@ class Replacements:
             unit: Of each number, 0 where it is not free, float [7].
             held: So many of the rig's cameras, the first ones, stay.
             weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
+            fits: Which cameras of the pool may take the place of which of the rig's, as they are of one module, bool
+                [camera, rig camera]; None: all.
         """
         self._pose, self._unit = np.asarray(mount_pose, np.float64), unit
         self._of_slot = rig[held:]
@@ -63,6 +66,8 @@ class Replacements:
         if weight is not None:
             self.missed_by_others = self.missed_by_others * (weight / np.mean(weight))
         too_near = np.stack([conflict[:, each].any(axis=1) for each in others], axis=1)
+        if fits is not None:
+            too_near |= ~fits[:, held:]
         self.miss_rate = np.where(too_near, np.inf, missed @ self.missed_by_others.T / missed.shape[1])
 
     def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
@@ -18,18 +17,8 @@ RigValues = Callable[[np.ndarray], Iterable[float]]
 
 
 def single_cameras_of(objective: RigObjective) -> SingleCameras | None:
-    """The cameras of an objective, where a rig's value follows from what each of them detects by itself.
-
-    That is so of the expected miss rate alone, with ``combine=any`` and without the detector's own word. None: it does
-    not.
-    """
-    losses = [loss for _, loss in objective.losses]
-    loss, probability = losses[0], objective.camera_probability
-    if len(losses) > 1 or not isinstance(loss, ExpectedMissRate) or probability is None:
-        return None
-    if loss.combine != "any" or loss.detector_share > 0.0:
-        return None
-    return SingleCameras(objective.mount, probability, objective.occlusion, objective.supersampling)
+    """The cameras of an objective, where a rig's value follows from what each of them detects by itself; else None."""
+    return objective.single_cameras if objective.is_by_single_cameras else None
 
 
 def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> RigValues:

@@ -59,6 +59,8 @@ class SearchSpace:
         low = np.zeros((camera_count, MOUNT_POSE_SIZE))
         high = np.zeros((camera_count, MOUNT_POSE_SIZE))
         low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
+        for camera, module in enumerate([] if constraints.module is None else constraints.module):
+            low[camera, [X_M, Y_M]], high[camera, [X_M, Y_M]] = mount.surface.bounds_of(int(module))
         middle = 2.0 * math.pi * np.arange(camera_count) / camera_count if yaw_rad is None else np.asarray(yaw_rad)
         low[:, YAW_RAD], high[:, YAW_RAD] = middle - yaw_reach_rad, middle + yaw_reach_rad
         has_ends = np.isfinite(mount.low)

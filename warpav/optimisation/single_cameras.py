@@ -6,10 +6,9 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
 from importlib.metadata import version
 from queue import SimpleQueue
 from typing import Any
@@ -42,24 +41,40 @@ class SingleCameras:
     """Cameras of one mount, none of which knows of the others.
 
     Attributes:
-        mount: Where they stand, and their model.
-        probability: How likely a camera is to detect.
+        mount: Where they stand, and their models.
+        probability: How likely a camera is to detect; where the mount carries modules, one for each of these.
         occlusion: What hides an object.
         supersampling: Samples per pixel along each axis, at least 1.
         thread_count: Threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it.
     """
 
     mount: CameraMount
-    probability: CameraProbability
+    probability: CameraProbability | tuple[CameraProbability, ...]
     occlusion: Occlusion = Occlusion.EXACT
     supersampling: int = 1
     thread_count: int | None = None
-    _renderers: dict[int, SimpleQueue[Renderer]] = field(default_factory=dict, init=False, repr=False)
+    _kept_jacobians: dict[int, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
+    _renderers: dict[tuple[int, int], SimpleQueue[Renderer]] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.probabilities) != len(self.mount.cameras):
+            raise ValueError(f"probability must be one for each of {len(self.mount.cameras)} modules")
+
+    @property
+    def probabilities(self) -> tuple[CameraProbability, ...]:
+        """How likely a camera of each of the mount's models is to detect."""
+        return self.probability if isinstance(self.probability, tuple) else (self.probability,)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As they travel to another process: without what is on a device."""
         mount = self.mount
-        parts = (mount.surface, mount.camera, mount.height_offset_m, mount.device, mount.free)
+        parts = (
+            mount.surface,
+            mount.cameras if mount.is_mixed else mount.camera,
+            mount.height_offset_m,
+            mount.device,
+            mount.free,
+        )
         return _unpacked, (parts, self.probability, self.occlusion, self.supersampling, self.thread_count)
 
     @property
@@ -68,9 +83,16 @@ class SingleCameras:
 
         Of the vehicle the mount surface; its body is part of the scenes.
         """
-        mount, model = self.mount, self.probability.model
-        surface = mount.surface
-        curves = [np.asarray(each, np.float64).tobytes() for each in (model.start, model.step, model.coefficient)]
+        mount, surface = self.mount, self.mount.surface
+        cameras = mount.cameras if mount.is_mixed else (mount.camera,)
+        detectors: list[object] = []
+        for each in self.probabilities:
+            model = each.model
+            detectors += [
+                np.asarray(part, np.float64).tobytes() for part in (model.start, model.step, model.coefficient)
+            ]
+            detectors += [model.constant, each.probability]
+        modules = (surface.module_of_zone.tobytes(),) if mount.is_mixed else ()
         return {
             "vehicle": digest(
                 surface.height_m.shape,
@@ -79,9 +101,10 @@ class SingleCameras:
                 float(surface.cell_m),
                 float(mount.height_offset_m),
                 *(part.tobytes() for part in (surface.zone_of_cell, surface.plane_m, surface.axes) if surface.zones),
+                *modules,
             ),
-            "camera": digest(mount.camera, self.supersampling, self.occlusion.value),
-            "detector": digest(*curves, model.constant, self.probability.probability),
+            "camera": digest(*cameras, self.supersampling, self.occlusion.value),
+            "detector": digest(*detectors),
             "version": fingerprint(
                 version("warp-lang"), wp.get_device(mount.device).is_cuda, code=("warpav.optimisation.single_cameras",)
             ),
@@ -101,10 +124,26 @@ class SingleCameras:
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if found.size == 0:
             return found
-        chunk_count = -(-len(pose) // self._most_views)
+        for module, row in self._by_module(pose):
+            found[row] = self._detected(module, pose[row], scene)
+        return found
+
+    def _by_module(self, mount_pose: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """The cameras of each of the mount's models: its number, and their rows, int [camera of the model]."""
+        if not self.mount.is_mixed:
+            yield 0, np.arange(len(mount_pose))
+            return
+        module_of = self.mount.module_of(mount_pose)
+        for module in np.unique(module_of):
+            yield int(module), np.flatnonzero(module_of == module)
+
+    def _detected(self, module: int, pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
+        """The probability that cameras of one model detect each object, float32 [camera, object]."""
+        found = np.zeros((len(pose), scene.vehicle_count), np.float32)
+        chunk_count = -(-len(pose) // self._most_views(module))
         view_count = -(-len(pose) // chunk_count)  # chunks of about equal size
         firsts = range(0, len(pose), view_count)
-        renderers = self._renderers_of(view_count)
+        renderers = self._renderers_of(module, view_count)
         scene.upright_box  # noqa: B018 (found once, before threads ask for it)
 
         def draw(first: int) -> None:
@@ -113,7 +152,7 @@ class SingleCameras:
             chunk = pose[np.minimum(np.arange(first, first + view_count), end - 1)]
             renderer = renderers.get()
             try:
-                found[first:end] = self._drawn(chunk, scene, renderer)[: end - first]
+                found[first:end] = self._drawn(module, chunk, scene, renderer)[: end - first]
             finally:
                 renderers.put(renderer)
 
@@ -125,8 +164,8 @@ class SingleCameras:
             list(threads.map(draw, firsts))
         return found
 
-    def _drawn(self, mount_pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> np.ndarray:
-        """What as many cameras as the renderer has views detect, float32 [camera, object]."""
+    def _drawn(self, module: int, mount_pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> np.ndarray:
+        """What as many cameras of one model as the renderer has views detect, float32 [camera, object]."""
         views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
         frame = renderer.render(
             scene.raster,
@@ -135,8 +174,9 @@ class SingleCameras:
             log_focal=views.log_zoom,
             content=Content.COVERAGE,
         )
-        seen = self.probability.model.of_coverage(frame, scene, views.position_ego_m)
-        return (self.probability.share_of_box(seen) or seen.probability).numpy()
+        probability = self.probabilities[module]
+        seen = probability.model.of_coverage(frame, scene, views.position_ego_m)
+        return (probability.share_of_box(seen) or seen.probability).numpy()
 
     def with_jacobian(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
         """What each camera detects in some scenes, and how that changes as it moves.
@@ -155,35 +195,51 @@ class SingleCameras:
         Raises:
             InputError: The images or their supersampling are too large.
         """
-        return self._jacobians.of(mount_pose, scenes)
+        if not self.mount.is_mixed:
+            return self._jacobians(0).of(mount_pose, scenes)
+        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+        count = sum(scene.vehicle_count for scene in scenes)
+        probability, jacobian = np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
+        for module, row in self._by_module(pose):
+            probability[row], jacobian[row] = self._jacobians(module).of(pose[row], scenes)
+        return probability, jacobian
 
-    @cached_property
-    def _jacobians(self) -> CameraJacobians:
-        is_cuda = wp.get_device(self.mount.device).is_cuda
-        count = CUDA_STREAMS if is_cuda else self.thread_count or available_cores()
-        return CameraJacobians(self.mount, self.probability, lambda views: self._renderers_for(views, count))
+    def _jacobians(self, module: int) -> CameraJacobians:
+        """Probabilities and Jacobians of cameras of one of the mount's models; kept for the next call."""
+        if module not in self._kept_jacobians:
+            is_cuda = wp.get_device(self.mount.device).is_cuda
+            count = CUDA_STREAMS if is_cuda else self.thread_count or available_cores()
+            self._kept_jacobians[module] = CameraJacobians(
+                self.mount,
+                self.mount.cameras[module],
+                self.probabilities[module],
+                lambda views: self._renderers_for(module, views, count),
+            )
+        return self._kept_jacobians[module]
 
-    @property
-    def _most_views(self) -> int:
+    def _most_views(self, module: int) -> int:
         """Views that are rendered at once: as many as the caches of a core hold, or as a GPU takes."""
-        most = chunk_view_count(self.mount.camera, supersampling=self.supersampling)
+        most = chunk_view_count(self.mount.cameras[module], supersampling=self.supersampling)
         return CUDA_CHUNKS * most if wp.get_device(self.mount.device).is_cuda else min(most, CPU_VIEWS)
 
-    def _renderers_of(self, view_count: int) -> SimpleQueue[Renderer]:
-        """Renderers of so many views, one for each thread; the last ones that were asked for are kept."""
-        if view_count not in self._renderers:
-            self._renderers.clear()
-            self._renderers[view_count] = renderers = SimpleQueue()
+    def _renderers_of(self, module: int, view_count: int) -> SimpleQueue[Renderer]:
+        """Renderers of so many views, one for each thread; of every module the last that were asked for are kept."""
+        key = (module, view_count)
+        if key not in self._renderers:
+            for old in [each for each in self._renderers if each[0] == module]:
+                del self._renderers[old]
+            self._renderers[key] = renderers = SimpleQueue()
             is_cuda = wp.get_device(self.mount.device).is_cuda
-            for renderer in self._renderers_for(view_count, 1 if is_cuda else self.thread_count or available_cores()):
+            threads = 1 if is_cuda else self.thread_count or available_cores()
+            for renderer in self._renderers_for(module, view_count, threads):
                 renderers.put(renderer)
-        return self._renderers[view_count]
+        return self._renderers[key]
 
-    def _renderers_for(self, view_count: int, count: int) -> list[Renderer]:
-        """New renderers of so many views, which do not share launches over threads."""
+    def _renderers_for(self, module: int, view_count: int, count: int) -> list[Renderer]:
+        """New renderers of so many views of a module, which do not share launches over threads."""
         return [
             Renderer(
-                [self.mount.camera] * view_count,
+                [self.mount.cameras[module]] * view_count,
                 supersampling=self.supersampling,
                 occlusion=self.occlusion,
                 device=self.mount.device,

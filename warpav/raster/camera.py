@@ -11,6 +11,9 @@ import numpy as np
 
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 
+MAX_IMAGE_PX = 16384
+"""Maximum image width and height [px]: no detector reads larger images, so a larger size is a typing error."""
+
 _SAME_ANGLE_RAD = 1e-6
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
 
@@ -30,24 +31,31 @@ def chart_of(
     cell_m: float = 0.02,
     min_upward_normal: float = 0.8,
     min_zone_normal: float = 0.9,
+    modules: Sequence[Module] = (),
 ) -> MountSurface:
-    """All zones of a vehicle in one chart.
+    """All zones of a vehicle in one chart, once for every module that they carry.
 
     Args:
         zones: At least one; their names differ.
         mesh: The vehicle in the ego frame [m].
+        modules: Camera modules, each of which stands in the zones that it fits; none: whatever cameras, in all zones.
         cell_m: Edge of a cell [m].
         min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
         min_zone_normal: Likewise.
 
     Raises:
-        InputError: There is no zone, two have one name, or one selects nothing of the body.
+        InputError: There is no zone, two have one name, one selects nothing of the body, or a module fits none.
     """
     names = [zone.name for zone in zones]
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    surfaces = [_with_skirt(zone_surface(zone, mesh, **options)) for zone in zones]
+    surface_of = {zone.name: _with_skirt(zone_surface(zone, mesh, **options)) for zone in zones}
+    module_of_zone = np.zeros(0, np.int64)
+    if modules:
+        carried = [(zone, number) for number, module in enumerate(modules) for zone in _fitting(module, zones)]
+        zones, module_of_zone = [zone for zone, _ in carried], np.array([number for _, number in carried])
+    surfaces = [surface_of[zone.name] for zone in zones]
     firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
     # the first zone keeps its own coordinates
     origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
@@ -62,8 +70,28 @@ def chart_of(
         shift_m = origin_m + np.multiply((row, column), cell_m) - surface.origin_m
         plane_origin_m.append(np.asarray(zone.origin_m) - shift_m @ zone.axes[:2])
     return MountSurface(
-        height_m, origin_m, cell_m, is_mountable, tuple(zones), _nearest_zone(zone_of), np.array(plane_origin_m)
+        height_m,
+        origin_m,
+        cell_m,
+        is_mountable,
+        tuple(zones),
+        _nearest_zone(zone_of),
+        np.array(plane_origin_m),
+        tuple(module.name for module in modules),
+        module_of_zone,
     )
+
+
+def _fitting(module: Module, zones: Sequence[Zone]) -> list[Zone]:
+    """The zones that a module fits, by name or kind."""
+    found = [zone for zone in zones if any(map(module.fits, (zone.name, *zone.kinds)))]
+    if not found:
+        there = ", ".join(zone.name + (f" ({', '.join(zone.kinds)})" if zone.kinds else "") for zone in zones)
+        raise InputError(
+            f"module {module.name!r}: zones: expected one of the vehicle's, {there}, got {', '.join(module.zones)}; "
+            "give a zone this kind, or let the module fit another"
+        )
+    return found
 
 
 def zone_surface(
@@ -165,14 +193,17 @@ def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
         return np.round(np.clip(corners, -far, far), 3)
 
     upper, lower = low_m[2] + 2.0 / 3.0 * height, low_m[2] + height / 3.0
+    above_ground, side = low_m[2] + 0.2 * height, ("b_pillar", "mirror", "fender")
     upright = (math.radians(-10.0), math.radians(30.0))
     wanted = (
         Zone("roof", NORMALS["up"], box_m=box({2: upper}, {}), pitch_rad=upright),
         Zone("bonnet", NORMALS["up"], box_m=box({0: low_m[0] + 0.6 * length, 2: lower}, {2: upper}), pitch_rad=upright),
-        Zone("left", NORMALS["left"], box_m=box({2: lower}, {}), pitch_rad=upright),
-        Zone("right", NORMALS["right"], box_m=box({2: lower}, {}), pitch_rad=upright),
-        Zone("front", NORMALS["front"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
-        Zone("rear", NORMALS["rear"], box_m=box({2: low_m[2] + 0.2 * height}, {}), pitch_rad=upright),
+        Zone("left", NORMALS["left"], box_m=box({2: lower}, {}), pitch_rad=upright, kinds=side),
+        Zone("right", NORMALS["right"], box_m=box({2: lower}, {}), pitch_rad=upright, kinds=side),
+        Zone("front", NORMALS["front"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper",)),
+        Zone(
+            "rear", NORMALS["rear"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper", "tailgate")
+        ),
     )
     found = []
     for zone in wanted:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.raster.camera import CameraModel
+from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import COEFFICIENT_COUNTS, Lens, LensShape
-from warpav.rig.rig import MAX_IMAGE_PX
 
 MIN_IMAGE_PX = 8
 """Minimum image width and height [px], that of a `CameraModel`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,6 +16,8 @@ from warpav.rig.zone import Zone
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
+
+    from warpav.rig.rig import RigCamera
 
 SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
@@ -43,9 +45,11 @@ class MountSurface:
         origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
         cell_m: Edge of a cell [m]; cell (i, j) has its centre at ``origin_m + (i, j) * cell_m``.
         is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
-        zones: The zones of a chart; none: the ground plane.
+        zones: The zones of a chart; none: the ground plane. A zone that carries several modules is there for each.
         zone_of_cell: Number of the zone of every cell, int32 [row, column]; empty without zones.
         plane_m: Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3].
+        modules: Names of the camera modules that it carries; none: whatever cameras.
+        module_of_zone: Which of these a zone carries, int64 [zone]; empty without modules.
     """
 
     height_m: np.ndarray
@@ -55,6 +59,8 @@ class MountSurface:
     zones: tuple[Zone, ...] = ()
     zone_of_cell: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     plane_m: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+    modules: tuple[str, ...] = ()
+    module_of_zone: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @cached_property
     def axes(self) -> np.ndarray:
@@ -70,6 +76,17 @@ class MountSurface:
         row, column = np.moveaxis(np.clip(cell, 0, np.array(self.height_m.shape) - 1).astype(int), -1, 0)
         return self.zone_of_cell[row, column].astype(int)
 
+    def module_at(self, position_m: np.ndarray) -> np.ndarray:
+        """Number of the module that a camera at places [..., 2] of the chart is, 0 without modules; int [...]."""
+        zone = self.zone_at(position_m)
+        return self.module_of_zone[zone] if self.modules else np.zeros_like(zone)
+
+    def modules_of(self, cameras: Sequence[RigCamera]) -> np.ndarray | None:
+        """Numbers of the modules of a rig's cameras, -1 of another, int [camera]; None without modules."""
+        if not self.modules:
+            return None
+        return np.array([self.modules.index(each.module) if each.module in self.modules else -1 for each in cameras])
+
     def point_m(self, position_m: np.ndarray, height_m: np.ndarray | float) -> np.ndarray:
         """Points of the ego frame [..., 3] [m] at places of the chart [..., 2] and heights over its planes [...]."""
         position_m = np.asarray(position_m, np.float64)
@@ -80,7 +97,7 @@ class MountSurface:
         zone = self.zone_at(position_m)
         return self.plane_m[zone] + np.einsum("...i,...ij->...j", local_m, self.axes[zone])
 
-    def place_of(self, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place_of(self, point_m: np.ndarray, module: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The place of the chart that a camera at a point stands at, and its height over the surface there.
 
         With zones it is that of the zone whose surface and stand-off are nearest; for a point that is above none of
@@ -88,6 +105,7 @@ class MountSurface:
 
         Args:
             point_m: In the ego frame [m], [..., 3].
+            module: Number of the module of each camera, whose zones alone count, int [...]; -1 or None: all zones.
 
         Returns:
             Places [m], float64 [..., 2], and heights over the surface [m], float64 [...].
@@ -105,28 +123,35 @@ class MountSurface:
             low_m, high_m = zone.stand_off_m
             away_m = np.maximum(-self.zone_distance_m(here_m), 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
+            if module is not None:
+                away_m = np.where((module < 0) | (module == self.module_of_zone[number]), away_m, np.inf)
             is_nearer = away_m < best_m
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
         is_lost = np.isinf(best_m)
-        if is_lost.any():
-            cell_place_m, cell_point_m, tree = self._cells
-            _, cell = tree.query(point_m[is_lost])
-            place_m[is_lost] = cell_place_m[cell]
+        of_module = np.full(is_lost.shape, -1) if module is None else np.broadcast_to(module, is_lost.shape)
+        for number in np.unique(of_module[is_lost]):
+            which = is_lost & (of_module == number)
+            cell_place_m, cell_point_m, tree = self._cells_of(int(number))
+            _, cell = tree.query(point_m[which])
+            place_m[which] = cell_place_m[cell]
             normal = self.axes[self.zone_at(cell_place_m[cell]), 2]
-            rise_m[is_lost] = np.einsum("ki,ki->k", point_m[is_lost] - cell_point_m[cell], normal)
+            rise_m[which] = np.einsum("ki,ki->k", point_m[which] - cell_point_m[cell], normal)
         return place_m, rise_m
 
-    @cached_property
-    def _cells(self) -> tuple[np.ndarray, np.ndarray, KDTree]:
-        """Places and points [m] of the cells that can carry a camera, [cell, 2] and [cell, 3], and a tree of these."""
+    def _cells_of(self, module: int) -> tuple[np.ndarray, np.ndarray, KDTree]:
+        """Places and points [m] of the cells that carry a module, -1: any, [cell, 2] and [cell, 3], and their tree."""
         from scipy.spatial import KDTree
 
-        inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
-        place_m = self.origin_m + self.cell_m * np.argwhere(inside)
-        point_m = self.point_m(place_m, self.height_m[inside])
-        return place_m, point_m, KDTree(point_m)
+        kept: dict[int, tuple[np.ndarray, np.ndarray, KDTree]] = self.__dict__.setdefault("_kept_cells", {})
+        if module not in kept:
+            inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
+            place_m = self.origin_m + self.cell_m * np.argwhere(inside)
+            place_m = place_m if module < 0 else place_m[self.module_at(place_m) == module]
+            point_m = self.point_m(place_m, self.height_at_m(place_m))
+            kept[module] = place_m, point_m, KDTree(point_m)
+        return kept[module]
 
     @cached_property
     def over_ground(self) -> MountSurface:
@@ -144,6 +169,13 @@ class MountSurface:
         np.maximum.at(top_m, (cell[:, 0], cell[:, 1]), point_m[:, 2])
         seen = np.isfinite(top_m)
         return MountSurface(np.where(seen, top_m, np.nan).astype(np.float32), first * self.cell_m, self.cell_m, seen)
+
+    def bounds_of(self, module: int) -> np.ndarray:
+        """Centres of the extreme cells that carry a module, as `bounds_m` [m]."""
+        if not self.modules:
+            return self.bounds_m
+        place_m, *_ = self._cells_of(module)
+        return np.stack([place_m.min(axis=0), place_m.max(axis=0)])
 
     @property
     def bounds_m(self) -> np.ndarray:
@@ -202,10 +234,10 @@ class MountSurface:
         far = raster[row + 1, column] * (1.0 - v) + raster[row + 1, column + 1] * v
         return near * (1.0 - u) + far * u
 
-    def highest_point_m(self) -> np.ndarray:
+    def highest_point_m(self, module: int = -1) -> np.ndarray:
         """The highest cell centre: its place in the chart and its height there [m], shape [3].
 
-        On a flat top it is the one nearest the centre of the top.
+        On a flat top it is the one nearest the centre of the top. Of a module it is that of its zones; -1: of all.
 
         Cells within 1 mm of the maximum count as the top, which absorbs rounding noise.
         """
@@ -214,6 +246,8 @@ class MountSurface:
             row, column = np.indices(height_m.shape)
             place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
             inside = np.ones(row.shape, bool) if self.is_mountable is None else self.is_mountable
+            if module >= 0:
+                inside = inside & (self.module_at(place_m) == module)
             height_m = np.where(inside, self.point_m(place_m, height_m)[..., 2], -np.inf)
         cell = np.argwhere(height_m >= height_m.max() - 1e-3)
         row, column = cell[np.linalg.norm(cell - cell.mean(axis=0), axis=1).argmin()]

@@ -18,14 +18,14 @@ from warpav.core.errors import InputError
 from warpav.core.files import writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.yaml_file import Location, dotted, read_yaml
-from warpav.raster.camera import CameraModel
+from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
+from warpav.rig.catalogue import builtin_modules, read_modules
 
 if TYPE_CHECKING:
-    MultiBlock = Any
+    from warpav.rig.module import Module
 
-MAX_IMAGE_PX = 16384
-"""Maximum image width and height [px]: no detector reads larger images, so a larger size is a typing error."""
+    MultiBlock = Any
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")  # camera names become file names
 _NAME_TEXT = "a name of letters, digits, '_', '-' and '.', such as front_left"
@@ -44,9 +44,11 @@ class RigCamera:
         pitch_rad: Nose down [rad].
         roll_rad: Right side down [rad].
         model: Image size and lens; by default a pinhole of 256 x 256 px and 90 degrees.
+        module: Name of the camera module that it is, if it is one of a catalogue; the model is that of the network's
+            image then.
 
     Raises:
-        InputError: The name is unfit, or a number is not finite.
+        InputError: A name is unfit, or a number is not finite.
     """
 
     name: str
@@ -55,9 +57,12 @@ class RigCamera:
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     model: CameraModel = _QUICK_MODEL
+    module: str | None = None
 
     def __post_init__(self) -> None:
         location = f"camera {self.name!r}"
+        if self.module is not None and not (isinstance(self.module, str) and _NAME.fullmatch(self.module)):
+            raise InputError(f"{location}: module: expected {_NAME_TEXT}, got {self.module!r}")
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
             raise InputError(f"{location}: name: expected {_NAME_TEXT}, got {self.name!r}")
         position_m = np.array(self.position_m, dtype=np.float64)
@@ -127,21 +132,27 @@ class Rig:
 
     def __str__(self) -> str:
         """The cameras as a table of plain text."""
-        rows = [["camera", *_TABLE_COLUMNS], *([camera.name, *_table_row(camera)] for camera in self.cameras)]
+        columns = self._columns
+        rows = [["camera", *columns], *([camera.name, *_table_row(camera, columns)] for camera in self.cameras)]
         width = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(text.rjust(width[k]) for k, text in enumerate(row) if k) for row in rows]
         return "\n".join(f"{row[0].ljust(width[0])}  {line}" for row, line in zip(rows, lines, strict=True))
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
+        """Columns of a table; the module where some camera is one."""
+        return (*_TABLE_COLUMNS, *(("module",) if any(camera.module for camera in self.cameras) else ()))
 
     def _repr_html_(self) -> str:
         """What Jupyter shows: the cameras as a table."""
         rows = "".join(
             f"<tr><td style='text-align:left'>{html.escape(camera.name)}</td>"
-            + "".join(f"<td>{text}</td>" for text in _table_row(camera))
+            + "".join(f"<td>{html.escape(text)}</td>" for text in _table_row(camera, self._columns))
             + "</tr>"
             for camera in self.cameras
         )
         count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
-        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *_TABLE_COLUMNS))
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *self._columns))
         return (
             f"<table><caption>Rig of {count}, ego frame: x forward, y left, z up</caption>"
             f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
@@ -179,13 +190,14 @@ _TABLE_COLUMNS = (
 )
 
 
-def _table_row(camera: RigCamera) -> list[str]:
-    """What a table says of a camera, in the order of `_TABLE_COLUMNS`."""
+def _table_row(camera: RigCamera, columns: Sequence[str]) -> list[str]:
+    """What a table says of a camera in its columns."""
     model = camera.model
     position = [f"{value:.3f}" for value in camera.position_m]
     angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
     size = f"{model.width_px} x {model.height_px}"
-    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens)]
+    row = [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens), camera.module or "-"]
+    return row[: len(columns)]
 
 
 _OTHER_TOOLS_TEXT = "files of other tools are read by warpav rig import FILE --format NAME"
@@ -206,8 +218,11 @@ _EXPECTED = {
     "focal_px": "two positive numbers of pixels [fx, fy], such as [640.0, 640.0]",
     "centre_px": "two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
     "distortion": "a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]",
+    "module": "the name of a camera module, such as side_2mp_100",
 }
-_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion")
+_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion", "module")
+_OF_MODULE = ("fov_deg", "width_px", "height_px")
+"""What a camera need not say that is a module of the catalogue."""
 
 
 def rig_text(rig: Rig) -> str:
@@ -228,6 +243,7 @@ def rig_text(rig: Rig) -> str:
             f"    yaw_deg: {_angle(camera.yaw_rad)}",
             f"    pitch_deg: {_angle(camera.pitch_rad)}",
             f"    roll_deg: {_angle(camera.roll_rad)}",
+            *([] if camera.module is None else [f"    module: {_name(camera.module)}"]),
             *_model_lines(camera.model),
         ]
     return "\n".join(lines) + "\n"
@@ -257,7 +273,9 @@ def read_rig(path: str | Path) -> Rig:
     Args:
         path: The file: ``frame: ego`` and ``cameras``, a list of mappings with name, position_m, yaw_deg, pitch_deg,
             roll_deg, fov_deg (horizontal), width_px and height_px, all of them required. A camera may also have a lens
-            (else pinhole), distortion, and focal_px and centre_px instead of fov_deg; see `CameraModel`.
+            (else pinhole), distortion, and focal_px and centre_px instead of fov_deg; see `CameraModel`. With
+            ``module`` and no image size it is that module of the shipped catalogue, or of the file that ``modules``
+            names beside ``frame``.
 
     Returns:
         The rig.
@@ -326,6 +344,7 @@ class _RigReader:
         self.location = location
         self.line_of = line_of
         self.mistakes: list[str] = []
+        self.modules = builtin_modules()
 
     def cameras(self, data: object) -> list[Any]:
         """What the file says of each camera."""
@@ -334,7 +353,9 @@ class _RigReader:
             hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
             self.report((), "a mapping with frame, cameras", data, f"; {hint}")
             raise InputError(self.mistakes[0])
-        root = self.mapping(data, (), ("frame", "cameras"))
+        root = self.mapping(data, (), ("frame", "cameras", "modules"), ("modules",))
+        if "modules" in root:
+            self.modules = self._catalogue(root["modules"])
         if "frame" in root and root["frame"] != "ego":
             self.report(("frame",), "ego (x forward, y left, z up)", root["frame"])
         cameras = root.get("cameras", [None])
@@ -346,7 +367,9 @@ class _RigReader:
     def camera(self, data: object, location: Location) -> RigCamera | None:
         known_count = len(self.mistakes)
         is_calibrated = isinstance(data, dict) and "focal_px" in data
-        item = self.mapping(data, location, tuple(_EXPECTED), (*_OPTIONAL, "fov_deg") if is_calibrated else _OPTIONAL)
+        is_module = isinstance(data, dict) and "module" in data and not {*_OF_MODULE, "focal_px"} & data.keys()
+        optional = (*_OPTIONAL, *(_OF_MODULE if is_module else ("fov_deg",) if is_calibrated else ()))
+        item = self.mapping(data, location, tuple(_EXPECTED), optional)
         for field, value in item.items():
             if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
                 near = difflib.get_close_matches(str(value), list(Lens), 1, 0.5) if field == "lens" else []
@@ -361,12 +384,28 @@ class _RigReader:
             math.radians(item["pitch_deg"]),
             math.radians(item["roll_deg"]),
             model,
+            item.get("module"),
         )
+
+    def _catalogue(self, path: object) -> dict[str, Module]:
+        """The modules of a file beside the rig's, or the shipped ones where it cannot be read."""
+        if not isinstance(path, str):
+            self.report(("modules",), "the path of a catalogue of modules", path)
+            return builtin_modules()
+        return read_modules(Path(self.location).parent / Path(path).expanduser())
 
     def model(self, item: Mapping[str, Any], location: Location) -> CameraModel | None:
         """The camera model of a mapping whose fields are fit one by one; a mistake where they contradict each other."""
+        if "width_px" not in item:
+            name = item["module"]
+            if name in self.modules:
+                return self.modules[name].camera_model()
+            near = difflib.get_close_matches(name, self.modules, 1, 0.5)
+            expected = f"a module of the catalogue, {', '.join(self.modules)}"
+            self.report((*location, "module"), expected, name, f"; did you mean {near[0]}?" if near else "")
+            return None
         angle = {"fov_rad": math.radians(item["fov_deg"])} if "fov_deg" in item else {}
-        given = {field: item[field] for field in _OPTIONAL if field in item}
+        given = {field: item[field] for field in _OPTIONAL if field in item and field != "module"}
         try:
             return CameraModel(item["width_px"], item["height_px"], **angle, **given)
         except ValueError as error:
@@ -414,7 +453,7 @@ def _are_numbers(value: object, count: int | None = None) -> bool:
 
 def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
     match field:
-        case "name":
+        case "name" | "module":
             return isinstance(value, str) and _NAME.fullmatch(value) is not None
         case "position_m":
             return _are_numbers(value, 3)

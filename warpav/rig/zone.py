@@ -30,7 +30,7 @@ FLUSH_M = (0.0, 0.03)
 OUTWARD_RAD = math.radians(85.0)
 """How far cameras turn from a zone's normal where the zone does not say."""
 
-_KEYS = ("normal", "origin_m", "box_m", "keep_out_m", "stand_off_m", "yaw_deg", "pitch_deg", "roll_deg")
+_KEYS = ("normal", "kind", "origin_m", "box_m", "keep_out_m", "stand_off_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,7 @@ class Zone:
             is level, all round on others.
         pitch_rad: Least and greatest pitch, nose-down positive [rad]; None: as the rig's other cameras.
         roll_rad: Least and greatest roll [rad]; None: 0.
+        kinds: What kinds of place it is, such as ``windscreen`` or ``b_pillar``: camera modules say which they fit.
         axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
             face up have those of the ego frame; float64 [3, 3].
 
@@ -67,6 +68,7 @@ class Zone:
     yaw_rad: tuple[float, float] | None = None
     pitch_rad: tuple[float, float] | None = None
     roll_rad: tuple[float, float] | None = None
+    kinds: tuple[str, ...] = ()
     axes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,7 +116,8 @@ class Zone:
 def read_zones(path: Path | str) -> tuple[Zone, ...]:
     """Read a file of zones: ``zones``, a mapping from names to what they are.
 
-    A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``origin_m``, ``box_m`` and
+    A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``kind`` (a name or a list of
+    them, as the ``zones`` of modules name them), ``origin_m``, ``box_m`` and
     ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
     other side of the vehicle, called ``<name>_mirrored``.
@@ -163,6 +166,7 @@ def _zone(name: str, record: Record) -> Zone:
             yaw_rad=_radians(record.at("yaw_deg")),
             pitch_rad=_radians(record.at("pitch_deg")),
             roll_rad=_radians(record.at("roll_deg")),
+            kinds=_kinds(record.at("kind")),
         )
     except ValueError as error:
         raise InputError(str(error) if isinstance(error, InputError) else f"{record.location}: {error}") from None
@@ -183,6 +187,14 @@ def _normal(record: Record) -> tuple[float, float, float]:
         raise record.error("a direction", "one of length 0")
     x, y, z = (numbers / length).tolist()
     return x, y, z
+
+
+def _kinds(record: Record) -> tuple[str, ...]:
+    given = record.value if isinstance(record.value, list) else [] if record.value is None else [record.value]
+    for each in given:
+        if not isinstance(each, str):
+            raise record.error("a kind of place, or a list of them, such as [b_pillar, mirror]", f"{each!r}")
+    return tuple(given)
 
 
 def _box(record: Record) -> np.ndarray:
@@ -230,6 +242,7 @@ def mirrored(zone: Zone) -> Zone:
         keep_out_m=tuple(box(each) for each in zone.keep_out_m),
         stand_off_m=zone.stand_off_m,
         pitch_rad=zone.pitch_rad,
+        kinds=zone.kinds,
         **turned,
     )
 
@@ -255,6 +268,8 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     for zone in zones:
         normal = names.get(tuple(float(each) for each in zone.normal))  # pyright: ignore[reportArgumentType]
         lines += [f"  {zone.name}:", f"    normal: {normal or numbers(zone.normal)}"]
+        if zone.kinds:
+            lines.append(f"    kind: [{', '.join(zone.kinds)}]")
         if any(zone.origin_m):
             lines.append(f"    origin_m: {numbers(zone.origin_m)}")
         if zone.box_m is not None:

@@ -19,7 +19,7 @@ def highest_rig(placement: Placement) -> Rig:
     Raises:
         InputError: The cameras do not fit.
     """
-    pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras)
+    pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
     return placement.mount.rig(placement.mount.within(pose))
 
 
@@ -33,5 +33,7 @@ def random_rig(placement: Placement, seed: int = 0) -> Rig:
     Raises:
         InputError: The cameras do not fit.
     """
-    space = SearchSpace.over(placement.mount, placement.config.rig.cameras, constraints=placement.objective.constraints)
+    space = SearchSpace.over(
+        placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
+    )
     return placement.mount.rig(space.random(np.random.default_rng(seed)).astype(np.float32))

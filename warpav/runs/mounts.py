@@ -14,7 +14,9 @@ from warpav.core.devices import checked_device
 from warpav.core.errors import OptionError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.chart import chart_of
+from warpav.rig.catalogue import builtin_modules, read_modules
+from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
 from warpav.rig.zone import read_zones
@@ -23,6 +25,7 @@ from warpav.runs.config import NAMED_STARTS, Config
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
     from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
+    from warpav.optimisation.rig_limits import RigLimits
     from warpav.raster.mesh import Mesh
 
 FLUSH_NEAR_M = 0.01
@@ -34,14 +37,65 @@ SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 def camera_model(config: Config) -> CameraModel:
     """The camera model that all cameras of a run share; flush with a body they see what is a centimetre away."""
     camera = config.camera
-    near_m = camera.near_m if config.mount.zones is None else min(camera.near_m, FLUSH_NEAR_M)
     return CameraModel(
         camera.width_px,
         camera.height_px,
         math.radians(camera.fov_deg),
-        near_m,
+        _near_m(config),
         Lens(camera.lens),
         distortion=camera.distortion,
+    )
+
+
+def _near_m(config: Config) -> float:
+    """What is nearer to a camera is not seen [m]."""
+    near_m = config.camera.near_m
+    return min(near_m, FLUSH_NEAR_M) if has_zones(config) else near_m
+
+
+def has_zones(config: Config) -> bool:
+    """Whether cameras stand in zones: those of a file, or for modules those that the body suggests."""
+    return config.mount.zones is not None or config.rig.modules is not None
+
+
+def rig_modules(config: Config) -> tuple[Module, ...]:
+    """The camera modules that a rig may be made of, in the order of ``rig.modules``; none: equal cameras.
+
+    Raises:
+        InputError: The catalogue cannot be read, or has no such module.
+    """
+    if config.rig.modules is None:
+        return ()
+    catalogue = builtin_modules() if config.rig.catalogue is None else read_modules(config.rig.catalogue)
+    for name in config.rig.modules:
+        if name not in catalogue:
+            near = difflib.get_close_matches(name, catalogue, 1, 0.5)
+            hint = f"did you mean {near[0]}?" if near else "warpav modules list shows the shipped ones"
+            raise OptionError("rig.modules", f"expected modules out of {', '.join(catalogue)}, got {name!r}; {hint}")
+    return tuple(catalogue[name] for name in config.rig.modules)
+
+
+def camera_models(config: Config) -> tuple[CameraModel, ...]:
+    """The models of all cameras that a rig may have: those of its modules, or the one that its cameras share."""
+    models = [dataclasses.replace(module.camera_model(), near_m=_near_m(config)) for module in rig_modules(config)]
+    return tuple(models) or (camera_model(config),)
+
+
+def rig_limits(config: Config) -> RigLimits | None:
+    """How many cameras of which module a rig may have; None where all cameras are equal.
+
+    Raises:
+        InputError: No rig satisfies them.
+    """
+    from warpav.optimisation.rig_limits import RigLimits
+
+    if config.rig.modules is None:
+        return None
+    return RigLimits.of(
+        config.rig.modules,
+        count=config.rig.camera_range,
+        price={module.name: module.price.value for module in rig_modules(config)},
+        cost_max=config.rig.max_cost,
     )
 
 
@@ -61,14 +115,17 @@ def free_ranges(config: Config) -> FreeRanges:
 def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet.
 
+    Modules without ``mount.zones`` stand in those that the body suggests.
+
     Raises:
-        InputError: Nothing on it faces upwards enough, or a zone selects nothing of it.
+        InputError: Nothing on it faces upwards enough, a zone selects nothing of it, or a module fits no zone.
     """
-    if config.mount.zones is None:
+    if not has_zones(config):
         return roof_surface(config, ego)
     return chart_of(
-        read_zones(config.mount.zones),
+        propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones),
         ego,
+        modules=rig_modules(config),
         cell_m=config.mount.cell_m,
         min_upward_normal=config.mount.min_upward_normal,
         min_zone_normal=config.mount.min_zone_normal,
@@ -96,9 +153,9 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
 
     return CameraMount(
         mount_surface(config, ego),
-        camera=camera_model(config),
+        camera=camera_models(config) if config.rig.modules is not None else camera_model(config),
         # zones have their own stand-off
-        height_offset_m=config.rig.height_offset_m if config.mount.zones is None else 0.0,
+        height_offset_m=0.0 if has_zones(config) else config.rig.height_offset_m,
         device=checked_device(config.device),
         free=free_ranges(config),
     )
@@ -119,12 +176,15 @@ def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras 
 
     if config.method == "thesis":
         return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
+    limits = rig_limits(config)
+    module = None if limits is None else limits.first_modules()
     return ZoneAndSpacing(
         surface,
-        camera_count=config.rig.cameras,
+        camera_count=config.rig.cameras if module is None else len(module),
         min_spacing_m=config.rig.min_spacing_m,
         margin_m=config.mount.margin_m,
         frozen=frozen,
+        module=module,
     )
 
 
@@ -153,6 +213,8 @@ def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
             names = f"{', '.join(known)}, the cameras of {named}"
             raise OptionError("rig.freeze", f"expected names out of {names}, got {name!r}{hint}")
         model = models[name]
+        if config.rig.modules is not None:
+            continue  # the mount says whether it is one of its modules
         if not model.fits_beside(shared):
             raise OptionError(
                 "rig.freeze",
@@ -192,8 +254,12 @@ def with_shared_model(rig: Rig, config: Config) -> Rig:
         rig: The rig.
         config: The configuration.
     """
-    shared = camera_model(config)
-    cameras = [dataclasses.replace(camera, model=_completed(camera.model, shared)) for camera in rig.cameras]
+    known = camera_models(config)
+    cameras = []
+    for camera in rig.cameras:
+        completed = [_completed(camera.model, shared) for shared in known]
+        model = next((model for model in completed if model in known), completed[0])
+        cameras.append(dataclasses.replace(camera, model=model))
     return Rig(cameras)
 
 

@@ -138,7 +138,7 @@ class Optimisation:
             if placement.start_rig is not None:
                 start = mount.mount_pose_of_rig(placement.start_rig, as_configured=True)
             elif config.rig.start == "highest":
-                start = highest_mount_pose(objective.constraints, config.rig.cameras)
+                start = highest_mount_pose(objective.constraints, objective.camera_count)
             else:
                 rng = placement.random_numbers(Stream.START)
                 start = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng)
@@ -168,6 +168,7 @@ class Optimisation:
                 executor=executor,
                 cache=cache,
                 progress=progress,
+                limits=placement.limits,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

@@ -34,6 +34,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.segregation import Segregation, choose_orientations
 from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
@@ -41,7 +42,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
 from warpav.runs.detector_fit import ensure_fit
-from warpav.runs.mounts import checked_frozen, constraints_of
+from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
@@ -70,6 +71,10 @@ DEGREES_OF_FREEDOM = {
 """Degrees of freedom of a camera on the mount surface, and their column among its mount pose."""
 
 
+DetectionProbabilities = DetectionProbability | tuple[DetectionProbability, ...]
+"""The model of detection probability of all cameras, or of each module."""
+
+
 class Stream(IntEnum):
     """Purposes of random numbers: one more draw for one of them moves nothing for the others."""
 
@@ -90,7 +95,8 @@ class Parts:
         freeze: Names of the cameras of ``start`` that stay as they are.
         ego: The vehicle that takes the place of every scene's own, where it is not ``config.scenes.ego``.
         networks: The detector; None: that of ``config``.
-        probability: The model of detection probability; None: `warpav.runs.detector_fit.ensure_fit` gives it.
+        probability: The model of detection probability, or one for each module; None:
+            `warpav.runs.detector_fit.ensure_fit` gives it.
         losses: Every loss with its weight; None: those of ``config``.
         has_own_detector: Whether the detector is an object that no configuration describes.
         has_own_scenes: Whether the scenes are objects that no configuration describes.
@@ -101,7 +107,7 @@ class Parts:
     freeze: tuple[str, ...] = ()
     ego: Mesh | None = None
     networks: Networks | None = None
-    probability: DetectionProbability | None = None
+    probability: DetectionProbabilities | None = None
     losses: tuple[tuple[float, Loss], ...] | None = None
     has_own_detector: bool = False
     has_own_scenes: bool = False
@@ -113,7 +119,7 @@ class _Prepared:
 
     scenes: SceneSet
     networks: Networks
-    probability: DetectionProbability | None
+    probability: DetectionProbabilities | None
     objective: RigObjective
     segregation: Callable[[], Segregation]
     train: list[AssignedScene]
@@ -137,11 +143,12 @@ class Placement:
         train: Sequence[Scene],
         *,
         validation: Sequence[Scene] = (),
-        cameras: int | None = None,
+        cameras: int | str | None = None,
         fov_deg: float | None = None,
         detector: str | Path | Detector | None = None,
         ego: str | Path | Mesh | trimesh.Trimesh | tuple[Any, Any] | None = None,
         zones: str | Path | None = None,
+        modules: Mapping[str, int | str | tuple[int, int]] | None = None,
         device: str | None = None,
         start: str | Path | Rig | None = None,
         freeze: str | Sequence[str] = (),
@@ -156,7 +163,8 @@ class Placement:
         Args:
             train: Scenes that the optimiser sees, at least one, all around the same ego vehicle.
             validation: Scenes on which rigs are compared; none: the training scenes.
-            cameras: Number of cameras, 1 to 16; None: those of ``start``, else ``config.rig.cameras``.
+            cameras: Number of cameras, 1 to 16, of modules also a range such as ``"2..8"``; None: those of ``start``,
+                else as many as ``modules`` allow, else ``config.rig.cameras``.
             fov_deg: Horizontal field of view of every camera [deg].
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
             ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
@@ -188,10 +196,11 @@ class Placement:
             )
         ego_is_file = isinstance(ego, (str, Path))
         mesh = None if ego is None or ego_is_file else checked_vehicle(ego)
-        if cameras is None and start_rig is not None:
+        if cameras is None and start_rig is not None and modules is None:
             cameras = len(start_rig.cameras)
         base = Config() if config is None else config
         options: dict[str, object] = {
+            "rig.modules": None if modules is None else _counts(modules),
             "rig.cameras": cameras,
             "camera.fov_deg": fov_deg,
             "device": device,
@@ -209,7 +218,7 @@ class Placement:
         found = changed_config(base, overrides, origin=None)
         if start_rig is None:
             start_rig = read_start(found)
-        elif len(start_rig.cameras) != found.rig.cameras:
+        elif not found.rig.camera_range[0] <= len(start_rig.cameras) <= found.rig.cameras:
             raise ArgumentError(
                 "start",
                 f"expected a rig of {found.rig.cameras} cameras, as `cameras` says, got {len(start_rig.cameras)}",
@@ -321,7 +330,7 @@ class Placement:
             probability = parts.probability
             if probability is None and _needs_fit(parts):
                 own = networks.detector if parts.has_own_detector else None
-                probability = ensure_fit(parts.config, detector=own, ego=parts.ego, progress=progress)
+                probability = _fitted(parts.config, progress, detector=own, ego=parts.ego)
             self._prepared = _assembled(parts, scenes, networks, probability)
         return self
 
@@ -382,6 +391,11 @@ class Placement:
     def detector(self) -> Detector:
         """The detector."""
         return self._ready.networks.detector
+
+    @property
+    def limits(self) -> RigLimits | None:
+        """How many cameras of which module a rig may have; None where all are equal."""
+        return rig_limits(self.config)
 
     @property
     def frozen_rig(self) -> Rig | None:
@@ -498,14 +512,14 @@ class Placement:
         """
         if not isinstance(rig, Rig):
             raise TypeError(f"rig: expected a Rig, got {type(rig).__name__}")
-        count = self.config.rig.cameras
-        if len(rig.cameras) != count:
+        least, most = self.config.rig.camera_range
+        if not least <= len(rig.cameras) <= most:
+            count = f"{least}" if least == most else f"{least} to {most}"
             raise ArgumentError("rig", f"expected {count} cameras as the placement has, got {len(rig.cameras)}")
         for camera in rig.cameras:
             if not self.mount.has_model(camera.model):
-                raise ArgumentError(
-                    "rig", f"expected cameras of the placement's model {self.mount.camera}, got {camera.model}"
-                )
+                expected = "modules of the placement" if self.mount.is_mixed else f"model {self.mount.camera}"
+                raise ArgumentError("rig", f"expected cameras of the placement's {expected}, got {camera.model}")
         return self.mount.mount_pose_of_rig(rig)
 
     def _scenes_for(self, rig: Rig, scenes: Sequence[Scene] | None) -> list[AssignedScene]:
@@ -521,14 +535,18 @@ class Placement:
         config = self.config
         scenes = "own" if self._parts.has_own_scenes else config.scenes.source
         detector = "own" if self._parts.has_own_detector else config.detector.model
-        return (
+        cameras = (
             f"{config.rig.cameras} cameras of {config.camera.fov_deg:g} deg, {config.camera.width_px} x "
-            f"{config.camera.height_px} px, {scenes} scenes, detector {detector}, {config.device}"
+            f"{config.camera.height_px} px"
         )
+        if config.rig.modules is not None:
+            each = (f"{range_text(pair)} {name}" for name, pair in config.rig.modules.items())
+            cameras = f"{range_text(config.rig.camera_range)} cameras ({', '.join(each)})"
+        return f"{cameras}, {scenes} scenes, detector {detector}, {config.device}"
 
 
 def placement_on(
-    scenes: SceneSet, config: Config, networks: Networks, probability: DetectionProbability | None
+    scenes: SceneSet, config: Config, networks: Networks, probability: DetectionProbabilities | None
 ) -> Placement:
     """A placement on scenes that are on the device already.
 
@@ -545,9 +563,21 @@ def placement_on(
     return placement
 
 
-def needed_fit(config: Config, progress: Progress) -> DetectionProbability | None:
+def needed_fit(config: Config, progress: Progress) -> DetectionProbabilities | None:
     """What `ensure_fit` gives, where the losses of a configuration need it; else None."""
-    return ensure_fit(config, progress=progress) if _needs_fit(Parts(config)) else None
+    return _fitted(config, progress) if _needs_fit(Parts(config)) else None
+
+
+def _fitted(
+    config: Config, progress: Progress, *, detector: Detector | None = None, ego: Mesh | None = None
+) -> DetectionProbabilities:
+    """The model of detection probability, or that of each module; arguments as of `ensure_fit`."""
+    if config.rig.modules is None:
+        return ensure_fit(config, detector=detector, ego=ego, progress=progress)
+    return tuple(
+        ensure_fit(config, detector=detector, ego=ego, progress=progress, camera=model)
+        for model in camera_models(config)
+    )
 
 
 def _needs_fit(parts: Parts) -> bool:
@@ -565,7 +595,7 @@ def _have_one_objective(one: Config, other: Config) -> bool:
 
 
 def _assembled(
-    parts: Parts, scenes: SceneSet, networks: Networks, probability: DetectionProbability | None
+    parts: Parts, scenes: SceneSet, networks: Networks, probability: DetectionProbabilities | None
 ) -> _Prepared:
     """The objective, and the vehicles of all scenes assigned to orientations, which happens where somebody asks."""
     config = parts.config
@@ -575,7 +605,7 @@ def _assembled(
     def segregation() -> Segregation:
         looked_at = scenes.train[:: -(-train_count // ORIENTATION_SCENES)]
         rng = _random_numbers(config, Stream.SEGREGATION)
-        return choose_orientations(scenes.areas(looked_at, rotation_count), config.rig.cameras, rotation_count, rng)
+        return choose_orientations(scenes.areas(looked_at, rotation_count), camera_count, rotation_count, rng)
 
     def assigned_camera(scene: DeviceScene) -> np.ndarray:
         return cameras_of(scenes.areas([scene], rotation_count)[0][:, segregation().rotation])
@@ -585,6 +615,7 @@ def _assembled(
     if parts.start is not None and parts.freeze:
         mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
     constraints = constraints_of(config, mount.surface, mount.frozen)
+    camera_count = config.rig.cameras if constraints.module is None else len(constraints.module)
     importance = Importance.of(config.importance)
     if importance is not None:
         importance.check(scenes.scenes)
@@ -593,9 +624,9 @@ def _assembled(
     objective = RigObjective(
         mount,
         networks.detector,
-        camera_count=config.rig.cameras,
+        camera_count=camera_count,
         losses=losses_of(options) if parts.losses is None else parts.losses,
-        camera_probability=CameraProbability.of(config.losses, probability),
+        camera_probability=_camera_probabilities(config, probability),
         multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
         constraints=constraints,
         confidence_min=config.detector.confidence_min,
@@ -616,6 +647,17 @@ def _assembled(
         others[:validation_count] or train,
         others[validation_count:],
     )
+
+
+def _camera_probabilities(
+    config: Config, probability: DetectionProbabilities | None
+) -> CameraProbability | list[CameraProbability] | None:
+    """How likely a camera is to detect, of modules each; one model stands for all of these."""
+    models = probability if isinstance(probability, tuple) else (probability,)
+    found = [CameraProbability.of(config.losses, model) for model in models]
+    if config.rig.modules is None or found == [None]:
+        return found[0]
+    return [each for each in found * (len(config.rig.modules) // len(found)) if each is not None]
 
 
 def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:
@@ -689,6 +731,11 @@ def _packer(train: Sequence[Scene], validation: Sequence[Scene], parts: Parts) -
         return pack_scenes(steps, (len(train), len(validation)), parts.config, progress)
 
     return pack
+
+
+def _counts(modules: Mapping[str, int | str | tuple[int, int]]) -> dict[str, int | str]:
+    """Numbers of modules as they are written in files."""
+    return {name: range_text(count) if isinstance(count, tuple) else count for name, count in modules.items()}
 
 
 def _section(settings: RigConfig | ImportanceSettings | Mapping[str, Any]) -> dict[str, Any]:

@@ -365,7 +365,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     progress.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
     space = SearchSpace.over(
         mount,
-        config.rig.cameras,
+        placement.objective.camera_count,
         constraints=constraints,
         yaw_rad=placement.yaw_rad,
         yaw_reach_rad=0.0,

@@ -204,18 +204,19 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
+    from warpav.evaluation.metrics import observe_scenes
     from warpav.view.figures.detections import DetectionPanel
 
-    seen, *_ = objective.observe_rig(rig, assigned)
+    [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
     return [
         DetectionPanel(
             title=camera.name,
-            image_rgb=seen.image_rgb[k],
-            truth_box_px=seen.truth_box_px[k],
-            detection_box_px=seen.detections[k].box_px,
-            detection_of_truth=seen.match[k],
+            image_rgb=of_camera.image_rgb,
+            truth_box_px=of_camera.truth_box_px,
+            detection_box_px=of_camera.detections.box_px,
+            detection_of_truth=of_camera.match,
         )
-        for k, camera in enumerate(rig.cameras)
+        for camera, of_camera in zip(rig.cameras, seen.cameras, strict=True)
     ]
 
 

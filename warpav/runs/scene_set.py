@@ -20,6 +20,7 @@ from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import compiling
 from warpav.optimisation.segregation import areas_around
+from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount
@@ -106,7 +107,7 @@ class SceneSet:
             scenes,
             np.arange(rotation_count) * (2.0 * math.pi / rotation_count),
             np.append(self.ego.bounds_m()[:, :2].mean(axis=0), 0.0),
-            self.mount.camera,
+            CameraModel() if self.mount.is_mixed else self.mount.camera,
             device=self.mount.device,
         )
 
@@ -119,7 +120,13 @@ def scene_part(config: Config) -> Config:
         scenes=config.scenes,
         capture=config.capture,
         reconstruction=config.reconstruction,
-        rig=RigConfig(height_offset_m=config.rig.height_offset_m, free=config.rig.free),
+        rig=RigConfig(
+            height_offset_m=config.rig.height_offset_m,
+            free=config.rig.free,
+            modules=config.rig.modules,
+            catalogue=config.rig.catalogue,
+            cameras=config.rig.cameras,
+        ),
         camera=config.camera,
         mount=config.mount,
     )

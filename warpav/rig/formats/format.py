@@ -16,9 +16,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
-from warpav.raster.camera import CameraModel
+from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.rig import MAX_IMAGE_PX
 
 if TYPE_CHECKING:
     from warpav.rig.formats.record import Record

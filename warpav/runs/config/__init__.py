@@ -20,15 +20,14 @@ from warpav.runs.config.load import (
     placed_config,
     with_absolute_paths,
 )
+from warpav.runs.config.rig_options import NAMED_STARTS, START_TEXT, RigConfig
 from warpav.runs.config.schema import (
-    NAMED_STARTS,
+    CATALOGUE_FILE,
     START_FILE,
-    START_TEXT,
     ZONES_FILE,
     BaselineConfig,
     CameraConfig,
     DetectorConfig,
-    RigConfig,
     RunConfig,
     SceneConfig,
     read_seeds,
@@ -36,6 +35,7 @@ from warpav.runs.config.schema import (
 from warpav.runs.config.shipped import config_dir, config_names, find_config
 
 __all__ = [
+    "CATALOGUE_FILE",
     "COMMAND_LINE",
     "NAMED_STARTS",
     "START_FILE",

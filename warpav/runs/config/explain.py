@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
+from warpav.runs.config.rig_options import LATER_RIG_OPTIONS
 from warpav.runs.config.schema import ConfigTree
 
 COMMAND_LINE = "command line"
@@ -151,6 +152,7 @@ def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
     tree = {"importance": config.importance.model_dump(mode="json"), **config.model_dump(mode="json")}
     tree["mount"] = {"zones": None, **tree["mount"]}
+    tree["rig"] = {**dict.fromkeys(LATER_RIG_OPTIONS), **tree["rig"]}
     return {
         ".".join(location): functools.reduce(operator.getitem, location, tree)
         for location in option_locations(ConfigTree)

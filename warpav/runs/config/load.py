@@ -19,7 +19,8 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
-from warpav.runs.config.schema import EXTENDS, NAMED_STARTS, START_FILE, ZONES_FILE, ConfigTree, merged
+from warpav.runs.config.rig_options import NAMED_STARTS
+from warpav.runs.config.schema import CATALOGUE_FILE, EXTENDS, START_FILE, ZONES_FILE, ConfigTree, merged
 from warpav.runs.config.shipped import find_config
 from warpav.scene.vehicles import vehicle_file
 
@@ -76,7 +77,8 @@ def load_config(
     data, written_at = _read_file(file) if file else ({}, {})
     if isinstance(source, Config):
         data = source.model_dump(mode="json")
-    for section, option, name in (("rig", "start", START_FILE), ("mount", "zones", ZONES_FILE)):
+    kept = (("rig", "start", START_FILE), ("mount", "zones", ZONES_FILE), ("rig", "catalogue", CATALOGUE_FILE))
+    for section, option, name in kept:
         values = data.get(section)
         if file and isinstance(values, dict) and values.get(option) == name and (file.parent / name).is_file():
             values[option] = str((file.parent / name).absolute())
@@ -90,6 +92,9 @@ def load_config(
             location = new_name[location]
         override_of[location] = place
         _put(data, location, value, place)
+    counts = {("rig", "cameras"), ("rig", "modules")} & {location[:2] for location in override_of}
+    if counts == {("rig", "modules")}:  # they say how many there are
+        data["rig"] = {name: value for name, value in data["rig"].items() if name not in ("cameras", "fewest_cameras")}
     try:
         return Config.model_validate(data)
     except ValidationError as error:
@@ -121,6 +126,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
         ("mount.zones", config.mount.zones),
+        ("rig.catalogue", config.rig.catalogue),
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")

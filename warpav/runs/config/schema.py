@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,7 +23,7 @@ from pydantic_core import PydanticCustomError
 
 from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
-from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, Degrees, Metres, range_reader
+from warpav.core.units import Degrees, Metres
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,
@@ -34,12 +34,11 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
+from warpav.runs.config.file_options import existing_file, read_path
+from warpav.runs.config.rig_options import LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.vehicles import vehicle_file, vehicle_names
-
-NAMED_STARTS = ("random", "highest")
-"""What rig.start may be besides a rig."""
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""
@@ -49,6 +48,9 @@ START_FILE = "rig_start.yaml"
 
 ZONES_FILE = "zones.yaml"
 """A mount.zones of this name is the file beside the configuration, as a run leaves it."""
+
+CATALOGUE_FILE = "modules.yaml"
+"""A rig.catalogue of this name, likewise."""
 
 MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
@@ -112,14 +114,6 @@ def _read_targets(value: object) -> tuple[str, ...]:
     return tuple(each for each in ROAD_USERS if each in targets)
 
 
-def _read_path(value: object) -> object:
-    if isinstance(value, str):
-        if not value.strip():
-            mistake(f"expected a path, got {value!r}")
-        return Path(value).expanduser()
-    return value
-
-
 def _read_device(value: object) -> object:
     if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
         hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
@@ -127,25 +121,9 @@ def _read_device(value: object) -> object:
     return value
 
 
-START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
-
-
-_NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
-
-
-def _read_names(value: object) -> tuple[Any, ...]:
-    names = tuple(value) if isinstance(value, (list, tuple)) else (value,)
-    for name in names:
-        if not isinstance(name, str) or not name:
-            mistake(f"expected {_NAMES_TEXT}, got {shown(value)}")
-        if names.count(name) > 1:
-            mistake(f"expected every name once, got {name!r} {names.count(name)} times")
-    return names
-
-
 def _read_model(value: object) -> object:
     if isinstance(value, str) and value != "builtin":
-        _existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
+        existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
     return value
 
 
@@ -155,29 +133,21 @@ def _read_mesh_file(value: object) -> object:
         expected = "the path of a mesh file, or null"
         if not Path(value).suffix:  # a name rather than a file
             expected = f"one of {', '.join(names)}, {expected}"
-        _existing_file(value, expected, [value], names)
-    return _read_path(value)
+        existing_file(value, expected, [value], names)
+    return read_path(value)
 
 
 def _read_zones_file(value: object) -> object:
     if isinstance(value, str):
-        _existing_file(value, "the path of a YAML file of zones, or null", [value], [])
-    return _read_path(value)
-
-
-def _existing_file(value: str, expected: str, candidates: Sequence[str], words: Sequence[str]) -> None:
-    if any(Path(candidate).expanduser().is_file() for candidate in candidates):
-        return
-    near = difflib.get_close_matches(value, words, 1, 0.6)
-    hint = f"did you mean {near[0]}?" if near else "no such file"
-    mistake(f"expected {expected}, got {value!r}; {hint}")
+        existing_file(value, "the path of a YAML file of zones, or null", [value], [])
+    return read_path(value)
 
 
 class RunConfig(Section):
     """The run as a whole."""
 
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="seed of every random choice of the run")
-    out: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+    out: Annotated[Path, BeforeValidator(read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
     )
     iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
@@ -197,7 +167,7 @@ class SceneConfig(Section):
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
     )
     test_seeds: Seeds = Field(default=tuple(range(5000, 5010)), description="scenes that only the evaluation sees")
-    folder: Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+    folder: Annotated[Path, BeforeValidator(read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None,
         description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
         "makes; null keeps that in the user's cache",
@@ -296,77 +266,6 @@ class ReconstructionConfig(Section):
     )
 
 
-_PITCHES_TEXT = "two angles from -60 deg to 60 deg, the lower one first, such as [-20, 20]"
-_HEIGHTS_TEXT = "two heights from 0 m to 2 m, the lower one first, such as [0.05, 0.4]"
-_FOVS_TEXT = "two angles from 10 deg to 360 deg, the lower one first, such as [60, 110]"
-_RANGE_AS_LIST = PlainSerializer(lambda value: None if value is None else list(value))
-_RANGE_SCHEMA = WithJsonSchema(
-    {"anyOf": [{"type": "array", "items": NUMBER_OR_TEXT, "minItems": 2, "maxItems": 2}, {"type": "null"}]}
-)
-
-Range = tuple[float, float] | None
-PitchRange = Annotated[
-    Range,
-    range_reader(DEGREES_PER_UNIT, _PITCHES_TEXT, low=-60.0, high=60.0),
-    _RANGE_AS_LIST,
-    Expectation(_PITCHES_TEXT),
-    _RANGE_SCHEMA,
-]
-HeightRange = Annotated[
-    Range,
-    range_reader(METRES_PER_UNIT, _HEIGHTS_TEXT, low=0.0, high=2.0),
-    _RANGE_AS_LIST,
-    Expectation(_HEIGHTS_TEXT),
-    _RANGE_SCHEMA,
-]
-FovRange = Annotated[
-    Range,
-    range_reader(DEGREES_PER_UNIT, _FOVS_TEXT, low=10.0, high=360.0),
-    _RANGE_AS_LIST,
-    Expectation(_FOVS_TEXT),
-    _RANGE_SCHEMA,
-]
-
-
-class FreeConfig(Section):
-    """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
-
-    pitch_deg: PitchRange = Field(
-        default=(-10.0, 20.0), description="bounds of each camera's pitch, nose-down positive; null: level cameras"
-    )
-    height_m: HeightRange = Field(
-        default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
-    )
-    fov_deg: FovRange = Field(
-        default=None, description="bounds of each camera's horizontal field of view, around camera.fov_deg"
-    )
-
-
-class RigConfig(Section):
-    """How many cameras there are, where they start, how close they may come, and what else of them is free."""
-
-    cameras: int = Field(default=4, ge=1, le=16, description="cameras on the vehicle")
-    start: Annotated[str, Expectation(START_TEXT)] = Field(
-        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
-    )
-    freeze: Annotated[
-        tuple[str, ...],
-        BeforeValidator(_read_names),
-        PlainSerializer(list),
-        Expectation(_NAMES_TEXT),
-        WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "string"}}, {"type": "string"}]}),
-    ] = Field(
-        default=(),
-        description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
-        "others are optimised around them",
-    )
-    height_offset_m: Metres = Field(
-        default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
-    )
-    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
-    free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
-
-
 class CameraConfig(Section):
     """The camera model that all cameras share."""
 
@@ -463,7 +362,7 @@ _CLASSES_TEXT = "a list of labels of the detector, such as [car, bus]"
 
 def _read_labels(value: object) -> object:
     if isinstance(value, str):
-        _existing_file(value, _LABELS_TEXT, [value], [])
+        existing_file(value, _LABELS_TEXT, [value], [])
         return value
     return tuple(value) if isinstance(value, list) else value
 
@@ -548,6 +447,8 @@ class ExecutorConfig(Section):
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Sections laid over others: what the upper ones leave out comes from below."""
     result = dict(below)
+    if "modules" in above and "cameras" not in above:  # of the section rig: modules say how many there are
+        result.pop("cameras", None)
     for name, value in above.items():
         under = result.get(name)
         both = isinstance(under, Mapping) and isinstance(value, Mapping)
@@ -613,12 +514,15 @@ class ConfigTree(Section):
 
     @model_serializer(mode="wrap")
     def _without_unset(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out ``importance`` and ``mount.zones`` where they are not set: files stay as before there were any."""
+        """Leave out what came later where it is not set: files stay as before there was any."""
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
+        for name in LATER_RIG_OPTIONS:
+            if getattr(self.rig, name) is None:
+                result["rig"].pop(name, None)
         return result
 
     @property
@@ -641,6 +545,7 @@ class ConfigTree(Section):
         self._check_freeze()
         self._check_zones()
         self._check_importance()
+        self._check_modules()
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -674,6 +579,25 @@ class ConfigTree(Section):
         if self.method == "thesis":
             text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
             mistake(text, "rig.freeze", "method")
+
+    def _check_modules(self) -> None:
+        rig = self.rig
+        for name in ("catalogue", "max_cost", "fewest_cameras"):
+            if rig.modules is None and getattr(rig, name) is not None:
+                text = f"expected null without rig.modules, got {shown(getattr(rig, name))}"
+                mistake(f"{text}; say which modules there are", f"rig.{name}", "rig.modules")
+        if rig.modules is None:
+            return
+        if self.method == "thesis":
+            mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
+        if self.descends or not self.losses.suits_pool:
+            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows modules"
+            mistake(f"{text}; set optimiser.search=pool, or leave the losses as they are", "rig.modules", "losses")
+        for name in ("height_m", "fov_deg"):
+            if getattr(rig.free, name) is not None:
+                of = "module its lens" if name == "fov_deg" else "zone its stand_off_m"
+                text = f"expected null, as every {of}, got {shown(getattr(rig.free, name))}"
+                mistake(text, f"rig.free.{name}", "rig.modules")
 
     def _check_zones(self) -> None:
         if self.mount.zones is None:
