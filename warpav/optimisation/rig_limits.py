@@ -62,7 +62,7 @@ class RigLimits:
             given = "none" if count is None else range_text(count)
             raise OptionError(
                 "rig.cameras",
-                f"expected {low} to {high}, as many as rig.modules allows, got {given}; change one of the two",
+                f"expected {max(low, 1)} to {high}, as many as rig.modules allows, got {given}; change one of the two",
             )
         limits = cls((least, greatest), dict(of_module), dict(price or {}), cost_max)
         cheapest = limits._cheapest(least)
