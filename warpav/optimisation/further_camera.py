@@ -159,10 +159,11 @@ def further_cameras(
     order = one_of_each[np.argsort(-gain[one_of_each], kind="stable")]
     order = order[apart_m[order] >= constraints.min_spacing_m]
     pose = np.asarray(mount_pose, np.float64)[order]
+    module = mount.module_of(pose)
     return FurtherCameras(
         position_m[order],
         pose[:, YAW_RAD],
         pose[:, PITCH_RAD],
-        np.array([mount.camera.zoomed(zoom).fov_rad for zoom in pose[:, LOG_ZOOM].tolist()]),
+        np.array([mount.cameras[k].zoomed(zoom).fov_rad for k, zoom in zip(module, pose[:, LOG_ZOOM], strict=True)]),
         gain[order],
     )

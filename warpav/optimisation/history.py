@@ -33,6 +33,7 @@ class IterationRecord:
         bound: No rig of `pool_cameras` is below it; None before the first selection, and in a descent.
         pool_cameras: Cameras of the pool of the last selection, which the bound is over; likewise None.
         camera_renders: One camera in one scene each, so far; None in a descent.
+        modules: Module of every camera, where the rig mixes them; empty otherwise.
     """
 
     iteration: int
@@ -53,6 +54,7 @@ class IterationRecord:
     bound: float | None = None
     camera_renders: int | None = None
     pool_cameras: int | None = None
+    modules: list[str] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -105,9 +107,13 @@ class History:
         return len(own) - 1 - own.index(lowest(own))
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that `restore` needs."""
-        fields = ("mount_pose", "training_objective", "iteration", "descent")
+        """Everything that `restore` needs; rigs of fewer cameras than others have rows of NaN behind theirs."""
+        fields = ("training_objective", "iteration", "descent")
         state = {name: np.array([getattr(each, name) for each in self.candidates]) for name in fields}
+        poses = [each.mount_pose for each in self.candidates]
+        most = max(map(len, poses), default=0)
+        padded = [np.pad(pose, ((0, most - len(pose)), (0, 0)), constant_values=np.nan) for pose in poses]
+        state = {"mount_pose": np.array(padded), **state}
         if any(each.detection_probability is not None for each in self.candidates):
             state["detection_probability"] = np.array([each.detection_probability for each in self.candidates])
         return state
@@ -117,7 +123,7 @@ class History:
         probability = state.get("detection_probability")
         self.candidates = [
             Candidate(
-                np.array(pose, np.float32),
+                np.array(pose[~np.isnan(pose).any(axis=1)], np.float32),
                 float(state["training_objective"][k]),
                 int(state["iteration"][k]),
                 int(state["descent"][k]),

@@ -194,4 +194,5 @@ class PoolDescent:
             bound=bound,
             pool_cameras=pool_cameras,
             camera_renders=found.camera_renders,
+            modules=[camera.module for camera in rig.cameras if camera.module is not None],
         )

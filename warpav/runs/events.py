@@ -44,7 +44,8 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
                 f"{file}:{number}: expected one JSON object per line, got {shown!r}; {_MEND_EVENTS}"
             ) from None
         if event is not None:
-            count = len(events[0]["positions_m"]) if events else None
+            # of modules a rig may have more than another
+            count = len(events[0]["positions_m"]) if events and not events[0].get("modules") else None
             wrong = _event_mistake(event, camera_count=count)
             if wrong:
                 raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
@@ -59,14 +60,24 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
 def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
     """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
 
-    Of several descents it is that of the one that found the best rig.
+    Of several descents it is that of the one that found the best rig, and of rigs of different modules of those that
+    have the modules of the best.
     """
     import numpy as np
 
     evaluated = [event for event in events if event.get("training_objective") is not None]
     best = min(evaluated, key=lambda event: event["training_objective"], default=None)
-    path = [event["positions_m"] for event in events if best is None or event.get("descent") == best.get("descent")]
+    if best is not None:
+        events = [event for event in events if event.get("descent") == best.get("descent")]
+        events = of_modules(events, best.get("modules"))
+    path = [event["positions_m"] for event in events]
     return np.array(path) if len(path) > 1 else None
+
+
+def of_modules(events: Sequence[Mapping[str, Any]], modules: Sequence[str | None] | None) -> list[Mapping[str, Any]]:
+    """The iterations whose rigs have the modules of another, camera by camera; without modules all of them."""
+    wanted = [] if modules is None else [each for each in modules if each is not None]
+    return [event for event in events if not event.get("modules") or list(event["modules"]) == wanted]
 
 
 def _event_mistake(event: object, *, camera_count: int | None) -> str | None:

@@ -10,7 +10,7 @@ from warpav.core.errors import ArgumentError
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import nearest_iteration, rigs_of_events
-from warpav.runs.events import trajectory
+from warpav.runs.events import of_modules, trajectory
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
@@ -107,6 +107,7 @@ def inspector(
     if is_run_folder(source):
         folder = RunFolder.open(source)
         events = folder.events()
+        events = of_modules(events, [camera.module for camera in rig.cameras])
         frames = [*rigs_of_events(events, rig, place=folder.path), rig]
         trajectory_m = trajectory(events)
         descents = [*map(Steepest.of_event, events), None]

@@ -170,7 +170,10 @@ class Placement:
             ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
                 vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or
                 ``(vertices [n, 3], faces [m, 3])``. None: the scenes' own.
-            zones: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and bonnet.
+            zones: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and bonnet, of
+                modules those that the body suggests.
+            modules: Camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its number or
+                a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal cameras.
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
             freeze: Names of cameras of ``start`` that stay as they are.

@@ -27,6 +27,7 @@ from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on
+from warpav.runs.events import of_modules
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.run_folder import RunFolder
@@ -235,7 +236,8 @@ def _drawing(
 ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
     from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
-    placement, events = result.placement, [asdict(record) for record in result.records]
+    modules = [camera.module for camera in result.rig.cameras]
+    placement, events = result.placement, of_modules([asdict(record) for record in result.records], modules)
     frames = rigs_of_events(events, result.rig, place="result")
     scene = placement.shown if scene is None else next(placement.as_seen([scene]))
     run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)

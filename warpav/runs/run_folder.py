@@ -32,7 +32,7 @@ from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import START_FILE, ZONES_FILE, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import environment
-from warpav.runs.events import flat_numbers, read_events
+from warpav.runs.events import flat_numbers, of_modules, read_events
 from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
@@ -337,6 +337,7 @@ class RunFolder:
         config = self.config() if config is None else config
         shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
         events, rig = self.events(), with_shared_model(self.rig(), config)
+        events = of_modules(events, [camera.module for camera in rig.cameras])
         frames = rigs_of_events(events, rig, place=self.path)
         return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
 
