@@ -19,6 +19,7 @@ from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.rig_limits import RigLimits
@@ -48,6 +49,7 @@ class PoolDescent:
         cache: Path | None = None,
         progress: Progress | None = None,
         limits: RigLimits | None = None,
+        pool: CameraPool | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -61,6 +63,7 @@ class PoolDescent:
             cache: Folder that keeps what is drawn; None: nothing is kept.
             progress: Shows the drawing of the pool.
             limits: How many cameras of which module a rig may have; None where all are equal.
+            pool: Of an earlier run of the same cameras on the same scenes, which this one goes on with.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -93,6 +96,7 @@ class PoolDescent:
             progress=progress,
             object_weight=self._object_weight,
             limits=limits,
+            pool=pool,
         )
 
     @property

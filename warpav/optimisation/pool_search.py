@@ -132,6 +132,7 @@ def pool_search(
     progress: Progress | None = None,
     object_weight: np.ndarray | None = None,
     limits: RigLimits | None = None,
+    pool: CameraPool | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -151,6 +152,7 @@ def pool_search(
             None: all alike. Miss rates and bounds are weighted means.
         limits: How many cameras of each of the mount's modules a rig may have; at most ``camera_count`` in all, and
             none of them frozen where fewer are allowed too. None: any ``camera_count`` cameras.
+        pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no other.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -165,7 +167,7 @@ def pool_search(
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
     search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits)
-    yield from search.states(start, executor, cache, progress)
+    yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
 
 
@@ -216,7 +218,12 @@ class _Search:
         )
 
     def states(
-        self, start: np.ndarray | None, executor: Executor | None, cache: Path | None, progress: Progress | None
+        self,
+        start: np.ndarray | None,
+        pool: CameraPool | None,
+        executor: Executor | None,
+        cache: Path | None,
+        progress: Progress | None,
     ) -> Iterator[Found]:
         mount, spread_count = self.cameras.mount, self.settings.pool_cameras
         first = self.assembly.frozen
@@ -231,13 +238,18 @@ class _Search:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
             raise ArgumentError("camera_renders_max", f"{expected}, got {limit}")
         pose = first
-        if spread_count > 0:
+        if spread_count > 0 and pool is None:
             pose = np.concatenate([first, spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)])
-        self.pool = CameraPool.draw(
-            pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
-        )
+        if pool is None:
+            self.pool = CameraPool.draw(
+                pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
+            )
+        else:
+            new = first[rows_of(first + np.float32(0.0), pool.mount_pose) < 0]
+            self.pool = pool.extended(new, progress=progress) if len(new) else pool
         if start is not None:
-            of_start = self.pool.detection_probability[: len(start)]
+            row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
+            of_start = self.pool.detection_probability[row]
             self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)))
             yield self.found("start")
         if self.settings.polishes:

@@ -582,7 +582,7 @@ class ConfigTree(Section):
 
     def _check_modules(self) -> None:
         rig = self.rig
-        for name in ("catalogue", "max_cost", "fewest_cameras"):
+        for name in ("catalogue", "max_cost"):
             if rig.modules is None and getattr(rig, name) is not None:
                 text = f"expected null without rig.modules, got {shown(getattr(rig, name))}"
                 mistake(f"{text}; say which modules there are", f"rig.{name}", "rig.modules")

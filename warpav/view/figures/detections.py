@@ -14,6 +14,10 @@ from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, TRUTH_RGB, hex_colour
 
 
+LONG_TITLE = 14
+"""Titles of more letters stand in a line of their own."""
+
+
 @dataclass(frozen=True)
 class DetectionPanel:
     """One camera image with what is there and what was found.
@@ -50,7 +54,8 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
         raise InputError(f"{path}: there is no image to draw")
     sample = next(panels[0].image_rgb for panels in rows.values() if panels)
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
-    row_inch = edge_inch * sample.shape[0] / sample.shape[1] + 0.3
+    is_long = any(len(panel.title) > LONG_TITLE for panels in rows.values() for panel in panels)
+    row_inch = edge_inch * sample.shape[0] / sample.shape[1] + (0.5 if is_long else 0.3)
     with figure_style():
         figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
         grid = figure.subplots(len(rows), column_count, squeeze=False)
@@ -97,8 +102,10 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
             _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set_xlim(0, width)
     axis.set_ylim(height, 0)
+    found = f"{len(found_index)} of {int(present.sum())} found"
+    is_long = len(panel.title) > LONG_TITLE
     axis.set_title(
-        f"{panel.title}: {len(found_index)} of {int(present.sum())} found", fontsize=9.5, fontweight="normal", pad=4
+        f"{panel.title}\n{found}" if is_long else f"{panel.title}: {found}", fontsize=9.5, fontweight="normal", pad=4
     )
 
 
