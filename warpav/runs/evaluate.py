@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.camera_outage import CameraOutages
@@ -17,6 +19,7 @@ from warpav.optimisation.rig_values import single_cameras_of
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
+from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of
 
@@ -84,26 +87,78 @@ def mount_tolerance(
             is not positive, or the scenes hold no objects.
     """
     with shown_progress(progress) as shown:
-        observed = placement.observed(scenes, progress=shown)
-        cameras = single_cameras_of(placement.objective)
-        if cameras is None:
-            raise InputError(
-                "losses: expected the expected_miss_rate alone, with combine=any, for what mount errors cost, got "
-                f"{', '.join(loss.name for _, loss in placement.objective.losses)}"
-            )
-        packed, importance = [each.scene for each in observed], placement.objective.importance
-        return MountTolerance.of(
-            [camera.name for camera in rig.cameras],
-            placement.mount_pose_of(rig),
-            cameras,
-            packed,
+        found = tolerance_on(
+            rig,
+            placement.observed(scenes, progress=shown),
+            placement,
             position_m=position_m,
             angle_rad=math.radians(angle_deg),
             sample_count=sample_count,
             seed=seed,
-            weight=None if importance is None else importance.weights_of(packed),
             progress=shown,
         )
+    if found is None:
+        raise _unknown_probability(placement, "what mount errors cost")
+    return found
+
+
+def tolerance_on(
+    rig: Rig,
+    scenes: Sequence[AssignedScene],
+    placement: Placement,
+    *,
+    position_m: float,
+    angle_rad: float,
+    sample_count: int,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> MountTolerance | None:
+    """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`.
+
+    None where the objective is not the expected miss rate alone.
+    """
+    cameras = single_cameras_of(placement.objective)
+    if cameras is None:
+        return None
+    packed = [each.scene for each in scenes]
+    return MountTolerance.of(
+        [camera.name for camera in rig.cameras],
+        placement.mount_pose_of(rig),
+        cameras,
+        packed,
+        position_m=position_m,
+        angle_rad=angle_rad,
+        sample_count=sample_count,
+        seed=seed,
+        weight=_weights_on(packed, placement),
+        progress=progress,
+    )
+
+
+def _weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarray | None:
+    """Weights of the objects of scenes; None where none are set, or all of these objects have none."""
+    importance = placement.objective.importance
+    weight = None if importance is None else importance.weights_of(scenes)
+    return weight if weight is not None and weight.any() else None
+
+
+def _unknown_probability(placement: Placement, what: str) -> InputError:
+    got = ", ".join(loss.name for _, loss in placement.objective.losses)
+    return InputError(f"losses: expected the expected_miss_rate alone, with combine=any, for {what}, got {got}")
+
+
+@drawing_of.register(MountTolerance)
+def _tolerance_drawing(tolerance: MountTolerance, canvas: Canvas, *, outages: CameraOutages | None = None) -> Any:  # noqa: ANN401
+    from warpav.view.figures.sensitivity import sensitivity_figure
+
+    return sensitivity_figure(tolerance, outages, heading=canvas.title)
+
+
+@drawing_of.register(CameraOutages)
+def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.view.figures.sensitivity import sensitivity_figure
+
+    return sensitivity_figure(None, outages, heading=canvas.title)
 
 
 @drawing_of.register(RigEvaluation)
@@ -157,8 +212,8 @@ def evaluate_on(
 
 def _outages_of(observed: SceneObservations, placement: Placement) -> CameraOutages | None:
     """A rig without each of its cameras; None where it is not known what they detect."""
-    found, importance = observed.detection_probability, placement.objective.importance
+    found = observed.detection_probability
     if found is None:
         return None
-    weight = None if importance is None else importance.weights_of(observed.scenes)
-    return CameraOutages.of([camera.name for camera in observed.rig.cameras], found, weight)
+    names = [camera.name for camera in observed.rig.cameras]
+    return CameraOutages.of(names, found, _weights_on(observed.scenes, placement))
