@@ -162,17 +162,16 @@ def test_the_most_sensitive_camera_is_named(folder, page):
     tolerance = {"position_m": 0.02, "angle_rad": 0.017453292519943295, "scenes": 10, "worst": worst}
     both = {"mount_tolerance": tolerance, "camera_outage": {"optimised": OUTAGE}}
     folder.write_evaluation(evaluation(**both))
-    text = page_of(folder).text
-    assert "Most sensitive is <rear> in yaw: off by 1 degree, the rig is expected to miss 0.25 more of 100" in text
-    assert "(10 scenes); the loss of <rear> costs most, 37.5 of 100." in text
+    told = " ".join(page_of(folder).text)
+    assert "Most sensitive is <rear> in yaw: off by 1 degree, the rig is expected to miss 0.25 more of 100" in told
+    assert "(10 scenes); the loss of <rear> costs most, 37.5 of 100." in told
     worst |= {"degree": "z", "change_per_100": 0.1}
     folder.write_evaluation(evaluation(mount_tolerance=tolerance))
-    assert "in z: off by 2 cm," in page_of(folder).text
+    assert "in z: off by 2 cm," in " ".join(page_of(folder).text)
     worst["change_per_100"] = 0.0
     folder.write_evaluation(evaluation(mount_tolerance=tolerance))
-    assert (
-        "No camera that is off by 2 cm or 1 degree in one direction costs anything (10 scenes)." in page_of(folder).text
-    )
+    nothing = "No camera that is off by 2 cm or 1 degree in one direction costs anything (10 scenes)."
+    assert nothing in " ".join(page_of(folder).text)
 
 
 def test_the_blind_spots_are_those_of_the_evaluation(page):

@@ -24,7 +24,7 @@ def sensitivity_figure(
     """A heat map of cameras by degrees of freedom, and beside it a bar for the loss of each camera.
 
     Args:
-        tolerance: Gives the heat map: the change of expected misses per 100 in the worse direction; None: there is none.
+        tolerance: Gives the heat map: the change of expected misses per 100 in the worse direction; None: no map.
         outages: Gives the bars: expected misses per 100 more without the camera, by weight where weights are set; None:
             there are none.
         heading: A line above all; None: there is none.
@@ -32,13 +32,10 @@ def sensitivity_figure(
     Returns:
         A ``matplotlib.figure.Figure``.
     """
-    assert tolerance is not None or outages is not None
-    names = (
-        [each.camera for each in outages.cameras]
-        if tolerance is None
-        else list(dict.fromkeys(effect.camera for effect in tolerance.effects))
-    )  # fmt: skip
-    if outages is not None and names != [each.camera for each in outages.cameras]:
+    effects = [] if tolerance is None else tolerance.effects
+    lost = [] if outages is None else [each.camera for each in outages.cameras]
+    names = list(dict.fromkeys(effect.camera for effect in effects)) or lost
+    if lost and names != lost:
         raise ValueError("tolerance and outages must be of the same cameras")
     panels = [part for part in (tolerance, outages) if part is not None]
     with figure_style():
