@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 import warpav as wa
+from tests.driving_scene import street
+from tests.optimisation.test_modules import cameras_of as mixed_cameras
+from tests.optimisation.test_modules import spread
 from warpav.core.errors import InputError
-from warpav.evaluation.robustness import LoadState, SoiledPart, loaded_scene, soiled_scene
+from warpav.evaluation.camera_outage import CameraOutages
+from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, loaded_scene, soiled_scene
 from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
 from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.device_scene import DeviceScene
 
 PARTS = [
     SoiledPart("disc", (0.5, 0.5), 0.2),
@@ -164,3 +170,21 @@ def test_loads_and_placements_that_cannot_be_are_one_line(problem):
     thesis = wa.Placement(wa.town([0]), cameras=3, losses={"detected_area": 1.0})
     with pytest.raises(InputError, match=r"losses: expected the expected_miss_rate alone, .*, for what dirt costs"):
         wa.soiling(rig, scenes, thesis)
+
+
+def test_rigs_of_different_modules_are_soiled_and_loaded_each_in_its_own_image():
+    cameras, pose = mixed_cameras(), spread()[[0, 20, 40]]
+    assert sorted(cameras.mount.module_of(pose)) == [0, 1, 2]
+    scenes, names = [street(6, 0), street(4, 2)], ("a", "b", "c")
+    packed = [DeviceScene.pack(scene) for scene in scenes]
+    detected = np.concatenate([cameras.detection_probability(pose, scene) for scene in packed], axis=1)
+    outages = CameraOutages.of(names, detected)
+    found = Soiling.of(names, pose, cameras, scenes, SoiledPart("columns", share=1.0))
+    lost = [each.expected_misses_per_100 for each in outages.cameras]
+    assert [each.expected_misses_per_100 for each in found.cameras] == pytest.approx(lost, abs=0.01)
+    loads = LoadStates.of(pose, cameras, scenes, {"none": LoadState(), "steep": LoadState(10.0)})
+    assert loads.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-3)
+    assert abs(loads.states[1].difference_per_100) > 0.1
+    others = replace(cameras, occlusion=Occlusion.PAIRWISE)
+    with pytest.raises(InputError, match="expected exact for dirt to hide something, got pairwise"):
+        Soiling.of(names, pose, others, scenes, SoiledPart())
