@@ -81,7 +81,7 @@ class SingleCameras:
                 *(part.tobytes() for part in (surface.zone_of_cell, surface.plane_m, surface.axes) if surface.zones),
             ),
             "camera": digest(mount.camera, self.supersampling, self.occlusion.value),
-            "detector": digest(*curves, model.constant, self.probability.probability),
+            "detector": digest(*curves, model.constant, self.probability.probability, *model.network_scale),
             "version": fingerprint(
                 version("warp-lang"), wp.get_device(mount.device).is_cuda, code=("warpav.optimisation.single_cameras",)
             ),
