@@ -291,7 +291,7 @@ def test_the_shipped_fit_is_calibrated_in_a_camera_that_it_has_not_seen():
     words = ["camera.fov_deg=75", "camera.width_px=256", "camera.height_px=192"]
     model = detector_fit.ensure_fit(load_config("quick", words))
     scores = score(*outcomes(words, scene_count=8, model=model), bin_count=5)
-    # seen: SEEN_FAST
+    # seen .021, .962 and .42 times that of the base rate, of 358 objects
     assert scores.calibration_error < 0.05
     assert scores.auc > 0.9
     assert scores.brier < 0.75 * scores.brier_base_rate

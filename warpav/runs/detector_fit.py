@@ -498,25 +498,29 @@ def _sample_scenes(
 ) -> DetectionSamples:
     """What the detector finds of the scenes in the views of some sources; says how long it takes, if that is long."""
     device = checked_device(config.device)
-    scenes = load_scenes(config, seeds, ego=ego)
-    known, packed, scene_s = [], None, 0.0
+
+    def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
+        surface = None
+        for scene in load_scenes(config, seeds, ego=ego):
+            surface = surface or roof_surface(config, scene.ego)
+            yield DeviceScene.pack(scene, device=device), surface
+
+    scenes, scene_s = packed_scenes(), 0.0
+    known: list[tuple[DeviceScene, MountSurface]] = []
     while len(known) < min(2, len(seeds)):  # the first one also pays for what all need
         began = time.perf_counter()
         known.append(next(scenes))
-        packed = DeviceScene.pack(known[-1], device=device)
         scene_s = time.perf_counter() - began
-    surface = roof_surface(config, known[0].ego)
-    if packed is not None and packed.vehicle_count > 0:
+    if known and known[-1][0].vehicle_count > 0:
         seed = seeds[len(known) - 1]
-        views_s = sum(_trial_seconds(config, detector, source, packed, surface, seed) for source in sources)
+        views_s = sum(_trial_seconds(config, detector, each, *known[-1], seed) for each in sources)
         expected_s = len(seeds) * (scene_s + views_s)
         if expected_s > LONG_S:
             _say(f"the fit takes {_about(expected_s)}", "progress=True shows how far it is", progress)
     samplers = [_Sampler.of(config, detector, source) for source in sources]
 
     def parts() -> Iterator[DetectionSamples]:
-        for seed, scene in zip(seeds, itertools.chain(known, scenes), strict=True):
-            packed = DeviceScene.pack(scene, device=device)
+        for seed, (packed, surface) in zip(seeds, itertools.chain(known, scenes), strict=True):
             if packed.vehicle_count == 0:
                 yield DetectionSamples.join([])
                 continue

@@ -132,9 +132,9 @@ def detection_probability_kernel(
     """The features of every object in every view, and the probability that the detector finds it there.
 
     The curve of feature f has the knots ``start[f] + i step[f]`` and the B-spline coefficients ``coefficient[f]``; the
-    logit is their sum plus ``constant``. Pixels are those of the network's input, ``scale_x`` by ``scale_y`` of them for
-    one of the image. What shows less than a pixel fades out: the probability of an object of which nothing is visible
-    is 0, and so are all its features.
+    logit is their sum plus ``constant``. Pixels are those of the network's input, ``scale_x`` by ``scale_y`` of them
+    for one of the image. What shows less than a pixel fades out: the probability of an object of which nothing is
+    visible is 0, and so are all its features.
 
     Launch: ``dim=(view_count, object_count)``; no gradient is added by two threads.
     Writes: every element of ``feature`` [view, object, feature] and ``probability`` [view, object] once.
