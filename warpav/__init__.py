@@ -36,6 +36,7 @@ _PLACES = {
     "coverage": ("warpav.evaluation.coverage", "coverage"),
     "evaluate": ("warpav.runs.evaluate", "evaluate"),
     "export_rig": ("warpav.rig.formats.convert", "export_rig"),
+    "front": ("warpav.runs.front", "front"),
     "highest_rig": ("warpav.runs.baseline_rigs", "highest_rig"),
     "import_rig": ("warpav.rig.formats.convert", "import_rig"),
     "losses": ("warpav.optimisation.losses", None),

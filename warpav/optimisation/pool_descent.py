@@ -35,6 +35,7 @@ class PoolDescent:
         history: The rigs that were found, each better than those before.
         iteration: Steps so far.
         found: The last state; None before the first step.
+        object_weight: Of the objects of all its scenes, float64 [object]; None: all alike.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
-        self._object_weight = objective.object_weight(scenes)
+        self.object_weight = objective.object_weight(scenes)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -94,7 +95,7 @@ class PoolDescent:
             executor=executor,
             cache=cache,
             progress=progress,
-            object_weight=self._object_weight,
+            object_weight=self.object_weight,
             limits=limits,
             pool=pool,
         )
@@ -154,7 +155,7 @@ class PoolDescent:
             rig,
             mount=objective.mount,
             constraints=objective.constraints,
-            weight=self._object_weight,
+            weight=self.object_weight,
         )
 
     def state(self) -> dict[str, np.ndarray]:

@@ -95,6 +95,29 @@ class RigLimits:
         """What cameras of some modules cost together."""
         return float(sum(self.price.get(name, 0.0) for name in modules if name is not None))
 
+    def cost_range(self) -> tuple[float, float]:
+        """What the cheapest and the dearest rig cost, the latter at most `cost_max`."""
+        room, counts = self.count[1], [low for low, _ in self.of_module.values()]
+        for number in reversed(self._by_price()):
+            more = min(self.of_module[self.modules[number]][1] - counts[number], room - sum(counts))
+            counts[number] += max(more, 0)
+        dearest = self.cost([self.modules[number] for number in np.repeat(np.arange(len(counts)), counts)])
+        return self._cheapest(self.count[0]), dearest if self.cost_max is None else min(dearest, self.cost_max)
+
+    def holds(self, module: np.ndarray, *, is_whole: bool = True) -> bool:
+        """Whether a rig of cameras of some modules, int [camera], keeps the limits.
+
+        Args:
+            module: Number of the module of each.
+            is_whole: Whether nothing is added any more; else what must be there at least does not matter yet.
+        """
+        counts = np.bincount(module, minlength=len(self.modules))
+        low, high = np.array(list(self.of_module.values())).T
+        cost = self.cost([self.modules[number] for number in module])
+        fits = bool((counts <= high).all() and len(module) <= self.count[1])
+        fits &= self.cost_max is None or cost <= self.cost_max * (1.0 + _LESS_THAN_ANY)
+        return fits and (not is_whole or bool((counts >= low).all() and len(module) >= self.count[0]))
+
     def rows(self, module: np.ndarray) -> list[Row]:
         """The limits as rows of a selection, for cameras of a pool that are of modules ``module``, int [camera].
 
@@ -112,7 +135,9 @@ class RigLimits:
         ]
         if self.cost_max is not None:
             prices = np.array([*(self.price.get(name, 0.0) for name in self.modules), 0.0])
-            rows.append(Row(f"rig.max_cost = {self.cost_max:g}", prices[module], high=self.cost_max))
+            # a rig that costs just that must not fail by rounding
+            high = self.cost_max * (1.0 + _LESS_THAN_ANY)
+            rows.append(Row(f"rig.max_cost = {self.cost_max:g}", prices[module], high=high))
         return rows
 
     @property

@@ -13,7 +13,6 @@ from warpav.core.errors import InputError
 from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, TRUTH_RGB, hex_colour
 
-
 LONG_TITLE = 14
 """Titles of more letters stand in a line of their own."""
 
