@@ -175,11 +175,13 @@ class PoolDescent:
         rig = mount.rig(pose)
         position_m = np.array([camera.position_m for camera in rig.cameras])
         distance_m = min_camera_distance_m(position_m)
+        row = mount.rows_of_cameras(pose)
+        side = np.where(np.append(False, row[1:] == row[:-1]), np.float32(-1.0), np.float32(1.0))  # of mirror images
         free: dict[str, list[float]] = {}
         if mount.is_free[PITCH_RAD]:
-            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD]).tolist()
+            free["pitch_deg"] = np.degrees(pose[row, PITCH_RAD]).tolist()
         if mount.is_free[HEIGHT_DELTA_M]:
-            free["height_m"] = (pose[:, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
+            free["height_m"] = (pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
         if mount.is_free[LOG_ZOOM]:
             free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
         return IterationRecord(
@@ -189,7 +191,7 @@ class PoolDescent:
             multipliers={},
             gradient_norm={},
             positions_m=position_m.tolist(),
-            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
+            yaw_deg=(np.degrees(pose[row, YAW_RAD]) * side).tolist(),
             seconds={"total": seconds},
             min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
             training_objective=found.objective,

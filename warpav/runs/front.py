@@ -235,9 +235,7 @@ def _by_number(placement: Placement, least: int, most: int) -> list[_Step]:
         (
             f"{count}_camera{'' if count == 1 else 's'}",
             count,
-            None
-            if limits is None
-            else RigLimits.of(limits.of_module, count=(count, count), price=limits.price, cost_max=limits.cost_max),
+            None if limits is None else limits.within(count=(count, count)),
         )
         for count in range(least, most + 1)
     ]
@@ -255,7 +253,7 @@ def _by_cost(placement: Placement) -> list[_Step]:
         (
             f"cost_{budget:.4g}",
             limits.count[1],
-            RigLimits.of(limits.of_module, count=limits.count, price=limits.price, cost_max=float(budget)),
+            limits.within(cost_max=float(budget)),
         )
         for budget in budgets
     ]
@@ -317,8 +315,11 @@ def _larger(before: PoolDescent, count: int, limits: RigLimits | None) -> np.nda
     """
     assert before.found is not None
     pool, rig, mount = before.found.pool, before.found.mount_pose, before.objective.mount
-    least = count if limits is None else limits.count[0]
-    while len(rig) < least:
+
+    def size(rig: np.ndarray) -> int:
+        return len(rig) if limits is None else limits.size(mount.module_of(rig))
+
+    while size(rig) < (count if limits is None else limits.count[0]):
         gain = further_gain(
             missed_probability(pool.detection_probability[rows_of(rig + np.float32(0.0), pool.mount_pose)]),
             pool.detection_probability,

@@ -586,7 +586,13 @@ class ConfigTree(Section):
             if rig.max_cost is not None:
                 text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
                 mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
+            if rig.symmetric:
+                mistake(
+                    "expected null without rig.modules; say which modules there are", "rig.symmetric", "rig.modules"
+                )
             return
+        if rig.symmetric and rig.freeze:
+            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if self.method == "thesis":
             mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
         if self.descends or not self.losses.suits_pool:
