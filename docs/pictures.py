@@ -52,6 +52,11 @@ def draw_zones(folder: Path) -> None:
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
 
 
+def draw_requirements(folder: Path) -> None:
+    """requirements.png: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
+    _warpav("rig", "requirements", "edgar", "--picture", str(PICTURES / "requirements.png"))
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -182,6 +187,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "coverage.png": draw_coverage,
     "vehicle.png": draw_vehicle,
     "zones.png": draw_zones,
+    "requirements.png": draw_requirements,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
 }

@@ -36,7 +36,7 @@ def test_what_is_met_is_said(working_directory, capsys):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["edgar", "--requirements", "near_feild"], "did you mean near_field?"),
+        (["edgar", "--requirements", "nearfield"], "did you mean near_field?"),
         (["edgr"], "did you mean edgar"),
         (["edgar", "--picture", "out.jpg"], "expected a name that ends in .png"),
     ],

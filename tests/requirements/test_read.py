@@ -72,7 +72,7 @@ def test_templates_of_regulations_deny_that_they_prove_compliance():
 @pytest.mark.parametrize(
     ("line", "text"),
     [
-        (f"a: {{{POST}, visble_share: 0.5}}", "mine.yaml:2: .*visble_share: .*did you mean visible_share"),
+        (f"a: {{{POST}, visible_shar: 0.5}}", "mine.yaml:2: .*visible_shar: .*did you mean visible_share"),
         (f"a: {{{POST}, visible_share: 1.5}}", "a.visible_share: expected a share above 0 and up to 1, got 1.5"),
         (f"a: {{{POST}, cameras: 0}}", "a.cameras: expected at least 1 camera, got 0"),
         (f"a: {{{POST}, cameras: 1.5}}", "a.cameras: expected a whole number, got 1.5"),
@@ -87,12 +87,12 @@ def test_templates_of_regulations_deny_that_they_prove_compliance():
         ("a: {area: {around_m: [0, 5]}, object: post}", "a.grid_m: expected a finite number, got nothing"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: poste}", "a.object: .*; did you mean post"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {height_m: 1}}", "expected one of kind and mesh, got none"),
-        ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {kind: post, heigth_m: 1}}", "did you mean height_m"),
+        ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {kind: post, heght_m: 1}}", "did you mean height_m"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {mesh: none.stl}}", "a.object.mesh: .*expected a mesh file"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {mesh: none.stl, width_m: 1}}", "no size of a mesh"),
         ("a: {area: {around_m: [5, 0]}, grid_m: 1, object: post}", "around_m: expected a range, the lower end"),
         ("a: {area: {around_m: [-1, 1]}, grid_m: 1, object: post}", "around_m: expected distances of 0 m or more"),
-        ("a: {area: {arround_m: [0, 5]}, grid_m: 1, object: post}", "did you mean around_m"),
+        ("a: {area: {aroun_m: [0, 5]}, grid_m: 1, object: post}", "did you mean around_m"),
         ("a: {area: {}, grid_m: 1, object: post}", "a.area: expected one of around_m, strip, .*, got none"),
         ("a: {area: {around_m: [0, 1], box_m: [[0, 0], [1, 1]]}, grid_m: 1, object: post}", "got around_m, box_m"),
         ("a: {area: {box_m: [[1, 0], [0, 1]]}, grid_m: 1, object: post}", "box_m: expected a box: its lowest corner"),
@@ -108,12 +108,12 @@ def test_mistakes_are_named_with_their_line(tmp_path, line, text):
 
 def test_files_that_hold_no_requirements_are_rejected(tmp_path):
     with pytest.raises(
-        InputError, match=r"expected a YAML file or one of .*got 'near_feild'; did you mean near_field\?"
+        InputError, match=r"expected a YAML file or one of .*got 'nearfield'; did you mean near_field\?"
     ):
-        read_requirements("near_feild")
+        read_requirements("nearfield")
     with pytest.raises(InputError, match=r"none\.yaml: expected a readable YAML file"):
         read_requirements(tmp_path / "none.yaml")
-    (tmp_path / "mine.yaml").write_text("requirments: {}\n", encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text("requirement: {}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"mine.yaml:1: .*did you mean requirements\?"):
         read_requirements(tmp_path / "mine.yaml")
     (tmp_path / "mine.yaml").write_text("requirements: {}\n", encoding="utf-8")
