@@ -92,7 +92,7 @@ def test_templates_of_regulations_deny_that_they_prove_compliance():
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {mesh: none.stl, width_m: 1}}", "no size of a mesh"),
         ("a: {area: {around_m: [5, 0]}, grid_m: 1, object: post}", "around_m: expected a range, the lower end"),
         ("a: {area: {around_m: [-1, 1]}, grid_m: 1, object: post}", "around_m: expected distances of 0 m or more"),
-        ("a: {area: {aroun_m: [0, 5]}, grid_m: 1, object: post}", "did you mean around_m"),
+        ("a: {area: {around: [0, 5]}, grid_m: 1, object: post}", "did you mean around_m"),
         ("a: {area: {}, grid_m: 1, object: post}", "a.area: expected one of around_m, strip, .*, got none"),
         ("a: {area: {around_m: [0, 1], box_m: [[0, 0], [1, 1]]}, grid_m: 1, object: post}", "got around_m, box_m"),
         ("a: {area: {box_m: [[1, 0], [0, 1]]}, grid_m: 1, object: post}", "box_m: expected a box: its lowest corner"),
