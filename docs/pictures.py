@@ -57,6 +57,16 @@ def draw_zones(folder: Path) -> None:
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
 
 
+def draw_front(folder: Path) -> None:
+    """front.png: the best rigs of two to eight cameras out of three modules."""
+    modules = "rig.modules={side_2mp_100: 0..8, surround_1_4mp_70: 0..8, fisheye_1_3mp_190: 0..8}"
+    _warpav("front", "quick", modules, "rig.cameras=2..8", "--out", str(folder / "front"))
+    shutil.copyfile(folder / "front" / "front.png", PICTURES / "front.png")
+def draw_requirements(folder: Path) -> None:
+    """requirements.png: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
+    _warpav("rig", "requirements", "edgar", "--picture", str(PICTURES / "requirements.png"))
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -187,7 +197,9 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "coverage.png": draw_coverage,
     "sheet.png": draw_sheet,
     "vehicle.png": draw_vehicle,
+    "front.png": draw_front,
     "zones.png": draw_zones,
+    "requirements.png": draw_requirements,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
 }

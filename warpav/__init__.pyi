@@ -11,6 +11,8 @@ from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation import losses
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
+from warpav.requirements.check import check_requirements
+from warpav.requirements.read import read_requirements
 from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.formats.convert import export_rig, import_rig
 from warpav.rig.module import Module
@@ -49,6 +51,7 @@ __all__ = [
     "RunFolder",
     "Scene",
     "builtin_modules",
+    "check_requirements",
     "coverage",
     "evaluate",
     "export_rig",
@@ -63,6 +66,7 @@ __all__ = [
     "random_rig",
     "read_detector",
     "read_modules",
+    "read_requirements",
     "read_rig",
     "read_run",
     "read_scenes",

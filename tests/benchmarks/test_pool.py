@@ -31,7 +31,7 @@ def shipped_fit():
     """The built-in detector's model for cameras of 90 degrees."""
     folder = Path(warpav.detection.__file__).parent / "models"
     fits = [DetectionProbability.read(file) for file in sorted(folder.glob("*_p_detected_*.json"))]
-    return next(fit for fit in fits if fit.record["settings"]["camera"]["fov_deg"] == 90.0)
+    return next(fit for fit in fits if fit.record["settings"].get("camera", {}).get("fov_deg") == 90.0)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ def main() -> None:
     device, counts, lenses = sys.argv[1:]
     folder = Path(warpav.detection.__file__).parent / "models"
     fits = [DetectionProbability.read(file) for file in sorted(folder.glob("*_p_detected_*.json"))]
-    fit = next(fit for fit in fits if fit.record["settings"]["camera"]["fov_deg"] == 90.0)
+    fit = next(fit for fit in fits if fit.record["settings"].get("camera", {}).get("fov_deg") == 90.0)
     workload = embedded_workload()
     scene = pack_workload(workload, device=device)
     place, turn = (array.numpy() for array in Bench(workload, scene, device=device)._placed())

@@ -1,7 +1,9 @@
 """The probability of detection: kernels against NumPy and SciPy, gradients against renders, and what is stored."""
 
+import dataclasses
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -97,6 +99,29 @@ def test_curves_are_scipys_natural_splines(count, start, step, values, seed):
     coefficient = np.random.default_rng(seed).normal(size=count)
     ours = spline_basis(np.array(values), start, step, count) @ coefficient
     np.testing.assert_allclose(ours, scipy_curve(coefficient, start, step, np.array(values)), rtol=1e-9, atol=1e-9)
+
+
+def test_pixels_are_those_of_the_network(device, rng):
+    """An image that is scaled on its way counts as the scaled one; at scale 1 not a bit changes."""
+    measure, in_frame, whole, contrast = random_measures(rng)
+    model = model_of(rng)
+    others = [wp.array(a.astype(np.float32), device=device) for a in (in_frame[..., None], whole, contrast)]
+    scaled = measure * [1.5 * 0.5, 1.5 * 0.5, 1.0, 1.5, 1.5, 0.5, 0.5]  # areas, box area, left, right, top, bottom
+    found = []
+    for each, scale, size in (
+        (measure, (1.5, 0.5), (200, 100)),
+        (scaled, (1.0, 1.0), (300, 50)),
+        (scaled, None, (300, 50)),
+    ):
+        array = wp.array(each.astype(np.float32), device=device)
+        chosen = model if scale is None else dataclasses.replace(model, network_scale=scale)
+        found.append(chosen.of_measures(array, *others, width_px=size[0], height_px=size[1]))
+    np.testing.assert_allclose(found[0].feature.numpy(), found[1].feature.numpy(), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(found[0].probability.numpy(), found[1].probability.numpy(), rtol=1e-4, atol=1e-6)
+    np.testing.assert_array_equal(found[1].probability.numpy(), found[2].probability.numpy())
+    assert pickle.loads(pickle.dumps(dataclasses.replace(model, network_scale=(1.5, 0.5)))).network_scale == (1.5, 0.5)
+    with pytest.raises(ValueError, match="positive, finite network_scale"):
+        dataclasses.replace(model, network_scale=(0.0, 1.0))
 
 
 def test_probabilities_match_numpy(device, rng):

@@ -192,7 +192,7 @@ def probability_of_detection(new):
     extents = new.rng.uniform([1.0, 4.0, 0.5, 5.0], [2.0, 6.0, 1.5, 7.0], (VIEWS, VEHICLES, 4))
     pairs, curves = (VIEWS, VEHICLES), int(detection_probability.FEATURE_COUNT)
     inputs = [new(np.concatenate([areas, extents], axis=2)), new(size=(*pairs, 1), low=0.2, high=0.5)]
-    inputs += [new(size=pairs, low=0.6, high=0.9), new(size=pairs, low=0.1, high=0.5), 9.0, 10.0]
+    inputs += [new(size=pairs, low=0.6, high=0.9), new(size=pairs, low=0.1, high=0.5), 9.0, 10.0, 1.1, 0.9]
     inputs += [new(size=(curves, 5)), new(size=curves, low=-0.5, high=0.0), new(size=curves, low=0.3, high=0.6), 0.2]
     outputs = [new(np.zeros((*pairs, curves))), new(np.zeros(pairs))]
     return pairs, inputs, outputs

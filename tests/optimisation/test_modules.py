@@ -4,6 +4,7 @@ import functools
 import itertools
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import X_M, Y_M, CameraMount
+from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
 from warpav.optimisation.rig_limits import RigLimits
@@ -25,9 +26,12 @@ from warpav.optimisation.selection.select import select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
+from warpav.raster.renderer import Renderer
 from warpav.rig.chart import chart_of
 from warpav.rig.module import Housing, Module, Price
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.rig.zone import NORMALS, Zone
+from warpav.scene.device_scene import DeviceScene
 
 NEAR_M = 0.01
 SMALL = PoolSearchSettings(pool_cameras=30, rounds=1, priced_cameras=3, gap=0.0)
@@ -251,7 +255,7 @@ def test_limits_that_no_rig_satisfies(options, message):
 
 def test_the_first_rig_is_the_cheapest():
     limits = RigLimits.of({"narrow": (1, 1), "wide": (0, 2), "fisheye": (0, 2)}, count=(4, 5), price=PRICES)
-    np.testing.assert_array_equal(limits.first_modules(), [0, 1, 2, 2])
+    np.testing.assert_array_equal(limits.first_kinds(), [0, 1, 2, 2])
     assert limits.cost(["narrow", "fisheye", None]) == 4.0
 
 
@@ -259,10 +263,10 @@ def test_the_first_rig_is_the_cheapest():
 def test_a_search_keeps_the_limits(cost_max):
     limits = RigLimits.of(LIMITS, count=(2, 4), price=PRICES, cost_max=cost_max)
     scenes = streets()
-    start = highest_mount_pose(constraints_of(limits.first_modules()), 2)
+    start = highest_mount_pose(constraints_of(limits.first_kinds()), 2)
     states = list(
         pool_search(
-            cameras_of(), scenes, constraints_of(limits.first_modules()), 4, start=start, settings=SMALL, limits=limits
+            cameras_of(), scenes, constraints_of(limits.first_kinds()), 4, start=start, settings=SMALL, limits=limits
         )
     )
     values = [state.objective for state in states]
@@ -277,3 +281,134 @@ def test_a_search_keeps_the_limits(cost_max):
     last = states[-1]
     found = np.concatenate([cameras_of().detection_probability(last.mount_pose, scene) for scene in scenes], axis=1)
     assert last.objective == pytest.approx(np.prod(1.0 - np.minimum(found, 0.9999), axis=0).mean(), abs=1e-5)
+
+
+# --- symmetric rigs --------------------------------------------------------------------------------------------------
+
+
+SPACING_M = 0.3
+
+
+@functools.cache
+def symmetric_chart():
+    everywhere = zones()
+    middle = [Zone("middle", NORMALS["rear"], stand_off_m=(0.0, 0.03), pitch_rad=(-0.2, 0.5), is_centred=True)]
+    options = {"cell_m": 0.05, "min_upward_normal": 0.6, "min_zone_normal": 0.7, "pair_spacing_m": SPACING_M}
+    modules = [replace(each, zones=()) for each in MODULES]
+    return chart_of([*everywhere, *middle], street().ego, modules=modules, **options)
+
+
+def symmetric_mount():
+    surface = symmetric_chart()
+    of_name = dict(zip([each.name for each in MODULES], models(), strict=True))
+    return CameraMount(surface, camera=[of_name[name] for name in surface.modules], height_offset_m=0.0)
+
+
+def symmetric_cameras(**options):
+    of_name = dict(zip([each.name for each in MODULES], probabilities(), strict=True))
+    probability = tuple(of_name[name] for name in symmetric_chart().modules)
+    return SingleCameras(symmetric_mount(), probability, **options)
+
+
+@functools.cache
+def columns(count=36):
+    constraints = ZoneAndSpacing(symmetric_chart(), camera_count=1, margin_m=0.02)
+    return spread_mount_poses(symmetric_mount(), constraints, count, seed=0)
+
+
+def test_pairs_are_mirror_images_and_the_others_stand_in_the_middle():
+    mount = symmetric_mount()
+    assert symmetric_chart().modules == ("narrow", "narrow", "wide", "wide", "fisheye", "fisheye")
+    assert symmetric_chart().pairs == (True, False) * 3
+    is_pair = mount.is_pair(columns())
+    assert 0 < is_pair.sum() < len(is_pair)
+    rig = mount.rig(columns())
+    row = mount.rows_of_cameras(columns())
+    assert len(rig.cameras) == len(row) == len(is_pair) + is_pair.sum()
+    for number, pair in enumerate(is_pair):
+        cameras = [camera for camera, of in zip(rig.cameras, row, strict=True) if of == number]
+        if not pair:
+            [camera] = cameras
+            assert abs(camera.position_m[1]) < 1e-6
+            assert abs(abs(camera.yaw_rad) - math.pi) < 1e-6
+            continue
+        left, right = cameras
+        assert left.position_m[1] >= 0.5 * SPACING_M - 0.1
+        np.testing.assert_allclose(right.position_m, left.position_m * [1.0, -1.0, 1.0], atol=1e-12)
+        mirror = np.diag([1.0, -1.0, 1.0])
+        expected = mirror @ left.ego_from_camera[:3, :3] @ np.diag([-1.0, 1.0, 1.0])
+        np.testing.assert_allclose(right.ego_from_camera[:3, :3], expected, atol=1e-12)
+        assert (left.name[:-5], right.name[:-6]) == (left.name.removesuffix("_left"), left.name.removesuffix("_left"))
+
+
+def test_a_pair_detects_what_one_of_its_cameras_does():
+    """Against both cameras placed by their own poses in the ego frame, rendered one by one."""
+    mount, cameras = symmetric_mount(), symmetric_cameras()
+    pose = columns()[:12]
+    rig, row = mount.rig(pose), mount.rows_of_cameras(pose)
+    of_model = dict(zip(models(), probabilities(), strict=True))
+    for scene in streets():
+        alone = []
+        for camera in rig.cameras:
+            views = views_of_rig(Rig([camera]), rotation_count=1, rotation_step_rad=0.0)
+            frame = Renderer([camera.model]).render(scene.raster, views.position_ego_m, views.camera_from_ego)
+            found = of_model[camera.model].model.of_coverage(frame, scene, views.position_ego_m)
+            alone.append(found.probability.numpy()[0])
+        expected = [1.0 - np.prod(1.0 - np.array(alone)[row == k], axis=0) for k in range(len(pose))]
+        found = cameras.detection_probability(pose, scene)
+        np.testing.assert_allclose(found, expected, atol=2e-3)  # worst seen 3e-4
+
+
+def test_the_jacobian_of_a_pair_is_that_of_both_cameras():
+    """The image on the right in a scene is the camera on the left in the mirrored scene; and the product rule."""
+    mount, cameras = symmetric_mount(), symmetric_cameras(supersampling=4)
+    alone = SingleCameras(mount, cameras.probability, supersampling=4, is_mirrored=True)
+    pose = columns()[mount.is_pair(columns())][:8]
+    scenes = [DeviceScene.pack(street(count, seed)) for seed, count in enumerate((6, 4))]
+    mirrored = [DeviceScene.pack(street(count, seed).mirrored()) for seed, count in enumerate((6, 4))]
+    own, own_slope = alone.with_jacobian(pose, scenes)
+    image, image_slope = alone.with_jacobian(pose, mirrored)
+    found, slope = cameras.with_jacobian(pose, scenes)
+    np.testing.assert_allclose(found, 1.0 - (1.0 - own) * (1.0 - image), atol=6e-3)  # worst seen 3e-3: edges on sample centres
+    expected = (1.0 - image)[..., None] * own_slope + (1.0 - own)[..., None] * image_slope
+    for column in (X_M, Y_M, YAW_RAD, PITCH_RAD):
+        one, other = slope[..., column].ravel(), expected[..., column].ravel()
+        cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
+        assert cosine > 0.97, column  # worst seen .985
+
+
+def test_a_symmetric_search_ends_with_a_symmetric_rig():
+    mount, surface = symmetric_mount(), symmetric_chart()
+    kinds = [(name, 1 + pair) for name, pair in zip(surface.modules, surface.pairs, strict=True)]
+    limits = RigLimits.of({"narrow": (0, 1), "wide": (2, 2), "fisheye": (0, 2)}, count=(3, 5), kinds=kinds)
+    constraints = ZoneAndSpacing(surface, camera_count=1, margin_m=0.02, module=limits.first_kinds())
+    start = highest_mount_pose(constraints, len(limits.first_kinds()))
+    states = list(
+        pool_search(symmetric_cameras(), streets(), constraints, 5, start=start, settings=SMALL, limits=limits)
+    )
+    rig = mount.rig(states[-1].mount_pose)
+    names = [camera.module for camera in rig.cameras]
+    assert 3 <= len(names) <= 5
+    assert names.count("wide") == 2
+    positions = np.array([camera.position_m for camera in rig.cameras])
+    for camera in rig.cameras:
+        mirrored = camera.position_m * [1.0, -1.0, 1.0]
+        assert np.linalg.norm(positions - mirrored, axis=1).min() < 1e-6
+    assert constraints.violation_m(rig) == 0.0
+    assert states[-1].objective < states[0].objective
+    np.testing.assert_allclose(
+        mount.position_m(mount.mount_pose_of_rig(rig)), mount.position_m(states[-1].mount_pose), atol=1e-4
+    )
+
+
+def test_a_rig_without_a_mirror_image_is_refused():
+    rig = symmetric_mount().rig(columns()[:3])
+    alone = Rig([camera for camera in rig.cameras if not camera.name.endswith("_right")])
+    with pytest.raises(InputError, match=r"expected its mirror image at .* as rig.symmetric asks for, got none"):
+        symmetric_mount().mount_pose_of_rig(alone)
+
+
+def test_an_odd_module_needs_a_centred_zone():
+    limits = RigLimits.of({"wide": (3, 3)}, kinds=[("wide", 2)])
+    with pytest.raises(InputError, match=r"^rig.modules: expected an even number of wide, as rig.symmetric"):
+        limits.first_kinds()

@@ -54,11 +54,17 @@ def test_coverage_is_what_is_measured_with_jacobians(device, rng, supersampling,
         whole.window_area(visible=False).value.numpy(),
         rtol=0.0 if device == "cpu" else 1e-5,
     )
+    np.testing.assert_allclose(
+        found.visible_sr.numpy(),
+        whole.window_area(visible=True).value.numpy(),
+        rtol=0.0 if device == "cpu" else 1e-5,
+    )
     contrast = whole.contrast(expected.value).numpy()
     np.testing.assert_array_equal(frame.contrast(found.value).numpy(), contrast)
     # a render of everything can be asked as well
     np.testing.assert_array_equal(whole.coverage().value.numpy(), expected.value.numpy())
-    assert np.count_nonzero(contrast) >= 15
+    # images show no object where occluders alone hide
+    assert np.count_nonzero(contrast) >= 15 or occlusion is Occlusion.OCCLUDERS
     assert not found.value.numpy()[-1, :, VISIBLE_AREA].any()
 
 

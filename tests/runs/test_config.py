@@ -223,7 +223,7 @@ FILE_MISTAKES = [
     (
         "rig:\n  cameras: 4\n  min_spacng_m: 0.3\n",
         "mine.yaml:3: rig.min_spacng_m: expected one of cameras, start, freeze, height_offset_m, min_spacing_m, free, "
-        "fewest_cameras, modules, catalogue, max_cost, got 'min_spacng_m'; did you mean rig.min_spacing_m?",
+        "fewest_cameras, modules, catalogue, max_cost, symmetric, got 'min_spacng_m'; did you mean rig.min_spacing_m?",
     ),
     ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
     (

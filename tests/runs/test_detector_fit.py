@@ -1,7 +1,10 @@
 """`warpav detector fit`: what it takes, refuses, writes and uses again."""
 
+import dataclasses
 import json
+import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,10 +13,13 @@ from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.detection import probability
 from warpav.detection.probability import DetectionProbability, stored_file
+from warpav.detection.probability_fit import score
+from warpav.raster.camera import CameraModel
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
-from warpav.runs.networks import detector_use
+from warpav.runs.mounts import camera_model
+from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector
 
 
 @pytest.fixture(autouse=True)
@@ -135,29 +141,219 @@ def test_without_a_fit_the_error_says_what_to_run():
         DetectionProbability.find(detector_use(load_config("quick", ["camera.fov_deg=77"])))
 
 
+class StoppedError(Exception):
+    """Ends a fit before it begins."""
+
+
+class Said(NullProgress):
+    """Keeps what is said."""
+
+    def __init__(self):
+        self.lines = []
+
+    def say(self, text):
+        self.lines.append(text)
+
+
 def test_a_fit_without_progress_is_announced_in_the_log(monkeypatch, caplog):
     """Who called without progress learns why it takes minutes; the fit itself is cut short here."""
-
-    class StoppedError(Exception):
-        pass
 
     def stop(*_, **__):
         raise StoppedError
 
     monkeypatch.setattr(detector_fit, "_sample_scenes", stop)
-    config = load_config("quick", ["camera.fov_deg=77"])
+    config = load_config("quick", ["detector.confidence_min=0.31"])
     with pytest.raises(StoppedError):
         detector_fit.ensure_fit(config)
     (line,) = [record.getMessage() for record in caplog.records]
-    assert "fitting it once, in 80 scenes; the fit is stored for later runs; this takes minutes" in line
+    assert "fitting it once, in 80 scenes; the fit is stored for later runs, with any camera; progress=True" in line
     caplog.clear()
-    said = []
-
-    class Said(NullProgress):
-        def say(self, text):
-            said.append(text)
-
+    said = Said()
     with pytest.raises(StoppedError):
-        detector_fit.ensure_fit(config, progress=Said())
+        detector_fit.ensure_fit(config, progress=said)
     assert caplog.records == []
-    assert "in 80 scenes" in said[0]
+    assert "in 80 scenes" in said.lines[0]
+
+
+@pytest.mark.parametrize(("view_s", "expected"), [(0.5, "the fit takes about 3 minutes"), (0.001, None)])
+def test_a_long_fit_says_how_long_before_it_begins(view_s, expected, monkeypatch):
+    def stop(*_, **__):
+        raise StoppedError
+
+    monkeypatch.setattr(detector_fit, "_trial_seconds", lambda *_: view_s)  # of each of four kinds of views
+    monkeypatch.setattr(detector_fit._Sampler, "samples", stop)
+    said = Said()
+    with pytest.raises(StoppedError):
+        detector_fit.ensure_fit(load_config("quick", ["detector.confidence_min=0.31"]), progress=said)
+    assert said.lines[1:] == ([] if expected is None else [expected])
+
+
+def test_a_trial_is_as_long_as_its_views(monkeypatch):
+    """The estimate counts the views of a scene, from two of them."""
+    now = [0.0]
+
+    def samples(sampler, *_, count, **__):
+        now[0] += 0.25 * count
+        return sampler
+
+    monkeypatch.setattr(detector_fit._Sampler, "samples", samples)
+    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: now[0])
+    config = load_config("quick")
+    source = detector_fit._camera_source(config, CameraModel(64, 64))
+    assert detector_fit._trial_seconds(config, None, source, None, None, 0) == 24 * 0.25
+    spoken = ["about 10 seconds", "about 40 seconds", "about 2 minutes", "about 50 minutes", "about 1.5 hours"]
+    assert [detector_fit._about(seconds) for seconds in (3.0, 38.0, 100.0, 3000.0, 5500.0)] == spoken
+
+
+def same_fit(found, file):
+    """Whether a model is that of a file."""
+    stored = DetectionProbability.read(file)
+    return (found.coefficient == stored.coefficient).all() and found.record["identity"] == stored.record["identity"]
+
+
+def test_the_fit_for_the_very_camera_comes_first():
+    config = load_config("quick", ["rig.free.pitch_deg=null"])
+    exact = stored_file(detector_use(config))
+    found = detector_fit.ensure_fit(config)
+    assert same_fit(found, exact)
+    assert found.network_scale == (1.0, 1.0)
+    # the same camera, asked for in a run whose cameras are others
+    other = load_config("quick", ["rig.free.pitch_deg=null", "camera.fov_deg=120", "camera.width_px=640"])
+    assert same_fit(detector_fit.ensure_fit(other, camera=CameraModel(256, 256, math.radians(90.0))), exact)
+    assert not same_fit(detector_fit.ensure_fit(other), exact)
+
+
+@pytest.mark.parametrize(
+    ("words", "scale"),
+    [
+        (["camera.fov_deg=77"], (1.0, 1.0)),
+        (["camera.width_px=1920", "camera.height_px=1080", "camera.fov_deg=120"], (1.0, 1.0)),
+        (["camera.width_px=1920", "camera.height_px=1080", "detector.input_px=640"], (1 / 3, 1 / 3)),
+        (["camera.lens=fisheye", "camera.fov_deg=190", "rig.height_offset_m=0.1"], (1.0, 1.0)),
+        (["scenes.ego=bus", "rig.free.fov_deg=[50, 110]"], (1.0, 1.0)),
+    ],
+)
+def test_other_cameras_share_one_fit(words, scale, monkeypatch):
+    """What is shipped serves them without any sampling."""
+    monkeypatch.setattr(detector_fit, "_sample_scenes", None)
+    config = load_config("quick", words)
+    shared = stored_file(any_camera_use(any_camera_config(load_config("default"))))
+    assert shared is not None
+    assert shared.parent.name == "models"
+    assert stored_file(detector_use(config)) is None
+    found = detector_fit.ensure_fit(config)
+    assert same_fit(found, shared)
+    assert found.network_scale == pytest.approx(scale)
+
+
+def test_another_network_threshold_or_target_needs_another_fit():
+    options = [
+        [],
+        ["detector.confidence_min=0.3"],
+        ["detector.nms_iou_max=0.6"],
+        ["detector.iou_min=0.4"],
+        ["scenes.targets=[vehicle, pedestrian]"],
+        ["camera.supersampling=2"],
+        ["visibility.occlusion=pairwise"],
+    ]
+    configs = [any_camera_config(load_config("quick", words)) for words in options]
+    assert len({any_camera_use(config).identity for config in configs}) == len(options)
+
+
+def test_a_calibrated_camera_is_none_of_a_configuration():
+    config = load_config("quick")
+    centred = CameraModel(256, 256, focal_px=(128.0, 128.0))
+    assert detector_use(config, camera=centred).identity != detector_use(config).identity
+    assert (
+        detector_use(config, camera=CameraModel(256, 256, math.radians(90.0))).identity == detector_use(config).identity
+    )
+
+
+def outcomes(words, *, scene_count, model):
+    """Probabilities of a model, and what the detector found, in scenes that nothing has been fitted on."""
+    config = load_config("quick", words)
+    samples = detector_fit._sample_scenes(
+        config,
+        range(500_200, 500_200 + scene_count),
+        load_detector(config),
+        None,
+        [
+            dataclasses.replace(
+                detector_fit._camera_source(config, camera_model(config)), network_scale=model.network_scale
+            )
+        ],
+        NullProgress(),
+    )
+    return model.of_features(samples.feature), samples.is_detected
+
+
+def test_the_shipped_fit_is_calibrated_in_a_camera_that_it_has_not_seen():
+    words = ["camera.fov_deg=75", "camera.width_px=256", "camera.height_px=192"]
+    model = detector_fit.ensure_fit(load_config("quick", words))
+    scores = score(*outcomes(words, scene_count=8, model=model), bin_count=5)
+    # seen .021, .962 and .42 times that of the base rate, of 358 objects
+    assert scores.calibration_error < 0.05
+    assert scores.auc > 0.9
+    assert scores.brier < 0.75 * scores.brier_base_rate
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["camera.fov_deg=100", "camera.width_px=1280", "camera.height_px=720"],
+        ["camera.fov_deg=190", "camera.width_px=640", "camera.height_px=640", "camera.lens=fisheye"],
+        ["camera.fov_deg=90", "camera.width_px=1280", "camera.height_px=960", "detector.input_px=640"],
+    ],
+)
+def test_the_shipped_fit_is_calibrated_in_large_images(words, monkeypatch):
+    monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 8)
+    model = detector_fit.ensure_fit(load_config("quick", words))
+    scores = score(*outcomes(words, scene_count=30, model=model))
+    # seen .027, .963, .55 times the base rate's; .017, .982, .32; .040, .972, .59
+    assert scores.calibration_error < 0.06
+    assert scores.auc > 0.9
+    assert scores.brier < 0.7 * scores.brier_base_rate
+
+
+class ScalingObject:
+    """A detector object that tells how it scales images."""
+
+    names = ("car",)
+
+    def input_size_px(self, height_px, width_px):
+        return 320, 320
+
+    def network_scale(self, height_px, width_px):
+        return 320 / width_px, 320 / height_px
+
+    def detect(self, images_rgb):
+        raise AssertionError
+
+
+class PlainObject:
+    """A detector object that does not."""
+
+    names = ("car",)
+
+    def detect(self, images_rgb):
+        raise AssertionError
+
+
+def test_a_detector_object_that_tells_its_scale_is_fitted_once(monkeypatch):
+    fitted = []
+
+    def fit(config, seeds, *, any_camera=False, camera=None, **_):
+        fitted.append((any_camera, camera))
+        return SimpleNamespace(model=DetectionProbability.blank())
+
+    monkeypatch.setattr(detector_fit, "fit", fit)
+    cameras = [CameraModel(640, 320), CameraModel(160, 160)]
+    scaling, plain = ScalingObject(), PlainObject()
+    config = load_config("quick")
+    found = [detector_fit.ensure_fit(config, detector=scaling, camera=camera) for camera in (*cameras, cameras[0])]
+    assert [each.network_scale for each in found] == [(0.5, 1.0), (2.0, 2.0), (0.5, 1.0)]
+    assert fitted == [(True, None)]
+    for camera in (*cameras, cameras[0]):
+        assert detector_fit.ensure_fit(config, detector=plain, camera=camera).network_scale == (1.0, 1.0)
+    assert fitted[1:] == [(False, cameras[0]), (False, cameras[1])]

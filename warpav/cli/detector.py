@@ -47,6 +47,9 @@ def detector_fit(
     held_out: Annotated[str | None, Parameter(help="Seeds of other scenes, to evaluate the fit on.")] = None,
     out: Annotated[Path | None, Parameter(help="Folder; by default beside the model, else the user's cache.")] = None,
     again: Annotated[bool, Parameter(help="Fit even if there is a stored fit.", negative="")] = False,
+    any_camera: Annotated[
+        bool, Parameter(help="Fit for any camera, as a run does that finds no fit for its own.", negative="")
+    ] = False,
 ) -> None:
     """Fit how probably the detector finds an object, from what a view shows of it; a stored fit is used again."""
     from warpav.runs.config import placed_config, read_seeds
@@ -60,6 +63,7 @@ def detector_fit(
         for name, seeds in (("scenes", scenes), ("held-out", held_out))
     ]
     words = ["warpav", "detector", "fit", config, *overrides]
+    words += ["--any-camera"] if any_camera else []
     words += [word for pair in (("--scenes", scenes), ("--held-out", held_out)) if pair[1] for word in pair if word]
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         file = fit_detector(
@@ -69,6 +73,7 @@ def detector_fit(
             held_out_seeds=chosen[1],
             out=out,
             again=again,
+            any_camera=any_camera,
             progress=display,
         )
     say(f"detection probability model: {file}")

@@ -8,9 +8,11 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from warpav.cli.arguments import (
+    DEFAULT_CONFIG,
     FileFormat,
     FileOrigin,
     FileTurn,
+    Overrides,
     RigSource,
     complain,
     say,
@@ -133,3 +135,27 @@ def rig_check(
     for text in mirrored:
         complain(f"{rig}: {text}; was it made of a left-handed file? --accept-mirrored takes it as it is")
     return 2 if mirrored else 0
+
+
+@rig_app.command(name="requirements")
+def rig_requirements(
+    rig: RigSource,
+    /,
+    *overrides: Overrides,
+    requirements: Annotated[
+        str, Parameter(help="YAML file, or a template: near_field, r46_like, r158_like, r159_like.")
+    ] = "near_field",
+    json: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
+    picture: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+) -> None:
+    """Check which requirements on the ground around the vehicle a rig meets: how much of each, and where not.
+
+    Status 0 whether or not they are met. Templates are no proof of compliance with a regulation.
+    """
+    from warpav.runs.rig_requirements import check_rig
+    from warpav.runs.rig_source import config_for
+
+    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
+        for line in check_rig(rig, settings, requirements=requirements, json_file=json, picture=picture):
+            say(line)

@@ -54,6 +54,38 @@ def optimise(
         complain(f"warning: {text}")
 
 
+def front(
+    config: Config = DEFAULT_CONFIG,
+    /,
+    *overrides: Overrides,
+    out: Annotated[Path, Parameter(help="Folder for the rigs, the table and the figure.")],
+    by: Annotated[
+        Literal["cameras", "cost"] | None,
+        Parameter(
+            help="One rig for every number of cameras, or one for every of some budgets; by default the numbers "
+            "where rig.cameras is a range."
+        ),
+    ] = None,
+) -> None:
+    """Find the best rig of every number of cameras or every cost: rig.cameras=2..8, rig.modules={...}."""
+    from warpav.core.errors import ArgumentError
+    from warpav.runs.config import placed_config
+    from warpav.runs.front import FRONT_FILE
+    from warpav.runs.front import front as find_front
+    from warpav.runs.placement import Placement
+    from warpav.runs.progress import RunDisplay
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    if (out / FRONT_FILE).exists():  # before anything takes long
+        raise ArgumentError("out", f"expected a folder without {FRONT_FILE}, got one that has it", place=out)
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
+        found = find_front(Placement.from_config(settings), by=by, progress=display)
+        folder = found.save(out)
+    say(str(found.table()))
+    say(f"wrote {folder}")
+
+
 def evaluate(
     rig: RigSource,
     /,

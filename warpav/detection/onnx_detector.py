@@ -183,6 +183,21 @@ class OnnxDetector:
         """Rows and columns of the network's input for an image of this size."""
         return self.family.input_size_px(height_px, width_px, self._input_px)
 
+    @property
+    def takes_any_size(self) -> bool:
+        """Whether images of any size go into the network as they are, unless ``input_px`` says otherwise."""
+        return (
+            self.file.size_px is None and self.family.square_px is None and self.family.image.shape[-2:] == (None,) * 2
+        )
+
+    def network_scale(self, height_px: int, width_px: int) -> tuple[float, float]:
+        """Pixels of the network's input for one of an image of this size, along x and y."""
+        letterbox = self._letterbox(height_px, width_px)
+        return letterbox.scaled_width_px / width_px, letterbox.scaled_height_px / height_px
+
+    def _letterbox(self, height_px: int, width_px: int) -> Letterbox:
+        return Letterbox.fit(height_px, width_px, *self.input_size_px(height_px, width_px), self.family.placement)
+
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
         """Find the road users in every image.
 
@@ -205,7 +220,7 @@ class OnnxDetector:
                 f"{images_rgb.dtype} {images_rgb.shape}"
             )
         height_px, width_px = images_rgb.shape[1:3]
-        letterbox = Letterbox.fit(height_px, width_px, *self.input_size_px(height_px, width_px), self.family.placement)
+        letterbox = self._letterbox(height_px, width_px)
         outputs = self._run(self.family.pack(images_rgb, letterbox))
         return [self._decode(each, letterbox, height_px, width_px) for each in outputs]
 

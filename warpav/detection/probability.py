@@ -173,6 +173,8 @@ class DetectionProbability:
         coefficient: B-spline coefficients, one for each knot, float64 [feature, knot], at least two.
         constant: The constant.
         record: How it was fitted and how good it is, as it is written to files.
+        network_scale: Pixels of the network's input for one of the image, along x and y, of the camera that it is asked
+            about; features count the network's pixels. It is not written to files.
     """
 
     start: np.ndarray
@@ -180,6 +182,7 @@ class DetectionProbability:
     coefficient: np.ndarray
     constant: float
     record: Mapping[str, Any] = field(default_factory=dict)
+    network_scale: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         shapes = (self.start.shape, self.step.shape, self.coefficient.shape[:1])
@@ -188,11 +191,14 @@ class DetectionProbability:
         numbers = np.concatenate([self.start, self.step, self.coefficient.ravel(), [self.constant]])
         if not np.isfinite(numbers).all() or (self.step <= 0.0).any():
             raise ValueError("expected finite numbers and positive steps between knots")
+        if not all(0.0 < scale < math.inf for scale in self.network_scale):
+            raise ValueError(f"expected a positive, finite network_scale, got {self.network_scale}")
         object.__setattr__(self, "_on_device", {})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As it travels to another process: without what is on a device."""
-        return DetectionProbability, (self.start, self.step, self.coefficient, self.constant, dict(self.record))
+        parts = (self.start, self.step, self.coefficient, self.constant, dict(self.record), self.network_scale)
+        return DetectionProbability, parts
 
     def curve(self, feature: int, value: np.ndarray) -> np.ndarray:
         """What a feature adds to the logit, at given values of it, float64 [value]."""
@@ -289,6 +295,7 @@ class DetectionProbability:
                 contrast,
                 float(width_px),
                 float(height_px),
+                *self.network_scale,
                 coefficient,
                 start,
                 step,
@@ -311,9 +318,10 @@ class DetectionProbability:
         return kept[device.alias]
 
     @classmethod
-    def blank(cls) -> DetectionProbability:
+    def blank(cls, *, network_scale: tuple[float, float] = (1.0, 1.0)) -> DetectionProbability:
         """An uninformative model with probability one half, used to compute features."""
-        return cls(np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)), 0.0)
+        curves = (np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)))
+        return cls(*curves, 0.0, network_scale=network_scale)
 
     @classmethod
     def find(cls, use: DetectorUse, *, unseen: Collection[int] = ()) -> DetectionProbability:

@@ -43,6 +43,8 @@ _ITERATIONS_MAX = 100
 # More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
 # (design.md).
 MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
+# ... but that holds for sizes that one camera shows: a network also misses what is larger than all it was trained on.
+MONOTONE_FOR_ANY_CAMERA = (VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,7 @@ def sample_detections(
     seed: int,
     confidence_min: float,
     iou_min: float,
+    network_scale: tuple[float, float] = (1.0, 1.0),
 ) -> DetectionSamples:
     """Run the detector on a scene in as many cameras as the renderer has views; returns one sample per visible object.
 
@@ -137,6 +140,7 @@ def sample_detections(
         seed: Of the scene.
         confidence_min: Minimum confidence of a detection.
         iou_min: Minimum IoU with the ground-truth box.
+        network_scale: Pixels of the network's input for one of the image, along x and y.
     """
     transform = np.stack([camera.ego_from_camera for camera in cameras])
     device = str(renderer.device)
@@ -156,7 +160,7 @@ def sample_detections(
         iou_min=iou_min,
     )
     appearance = Appearance.of(frame, scene)
-    seen = DetectionProbability.blank().on_tape(appearance, position_ego_m, camera_from_ego)
+    seen = DetectionProbability.blank(network_scale=network_scale).on_tape(appearance, position_ego_m, camera_from_ego)
     is_visible = appearance.measures.value.numpy()[:, :, VISIBLE_AREA] >= 1.0
     is_detected = observation.match[is_visible] >= 0
     return DetectionSamples(
@@ -254,6 +258,7 @@ def fit_probability(
     rng: np.random.Generator,
     knot_count: int = KNOT_COUNT,
     penalties: Sequence[float] = PENALTIES,
+    monotone: Sequence[int] = MONOTONE,
 ) -> tuple[DetectionProbability, float]:
     """Fit the curves by logistic regression, penalised by their second differences.
 
@@ -264,6 +269,7 @@ def fit_probability(
         rng: Deals the scenes out to folds.
         knot_count: Knots of every curve, at least 4.
         penalties: To choose from, positive.
+        monotone: Features whose curves may not fall.
 
     Returns:
         The model and the penalty.
@@ -281,7 +287,7 @@ def fit_probability(
     basis = np.concatenate(
         [spline_basis(samples.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], axis=1
     )
-    regression = _Regression.of(basis, samples.is_detected, knot_count)
+    regression = _Regression.of(basis, samples.is_detected, knot_count, monotone)
     seeds = rng.permutation(np.unique(samples.seed))
     fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), samples.seed)] % FOLD_COUNT
     best = penalties[0]
@@ -312,7 +318,7 @@ class _Regression:
     bend: np.ndarray
 
     @classmethod
-    def of(cls, basis: np.ndarray, is_detected: np.ndarray, knot_count: int) -> _Regression:
+    def of(cls, basis: np.ndarray, is_detected: np.ndarray, knot_count: int, monotone: Sequence[int]) -> _Regression:
         design = np.c_[np.ones(len(basis)), basis]
         size = design.shape[1]
         rising, lower, bend = np.eye(size), np.full(size, -np.inf), np.zeros((size, size))
@@ -320,7 +326,7 @@ class _Regression:
         for f in range(FEATURE_COUNT):
             own = slice(1 + f * knot_count, 1 + (f + 1) * knot_count)
             bend[own, own] = second.T @ second
-            if f in MONOTONE:
+            if f in monotone:
                 rising[own, own] = np.tril(np.ones((knot_count, knot_count)))
                 lower[own.start + 1 : own.stop] = 0.0
         return cls(design, is_detected.astype(np.float64), rising, lower, bend)

@@ -200,7 +200,9 @@ def _tasks(
 def _run(task: _Search) -> dict[str, Any]:
     """Search, measure, write the result and return it."""
     config = task.config
-    probability = CameraProbability.of(config.losses, needed_fit(config, NullProgress()))
+    fitted = needed_fit(config, NullProgress())
+    assert not isinstance(fitted, tuple), "experiments have equal cameras"
+    probability = CameraProbability.of(config.losses, fitted)
     scenes = traffic_of_process(config, NullProgress())
     if probability is None:
         raise OptionError("losses.expected_miss_rate", "expected a weight above 0, as a pool knows this loss alone")

@@ -147,7 +147,7 @@ class Constraints(ABC):
         Exactly 0 if it breaks none. The rig may have any number of cameras. Frozen cameras break none by themselves.
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
-        place_m, _ = self.surface.place_of(position_m, self.surface.modules_of(rig.cameras))
+        place_m, _ = self.surface.place_of(self.surface.left_of(position_m), self.surface.carriers_of(rig.cameras))
         is_frozen = self._stands_frozen(position_m)
         missing = sum(
             max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
@@ -220,7 +220,7 @@ class Constraints(ABC):
         """
         position_m = np.array([camera.position_m for camera in rig.cameras])
         is_frozen = self._stands_frozen(position_m)
-        place_m, _ = self.surface.place_of(position_m, self.surface.modules_of(rig.cameras))
+        place_m, _ = self.surface.place_of(self.surface.left_of(position_m), self.surface.carriers_of(rig.cameras))
         border_m = self._border_distance_m(place_m)
         free = [
             Margin.of("border", [camera], border_m[k], self.margin_m)

@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -23,6 +24,10 @@ X_M, Y_M, YAW_RAD = int(kernels.X_M), int(kernels.Y_M), int(kernels.YAW_RAD)
 PITCH_RAD, ROLL_RAD = int(kernels.PITCH_RAD), int(kernels.ROLL_RAD)
 HEIGHT_DELTA_M, LOG_ZOOM = int(kernels.HEIGHT_DELTA_M), int(kernels.LOG_ZOOM)
 MOUNT_POSE_SIZE = int(kernels.MOUNT_POSE_SIZE)
+
+MIRROR = np.ones(MOUNT_POSE_SIZE, np.float32)
+"""What a mount pose is multiplied by to be that of the mirror image, on the mirrored mount."""
+MIRROR[[YAW_RAD, ROLL_RAD]] = -1.0
 
 _ROUNDING = 1e-9
 _FROZEN_OFF_M = 1e-3  # rig files keep micrometres, mount poses single precision
@@ -149,7 +154,7 @@ class CameraMount:
         self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
         of_zone = surface.module_of_zone if surface.modules else np.zeros(max(len(surface.zones), 1), int)
         zones = zip(surface.zones or (None,), of_zone, strict=True)
-        ends = [self._ends(zone, self.cameras[module]) for zone, module in zones]
+        ends = [self._ends(number, zone, self.cameras[module]) for number, (zone, module) in enumerate(zones)]
         self._zone_low, self._zone_high = (np.stack(each) for each in zip(*ends, strict=True))
         self._height_m = wp.array(surface.height_m, dtype=float, device=device)
         self._zone_of_cell = wp.array(surface.zone_of_cell, dtype=wp.int32, device=device)
@@ -171,6 +176,27 @@ class CameraMount:
         return self.surface.module_at(mount_pose[:, [X_M, Y_M]])
 
     @property
+    def is_symmetric(self) -> bool:
+        """Whether its rigs are symmetric: cameras beside the middle stand for themselves and their mirror images."""
+        return bool(self.surface.pairs)
+
+    def is_pair(self, mount_pose: np.ndarray) -> np.ndarray:
+        """Which of the cameras at ``mount_pose`` [camera, 7] stand for two, bool [camera]."""
+        pairs = self.surface.pairs
+        return np.array(pairs)[self.module_of(mount_pose)] if pairs else np.zeros(len(mount_pose), bool)
+
+    @cached_property
+    def mirrored(self) -> CameraMount:
+        """The mount on the other side: there the mirror images of pairs stand, at `MIRROR` times their poses."""
+        mount = copy.copy(self)
+        plane_m, axes = np.array(self.surface.plane_m), np.array(self.surface.axes)
+        plane_m[:, 1] *= -1.0
+        axes[..., 1] *= -1.0
+        mount._plane_m = wp.array(plane_m, dtype=wp.vec3, device=self.device)
+        mount._axes = wp.array(axes, dtype=wp.mat33, device=self.device)
+        return mount
+
+    @property
     def low(self) -> np.ndarray:
         """The least mount pose of any zone, float32 [7]; infinite where a number has no ends of its own."""
         return self._zone_low.min(axis=0)
@@ -185,7 +211,7 @@ class CameraMount:
         zone = self.surface.zone_at(place_m)
         return self._zone_low[zone], self._zone_high[zone]
 
-    def _ends(self, zone: Zone | None, camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:
+    def _ends(self, number: int, zone: Zone | None, camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest mount pose of a camera in a zone, float32 [7]."""
         low, high = (np.full(MOUNT_POSE_SIZE, end, np.float32) for end in (-np.inf, np.inf))
         free = self.free
@@ -202,17 +228,28 @@ class CameraMount:
         if zone is not None:
             low_m, high_m = zone.stand_off_m
             ranges[HEIGHT_DELTA_M] = (low_m - self.height_offset_m, high_m - self.height_offset_m)
-            of_zone = {YAW_RAD: zone.yaw_range_rad, PITCH_RAD: zone.pitch_rad, ROLL_RAD: zone.roll_rad}
-            ranges |= {number: pair for number, pair in of_zone.items() if pair is not None}
-        for number, (least, greatest) in ranges.items():
+            # what a zone does not say is fixed there, as others may leave it free
+            level = (0.0, 0.0) if free.pitch_rad is None else None
+            of_zone = {
+                YAW_RAD: zone.yaw_range_rad,
+                PITCH_RAD: zone.pitch_rad or level,
+                ROLL_RAD: zone.roll_rad or (0.0, 0.0),
+            }
+            ranges |= {column: pair for column, pair in of_zone.items() if pair is not None}
+            if zone.is_centred:
+                # y = 0 of the ego frame along the axis of the chart that runs across the vehicle
+                across = int(np.abs(zone.axes[:2, 1]).argmax())
+                middle_m = -float(self.surface.plane_m[number, 1] / zone.axes[across, 1])
+                ranges[(X_M, Y_M)[across]] = middle_m, middle_m
+        for column, (least, greatest) in ranges.items():
             # rounded inwards, so that single precision is within as well
-            low[number], high[number] = least, greatest
+            low[column], high[column] = least, greatest
             if least == greatest:
                 continue
-            if float(low[number]) < least:
-                low[number] = np.nextafter(low[number], np.float32(np.inf))
-            if float(high[number]) > greatest:
-                high[number] = np.nextafter(high[number], np.float32(-np.inf))
+            if float(low[column]) < least:
+                low[column] = np.nextafter(low[column], np.float32(np.inf))
+            if float(high[column]) > greatest:
+                high[column] = np.nextafter(high[column], np.float32(-np.inf))
         return low, high
 
     @property
@@ -379,29 +416,34 @@ class CameraMount:
         """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
 
         Where some are frozen, all have the names of the rig that these are of, and these are the same to the last bit.
-        Modules have the names of the catalogue, ``side_2mp_100_1``, ``side_2mp_100_2`` where there are several.
+        Modules have the names of the catalogue, ``side_2mp_100_1``, ``side_2mp_100_2`` where there are several, and
+        those of a pair ``_left`` and ``_right`` behind it.
         """
         frozen = self.frozen
         position_m = self.position_m(mount_pose)
         module = self.module_of(mount_pose)
         modules = self.surface.modules
         names = _numbered([modules[k] for k in module]) if modules else [f"camera_{i}" for i in range(len(module))]
-        return Rig(
-            [
-                frozen.camera[i]
-                if frozen is not None and frozen.is_frozen[i]
-                else RigCamera(
-                    name=names[i] if frozen is None else frozen.camera[i].name,
-                    position_m=position_m[i],
-                    yaw_rad=float(pose[YAW_RAD]),
-                    pitch_rad=float(pose[PITCH_RAD]),
-                    roll_rad=float(pose[ROLL_RAD]),
-                    model=self.cameras[module[i]].zoomed(float(pose[LOG_ZOOM])),
-                    module=modules[module[i]] if modules else None,
-                )
-                for i, pose in enumerate(mount_pose)
-            ]
-        )
+        cameras: list[RigCamera] = []
+        for i, (pose, is_pair) in enumerate(zip(mount_pose, self.is_pair(mount_pose), strict=True)):
+            if frozen is not None and frozen.is_frozen[i]:
+                cameras.append(frozen.camera[i])
+                continue
+            camera = RigCamera(
+                name=names[i] if frozen is None else frozen.camera[i].name,
+                position_m=position_m[i],
+                yaw_rad=float(pose[YAW_RAD]),
+                pitch_rad=float(pose[PITCH_RAD]),
+                roll_rad=float(pose[ROLL_RAD]),
+                model=self.cameras[module[i]].zoomed(float(pose[LOG_ZOOM])),
+                module=modules[module[i]] if modules else None,
+            )
+            cameras += _both(camera) if is_pair else [camera]
+        return Rig(cameras)
+
+    def rows_of_cameras(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The row of ``mount_pose`` [row, 7] that each camera of its `rig` comes from, int [camera]."""
+        return np.repeat(np.arange(len(mount_pose)), 1 + self.is_pair(mount_pose))
 
     def mount_pose_of_rig(self, rig: Rig, *, as_configured: bool = False) -> np.ndarray:
         """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
@@ -415,12 +457,20 @@ class CameraMount:
                 rig's are.
 
         Raises:
-            InputError: A camera is none of the mount's modules.
+            InputError: A camera is none of the mount's modules, or of a symmetric mount has no mirror image.
         """
         rows = []
-        for camera in rig.cameras:
+        carriers = self.surface.carriers_of(rig.cameras)
+        for k, camera in enumerate(rig.cameras):
             module = self._module_of_camera(camera)
-            (x_m, y_m), rise_m = self.surface.place_of(camera.position_m, np.array(module) if self.is_mixed else None)
+            may_be = None if carriers is None else carriers[k]
+            if self.is_symmetric:
+                is_centred = abs(camera.position_m[1]) <= _FROZEN_OFF_M
+                may_be = may_be & (np.array(self.surface.pairs) != is_centred)
+                self._check_mirrored(rig, camera)
+                if not is_centred and camera.position_m[1] < 0.0:
+                    continue  # the mirror image of another one
+            (x_m, y_m), rise_m = self.surface.place_of(camera.position_m, may_be)
             height_delta_m = float(rise_m) - self.height_offset_m
             log_zoom = camera.model.log_zoom_over(self.cameras[module])
             rows.append([x_m, y_m, camera.yaw_rad, camera.pitch_rad, camera.roll_rad, height_delta_m, log_zoom])
@@ -429,13 +479,26 @@ class CameraMount:
             pose[:, [n for n in (HEIGHT_DELTA_M, LOG_ZOOM) if not self.is_free[n]]] = 0.0
         return pose
 
+    def _check_mirrored(self, rig: Rig, camera: RigCamera) -> None:
+        """Make sure that a camera of a rig has its mirror image there, to a millimetre and a milliradian."""
+        wanted = _mirror_image(camera)
+        for other in rig.cameras:
+            turn = wanted.ego_from_camera[:3, :3].T @ other.ego_from_camera[:3, :3]
+            is_near = math.dist(wanted.position_m, other.position_m) <= _FROZEN_OFF_M
+            if is_near and np.abs(turn - np.eye(3)).max() <= _FROZEN_OFF_M and other.model == camera.model:
+                return
+        raise InputError(
+            f"camera {camera.name!r}: expected its mirror image at {np.round(wanted.position_m, 3).tolist()} m, as "
+            "rig.symmetric asks for, got none"
+        )
+
     def _module_of_camera(self, camera: RigCamera) -> int:
         """Which of the mount's modules a camera of a rig is, by name, or else by its model; 0 without modules."""
         modules = self.surface.modules
         if not modules:
             return 0
         if camera.module in modules:
-            return modules.index(camera.module)
+            return modules.index(camera.module)  # of kinds of one module all have one model
         near_m = self.camera.near_m
         if camera.module is None and (model := dataclasses.replace(camera.model, near_m=near_m)) in self.cameras:
             return self.cameras.index(model)
@@ -443,6 +506,20 @@ class CameraMount:
             f"camera {camera.name!r}: module: expected one of {', '.join(modules)}, got "
             f"{camera.module or f'a camera of {camera.model.width_px} x {camera.model.height_px} px without one'}"
         )
+
+
+def _mirror_image(camera: RigCamera) -> RigCamera:
+    """The camera on the other side of the vehicle."""
+    position_m = camera.position_m * [1.0, -1.0, 1.0]
+    return dataclasses.replace(camera, position_m=position_m, yaw_rad=-camera.yaw_rad, roll_rad=-camera.roll_rad)
+
+
+def _both(camera: RigCamera) -> list[RigCamera]:
+    """A camera and its mirror image, named by their sides."""
+    other = _mirror_image(camera)
+    return [
+        dataclasses.replace(each, name=f"{camera.name}_{side}") for each, side in ((camera, "left"), (other, "right"))
+    ]
 
 
 def _numbered(names: Sequence[str]) -> list[str]:

@@ -35,6 +35,7 @@ class PoolDescent:
         history: The rigs that were found, each better than those before.
         iteration: Steps so far.
         found: The last state; None before the first step.
+        object_weight: Of the objects of all its scenes, float64 [object]; None: all alike.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
-        self._object_weight = objective.object_weight(scenes)
+        self.object_weight = objective.object_weight(scenes)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -94,7 +95,7 @@ class PoolDescent:
             executor=executor,
             cache=cache,
             progress=progress,
-            object_weight=self._object_weight,
+            object_weight=self.object_weight,
             limits=limits,
             pool=pool,
         )
@@ -154,7 +155,7 @@ class PoolDescent:
             rig,
             mount=objective.mount,
             constraints=objective.constraints,
-            weight=self._object_weight,
+            weight=self.object_weight,
         )
 
     def state(self) -> dict[str, np.ndarray]:
@@ -174,11 +175,13 @@ class PoolDescent:
         rig = mount.rig(pose)
         position_m = np.array([camera.position_m for camera in rig.cameras])
         distance_m = min_camera_distance_m(position_m)
+        row = mount.rows_of_cameras(pose)
+        side = np.where(np.append(False, row[1:] == row[:-1]), np.float32(-1.0), np.float32(1.0))  # of mirror images
         free: dict[str, list[float]] = {}
         if mount.is_free[PITCH_RAD]:
-            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD]).tolist()
+            free["pitch_deg"] = np.degrees(pose[row, PITCH_RAD]).tolist()
         if mount.is_free[HEIGHT_DELTA_M]:
-            free["height_m"] = (pose[:, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
+            free["height_m"] = (pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
         if mount.is_free[LOG_ZOOM]:
             free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
         return IterationRecord(
@@ -188,7 +191,7 @@ class PoolDescent:
             multipliers={},
             gradient_norm={},
             positions_m=position_m.tolist(),
-            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
+            yaw_deg=(np.degrees(pose[row, YAW_RAD]) * side).tolist(),
             seconds={"total": seconds},
             min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
             training_objective=found.objective,

@@ -22,17 +22,22 @@ def range_text(pair: tuple[int, int]) -> str:
 class RigLimits:
     """How many cameras of each module a rig may have.
 
+    A rig is chosen out of columns: single cameras, and of a symmetric rig pairs of a camera and its mirror image, which
+    are two cameras. A column has a kind: a module, and whether it is a pair.
+
     Attributes:
         count: Cameras of a rig, least and greatest, at least 1.
         of_module: Of every module least and greatest number, by its name.
         price: Of every module, by its name; what is not there costs nothing.
         cost_max: What all cameras of a rig may cost together; None: anything.
+        kinds: Module of every kind and the cameras that it stands for, 1 or 2.
     """
 
     count: tuple[int, int]
     of_module: Mapping[str, tuple[int, int]]
     price: Mapping[str, float]
-    cost_max: float | None = None
+    cost_max: float | None
+    kinds: tuple[tuple[str, int], ...]
 
     @classmethod
     def of(
@@ -42,6 +47,7 @@ class RigLimits:
         count: tuple[int, int] | None = None,
         price: Mapping[str, float] | None = None,
         cost_max: float | None = None,
+        kinds: Sequence[tuple[str, int]] | None = None,
     ) -> RigLimits:
         """Limits that agree with each other.
 
@@ -50,6 +56,7 @@ class RigLimits:
             count: Cameras of a rig, least and greatest; None: whatever the modules allow.
             price: Of every module.
             cost_max: What all cameras may cost together.
+            kinds: As the attribute; None: every module alone.
 
         Raises:
             InputError: No rig satisfies them.
@@ -64,66 +71,114 @@ class RigLimits:
                 "rig.cameras",
                 f"expected {max(low, 1)} to {high}, as many as rig.modules allows, got {given}; change one of the two",
             )
-        limits = cls((least, greatest), dict(of_module), dict(price or {}), cost_max)
-        cheapest = limits._cheapest(least)
+        every = tuple((name, 1) for name in of_module) if kinds is None else tuple(kinds)
+        limits = cls((least, greatest), dict(of_module), dict(price or {}), cost_max, every)
+        cheapest = limits.cost_range()[0]
         if cost_max is not None and cheapest > cost_max * (1.0 + _LESS_THAN_ANY):
-            raise OptionError(
-                "rig.max_cost",
-                f"expected at least {cheapest:g}, what the cheapest rig of these modules costs, got {cost_max:g}",
-            )
+            expected = f"expected at least {cheapest:g}, what the cheapest rig of these modules costs"
+            raise OptionError("rig.max_cost", f"{expected}, got {cost_max:g}")
         return limits
 
-    @property
-    def modules(self) -> tuple[str, ...]:
-        """Names of the modules, in their order."""
-        return tuple(self.of_module)
+    def within(self, *, count: tuple[int, int] | None = None, cost_max: float | None = None) -> RigLimits:
+        """The same with another number of cameras or another budget.
 
-    @property
-    def is_fixed(self) -> bool:
-        """Whether every module has one number that it may have."""
-        return all(low == high for low, high in self.of_module.values())
+        Raises:
+            InputError: No rig satisfies them.
+        """
+        return RigLimits.of(
+            self.of_module,
+            count=self.count if count is None else count,
+            price=self.price,
+            cost_max=self.cost_max if cost_max is None else cost_max,
+            kinds=self.kinds,
+        )
 
-    def first_modules(self) -> np.ndarray:
-        """Modules of a rig to start from, int [camera]: the least of each, then the cheapest up to the least count."""
-        counts = [low for low, _ in self.of_module.values()]
-        for number in self._by_price():
-            room = self.of_module[self.modules[number]][1] - counts[number]
-            counts[number] += min(room, max(self.count[0] - sum(counts), 0))
-        return np.repeat(np.arange(len(counts)), counts)
+    def first_kinds(self) -> np.ndarray:
+        """Kinds of the columns of a rig to start from, int [column]: the least of each module, then the cheapest.
+
+        Raises:
+            InputError: A symmetric rig cannot have these numbers: pairs are even, and no zone in the middle takes the
+                odd camera.
+        """
+        counts = {name: low for name, (low, _) in self.of_module.items()}
+        for name in sorted(counts, key=lambda each: self.price.get(each, 0.0)):
+            counts[name] += min(self.of_module[name][1] - counts[name], max(self.count[0] - sum(counts.values()), 0))
+        columns: list[int] = []
+        for name, count in counts.items():
+            left = count
+            for number, (module, size) in sorted(enumerate(self.kinds), key=lambda each: -each[1][1]):
+                taken = left // size if module == name else 0
+                columns += [number] * taken
+                left -= taken * size
+            if left:
+                raise OptionError(
+                    "rig.modules",
+                    f"expected an even number of {name}, as rig.symmetric takes pairs and the module fits no centred "
+                    f"zone, got {range_text(self.of_module[name])}",
+                )
+        return np.array(sorted(columns), int)
 
     def cost(self, modules: Sequence[str | None]) -> float:
         """What cameras of some modules cost together."""
         return float(sum(self.price.get(name, 0.0) for name in modules if name is not None))
 
-    def rows(self, module: np.ndarray) -> list[Row]:
-        """The limits as rows of a selection, for cameras of a pool that are of modules ``module``, int [camera].
+    def cost_range(self) -> tuple[float, float]:
+        """What the cheapest and the dearest rig cost, the latter at most `cost_max`."""
+        found = []
+        for is_dearest, wanted in ((False, self.count[0]), (True, self.count[1])):
+            counts = {name: low for name, (low, _) in self.of_module.items()}
+            for name in sorted(counts, key=lambda each: self.price.get(each, 0.0), reverse=is_dearest):
+                counts[name] += min(self.of_module[name][1] - counts[name], max(wanted - sum(counts.values()), 0))
+            found.append(sum(count * self.price.get(name, 0.0) for name, count in counts.items()))
+        return found[0], found[1] if self.cost_max is None else min(found[1], self.cost_max)
 
-        The number of cameras is no row; -1 is a camera that is not there, see `absent`.
+    def size(self, kind: np.ndarray) -> int:
+        """Cameras that columns of some kinds stand for."""
+        return int(self._sizes[kind].sum())
+
+    def holds(self, kind: np.ndarray, *, is_whole: bool = True) -> bool:
+        """Whether a rig of columns of some kinds, int [column], keeps the limits.
+
+        Args:
+            kind: Of each column.
+            is_whole: Whether nothing is added any more; else what must be there at least does not matter yet.
         """
-        rows = [
-            Row(
-                f"rig.modules.{name} = {low}{'' if low == high else f'..{high}'}",
-                (module == k).astype(float),
-                low,
-                high,
-            )
-            for k, (name, (low, high)) in enumerate(self.of_module.items())
-            if low > 0 or high < self.count[1]
-        ]
+        names = [self.kinds[number][0] for number in kind for _ in range(self.kinds[number][1])]
+        counts = {name: names.count(name) for name in self.of_module}
+        fits = all(counts[name] <= high for name, (_, high) in self.of_module.items()) and len(names) <= self.count[1]
+        fits = fits and (self.cost_max is None or self.cost(names) <= self.cost_max * (1.0 + _LESS_THAN_ANY))
+        is_enough = (
+            all(counts[name] >= low for name, (low, _) in self.of_module.items()) and len(names) >= self.count[0]
+        )
+        return fits and (is_enough or not is_whole)
+
+    def rows(self, kind: np.ndarray) -> list[Row]:
+        """The limits as rows of a selection, for columns of a pool that are of kinds ``kind``, int [column].
+
+        -1 is a column that is not there, see `absent`.
+        """
+        rows = []
+        size = self._sizes[kind]
+        names = np.array([*(name for name, _ in self.kinds), ""])[kind]
+        if (self._sizes > 1).any():
+            rows.append(Row(f"rig.cameras = {range_text(self.count)}", size.astype(float), *self.count))
+        for name, (low, high) in self.of_module.items():
+            if low > 0 or high < self.count[1]:
+                text = f"rig.modules.{name} = {range_text((low, high))}"
+                rows.append(Row(text, np.where(names == name, size, 0).astype(float), low, high))
         if self.cost_max is not None:
-            prices = np.array([*(self.price.get(name, 0.0) for name in self.modules), 0.0])
-            rows.append(Row(f"rig.max_cost = {self.cost_max:g}", prices[module], high=self.cost_max))
+            price = np.array([self.price.get(name, 0.0) for name in names]) * size
+            # a rig that costs just that must not fail by rounding
+            rows.append(Row(f"rig.max_cost = {self.cost_max:g}", price, high=self.cost_max * (1.0 + _LESS_THAN_ANY)))
         return rows
 
     @property
     def absent(self) -> int:
-        """How many of the greatest number of cameras a rig may do without."""
-        return self.count[1] - self.count[0]
+        """How many of as many columns as a rig has cameras at most may not be there."""
+        largest = int(self._sizes.max())
+        return self.count[1] - -(-self.count[0] // largest)
 
-    def _by_price(self) -> list[int]:
-        return sorted(range(len(self.of_module)), key=lambda k: self.price.get(self.modules[k], 0.0))
-
-    def _cheapest(self, count: int) -> float:
-        """What the cheapest rig of so many cameras costs."""
-        assert count == self.count[0]
-        return self.cost([self.modules[k] for k in self.first_modules()])
+    @property
+    def _sizes(self) -> np.ndarray:
+        """Cameras that a column of each kind stands for; the last, for those that are not there, 0."""
+        return np.array([*(size for _, size in self.kinds), 0])

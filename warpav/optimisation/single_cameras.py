@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from queue import SimpleQueue
 from typing import Any
@@ -21,7 +22,7 @@ from warpav.core.fingerprint import digest, fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.optimisation.camera_jacobians import CameraJacobians
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount
+from warpav.optimisation.mount import MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
@@ -46,6 +47,8 @@ class SingleCameras:
         occlusion: What hides an object.
         supersampling: Samples per pixel along each axis, at least 1.
         thread_count: Threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it.
+        is_mirrored: Whether they are the mirror images of a symmetric mount's cameras; else a camera of a pair detects
+            what either of the two does.
     """
 
     mount: CameraMount
@@ -53,6 +56,7 @@ class SingleCameras:
     occlusion: Occlusion = Occlusion.EXACT
     supersampling: int = 1
     thread_count: int | None = None
+    is_mirrored: bool = False
     _kept_jacobians: dict[int, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: dict[tuple[int, int], SimpleQueue[Renderer]] = field(default_factory=dict, init=False, repr=False)
 
@@ -93,6 +97,7 @@ class SingleCameras:
             ]
             detectors += [model.constant, each.probability]
         modules = (surface.module_of_zone.tobytes(),) if mount.is_mixed else ()
+        modules += (surface.pairs,) if mount.is_symmetric else ()
         return {
             "vehicle": digest(
                 surface.height_m.shape,
@@ -126,7 +131,22 @@ class SingleCameras:
             return found
         for module, row in self._by_module(pose):
             found[row] = self._detected(module, pose[row], scene)
+        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
+        if len(pair):
+            image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
+            found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
         return found
+
+    @property
+    def _finds_pairs(self) -> bool:
+        """Whether cameras stand for themselves and their mirror images: not on the mirrored side."""
+        return self.mount.is_symmetric and not self.is_mirrored
+
+    @cached_property
+    def _mirrored(self) -> SingleCameras:
+        """The same on the other side of the vehicle."""
+        others = (self.probability, self.occlusion, self.supersampling, self.thread_count)
+        return SingleCameras(self.mount.mirrored, *others, is_mirrored=True)
 
     def _by_module(self, mount_pose: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """The cameras of each of the mount's models: its number, and their rows, int [camera of the model]."""
@@ -202,6 +222,12 @@ class SingleCameras:
         probability, jacobian = np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
         for module, row in self._by_module(pose):
             probability[row], jacobian[row] = self._jacobians(module).of(pose[row], scenes)
+        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
+        if len(pair):
+            image, slope = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
+            own = (1.0 - image)[..., None] * jacobian[pair]
+            jacobian[pair] = own + (1.0 - probability[pair])[..., None] * slope * MIRROR
+            probability[pair] = 1.0 - (1.0 - probability[pair]) * (1.0 - image)
         return probability, jacobian
 
     def _jacobians(self, module: int) -> CameraJacobians:

@@ -199,16 +199,22 @@ class Coverage:
         value: As `Measures.value` of `Frame.measure`, float [view, object, measure]; BOX_AREA is 0.
         solid_angle_sr: Solid angle of every object alone inside the image [sr], as `Frame.window_area` gives it for all
             directions, float [view, object, 1].
+        visible_sr: That of what nothing hides of it, same shape.
     """
 
     value: wp.array
     solid_angle_sr: wp.array
+    visible_sr: wp.array
 
 
 def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
     """See `Frame.coverage`."""
     pairs = (buffers.view_count, scene.object_count)
-    result = Coverage(buffers.zeros((*pairs, MEASURE_COUNT), float), buffers.zeros((*pairs, 1), float))
+    result = Coverage(
+        buffers.zeros((*pairs, MEASURE_COUNT), float),
+        buffers.zeros((*pairs, 1), float),
+        buffers.zeros((*pairs, 1), float),
+    )
     rows, columns = buffers.lanes
     covered = buffers.kept("coverage", (*pairs, rows * columns), coverage.Coverage)
     buffers.over_views(
@@ -226,7 +232,7 @@ def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
         coverage.sum_coverage_kernel,
         pairs,
         inputs=[covered, buffers.width, buffers.height, buffers.supersampling],
-        outputs=[result.value, result.solid_angle_sr],
+        outputs=[result.value, result.solid_angle_sr, result.visible_sr],
     )
     return result
 

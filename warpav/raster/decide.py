@@ -17,6 +17,7 @@ class Occlusion(Enum):
 
     EXACT = "exact"  # whatever surface is nearest in the joint render
     PAIRWISE = "pairwise"  # the thesis: nearer objects by median depth, and the foreground
+    OCCLUDERS = "occluders"  # occluders alone, which images show alone too: objects hide nothing, as ghosts
 
 
 def decide(
@@ -65,13 +66,44 @@ def decide(
     if has_outlines:
         buffers.layers.crossing_key.zero_()
     buffers.hiding.bits.zero_()
-    buffers.strip_count.zero_()
+    is_ghostly = occlusion is Occlusion.OCCLUDERS
+    # occluders come first among the clusters: by themselves they write keys, and after that every object its layer
+    passes = [(scene.cluster_count, has_key)]
+    if is_ghostly and has_key:
+        passes = [(scene.occluder_cluster_count, True), *([(scene.cluster_count, False)] if layer_count else [])]
     left = buffers.kept("left", (buffers.view_count if buffers.device.is_cpu else 0, CLUSTER_SIZE), wp.int32)
+    for cluster_count, writes_key in passes:
+        _scatter(buffers, scene, left, layer_count, cluster_count, has_key=writes_key, has_outlines=has_outlines)
+        if buffers.bent and buffers.device.is_cpu:
+            _scatter_bent(buffers, scene, layer_count, cluster_count, has_key=writes_key, has_outlines=has_outlines)
+    if buffers.bent and not buffers.device.is_cpu:
+        _trace(buffers, scene, layer_count, has_key=has_key, is_ghostly=is_ghostly)
+        if layer_count and has_outlines:
+            _cross_bent(buffers, scene, layer_count)
+    if scene.object_count and content in (Content.ALL, Content.COVERAGE):
+        _hide(buffers, scene, occlusion)
+    return state
+
+
+def _scatter(
+    buffers: Buffers,
+    scene: Scene,
+    left: wp.array,
+    layer_count: int,
+    cluster_count: int,
+    *,
+    has_key: bool,
+    has_outlines: bool,
+) -> None:
+    """The keys, layers and edge crossings of the first clusters in the views of pinholes."""
+    if not cluster_count:
+        return
+    buffers.strip_count.zero_()
     buffers.over_views(
         buffers.view_count,
         lambda first, count: buffers.launch(
             rasterise.scatter_triangles_kernel,
-            (count, scene.cluster_count, buffers.cluster_lanes),
+            (count, cluster_count, buffers.cluster_lanes),
             inputs=[
                 buffers.view, scene.triangles, layer_count, buffers.scissor, first, int(has_key), int(has_outlines),
                 buffers.cluster_lanes,
@@ -89,26 +121,18 @@ def decide(
             ],
             outputs=[buffers.key, buffers.layers],
         )  # fmt: skip
-    if buffers.bent:
-        if buffers.device.is_cpu:
-            _scatter_bent(buffers, scene, layer_count, has_key=has_key, has_outlines=has_outlines)
-        else:
-            _trace(buffers, scene, layer_count, has_key=has_key)
-            if layer_count and has_outlines:
-                _cross_bent(buffers, scene, layer_count)
-    if scene.object_count and content in (Content.ALL, Content.COVERAGE):
-        _hide(buffers, scene, occlusion)
-    return state
 
 
-def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, has_outlines: bool) -> None:
+def _scatter_bent(
+    buffers: Buffers, scene: Scene, layer_count: int, cluster_count: int, *, has_key: bool, has_outlines: bool
+) -> None:
     """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
     candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), ray_space.Candidate)
     buffers.over_views(
         len(buffers.bent),
         lambda first, count: buffers.launch(
             ray_space.scatter_bent_triangles_kernel,
-            (count, scene.cluster_count),
+            (count, cluster_count),
             inputs=[
                 buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
                 int(has_key), int(has_outlines),
@@ -118,17 +142,18 @@ def _scatter_bent(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: 
     )  # fmt: skip
 
 
-def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -> None:
+def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, is_ghostly: bool) -> None:
     """Fill the keys and layers of the views whose lenses are no pinholes, by ray queries."""
     mesh, bent, count = scene.mesh.id, buffers.bent_view, len(buffers.bent)
     rows, columns = buffers.lanes
-    if has_key:
+    if has_key and not (is_ghostly and scene.occluder_count == 0):
+        solid = scene.occluder_mesh.id if is_ghostly else mesh
         buffers.over_views(
             count,
             lambda first, count: buffers.launch(
                 trace.trace_keys_kernel,
                 (count, buffers.height, buffers.width),
-                inputs=[buffers.view, mesh, bent, buffers.scissor, first],
+                inputs=[buffers.view, solid, bent, buffers.scissor, first],
                 outputs=[buffers.key],
             ),
         )
@@ -139,8 +164,8 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool) -
                 trace.trace_layers_kernel,
                 (count, layer_count, rows * columns),
                 inputs=[
-                    buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key, int(has_key), first,
-                    rows, columns,
+                    buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key,
+                    int(has_key and not is_ghostly), first, rows, columns,
                 ],
                 outputs=[buffers.layers],
             ),
@@ -161,7 +186,7 @@ def _cross_bent(buffers: Buffers, scene: Scene, layer_count: int) -> None:
 
 
 def _hide(buffers: Buffers, scene: Scene, occlusion: Occlusion) -> None:
-    if occlusion is Occlusion.EXACT:
+    if occlusion is not Occlusion.PAIRWISE:
         rows, columns = buffers.lanes
         buffers.over_views(
             buffers.view_count,

@@ -133,6 +133,7 @@ class Scene:
         vertex_rgb: Vertex colours 0..1, vec3 [vertex].
         background_rgb: Colours 0..1 of the background at and below the horizon, and overhead (along world z), vec3.
         cluster_count: Number of clusters.
+        occluder_cluster_count: Number of those of the occluders, which come first.
         triangle_count: Number of triangles.
         source_triangle: Place of every sorted triangle in the bodies' triangles, one body behind the other, [triangle].
         source_vertex: The same of every vertex; one that several clusters use is there several times, [vertex].
@@ -293,6 +294,8 @@ class Scene:
         self.layer_body, self.vertex_rgb = on_device["layer_body"], on_device["vertex_rgb"]
         self.layer_bounds_world_m = on_device["layer_bounds_world_m"]
         self.cluster_count, self.triangle_count = len(arrays["cluster_first"]), len(arrays["triangle"])
+        self._occluder_triangle_count = int(np.searchsorted(arrays["triangle_body"], self.occluder_count))
+        self.occluder_cluster_count = int(np.searchsorted(arrays["cluster_first"], self._occluder_triangle_count))
         self.source_triangle, self.source_vertex = arrays["source_triangle"], arrays["source_vertex"]
 
     @cached_property
@@ -303,6 +306,12 @@ class Scene:
             wp.array(self.triangles.triangle.numpy().ravel(), dtype=wp.int32, device=self.device),
             groups=self.triangles.triangle_body,
         )
+
+    @cached_property
+    def occluder_mesh(self) -> wp.Mesh:
+        """The occluders' triangles, which come first, for ray queries; of at least one occluder."""
+        triangle = self.triangles.triangle.numpy()[: self._occluder_triangle_count]
+        return wp.Mesh(self.triangles.vertex_world_m, wp.array(triangle.ravel(), dtype=wp.int32, device=self.device))
 
 
 def _device(device: str | wp.Device | None) -> wp.Device:

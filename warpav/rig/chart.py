@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from warpav.rig.zone import NORMALS, Zone
 
 GAP_M = 1.0
 """Between the rectangles of two zones in the chart: more than twice what any search moves a camera at once."""
+
+CENTRE_M = 0.1
+"""Half the width of what of a centred zone is drawn: cameras stand in its middle."""
 
 _SKIRT_CELLS = 3
 _BIG_M = 1e6
@@ -32,6 +36,7 @@ def chart_of(
     min_upward_normal: float = 0.8,
     min_zone_normal: float = 0.9,
     modules: Sequence[Module] = (),
+    pair_spacing_m: float | None = None,
 ) -> MountSurface:
     """All zones of a vehicle in one chart, once for every module that they carry.
 
@@ -39,6 +44,8 @@ def chart_of(
         zones: At least one; their names differ.
         mesh: The vehicle in the ego frame [m].
         modules: Camera modules, each of which stands in the zones that it fits; none: whatever cameras, in all zones.
+        pair_spacing_m: Of a symmetric rig the least distance of a camera and its mirror image [m]: zones that are not
+            centred then are their left halves, and a camera there stands for both. None: the rig need not be symmetric.
         cell_m: Edge of a cell [m].
         min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
         min_zone_normal: Likewise.
@@ -51,10 +58,12 @@ def chart_of(
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
     surface_of = {zone.name: _with_skirt(zone_surface(zone, mesh, **options)) for zone in zones}
-    module_of_zone = np.zeros(0, np.int64)
+    names, module_of_zone, pairs = [module.name for module in modules], np.zeros(0, np.int64), ()
+    if pair_spacing_m is not None:
+        surface_of = _left_halves(zones, surface_of, pair_spacing_m)
     if modules:
-        carried = [(zone, number) for number, module in enumerate(modules) for zone in _fitting(module, zones)]
-        zones, module_of_zone = [zone for zone, _ in carried], np.array([number for _, number in carried])
+        there = [zone for zone in zones if zone.name in surface_of]
+        zones, names, module_of_zone, pairs = _sheets(modules, there, is_symmetric=pair_spacing_m is not None)
     surfaces = [surface_of[zone.name] for zone in zones]
     firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
     # the first zone keeps its own coordinates
@@ -77,9 +86,47 @@ def chart_of(
         tuple(zones),
         _nearest_zone(zone_of),
         np.array(plane_origin_m),
-        tuple(module.name for module in modules),
+        tuple(names),
         module_of_zone,
+        pairs,
     )
+
+
+def _sheets(
+    modules: Sequence[Module], zones: Sequence[Zone], *, is_symmetric: bool
+) -> tuple[list[Zone], list[str], np.ndarray, tuple[bool, ...]]:
+    """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs."""
+    sheets, names, carried, pairs = [], [], [], []
+    for module in modules:
+        fitting = _fitting(module, zones)
+        for is_pair in (True, False) if is_symmetric else (False,):
+            own = [zone for zone in fitting if not is_symmetric or zone.is_centred != is_pair]
+            if own:
+                sheets += own
+                carried += [len(names)] * len(own)
+                names.append(module.name)
+                pairs.append(is_pair)
+    return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else ()
+
+
+def _left_halves(
+    zones: Sequence[Zone], surface_of: dict[str, MountSurface], pair_spacing_m: float
+) -> dict[str, MountSurface]:
+    """What of the zones carries the left cameras of pairs, and of centred ones what is near the plane of symmetry."""
+    result = {}
+    for zone in zones:
+        surface = surface_of[zone.name]
+        assert surface.is_mountable is not None
+        row, column = np.indices(surface.height_m.shape)
+        place_m = surface.origin_m + surface.cell_m * np.stack([row, column], axis=-1)
+        local_m = np.concatenate([place_m, surface.height_m[..., None]], axis=-1)
+        y_m = (local_m @ zone.axes)[..., 1] + zone.origin_m[1]
+        is_kept = np.abs(y_m) <= CENTRE_M if zone.is_centred else y_m >= 0.5 * pair_spacing_m
+        if (surface.is_mountable & is_kept).any():
+            result[zone.name] = replace(surface, is_mountable=surface.is_mountable & is_kept)
+    if not result:
+        raise InputError("zones: expected one on the left or in the middle for a symmetric rig, got none")
+    return result
 
 
 def _fitting(module: Module, zones: Sequence[Zone]) -> list[Zone]:

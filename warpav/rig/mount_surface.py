@@ -48,8 +48,11 @@ class MountSurface:
         zones: The zones of a chart; none: the ground plane. A zone that carries several modules is there for each.
         zone_of_cell: Number of the zone of every cell, int32 [row, column]; empty without zones.
         plane_m: Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3].
-        modules: Names of the camera modules that it carries; none: whatever cameras.
+        modules: Names of the camera modules that it carries; none: whatever cameras. A module of a symmetric rig is
+            there twice where it may stand both in pairs and in the plane of symmetry.
         module_of_zone: Which of these a zone carries, int64 [zone]; empty without modules.
+        pairs: Which of the modules stand for two cameras: one on the left, where the zone is, and its mirror image;
+            empty: none.
     """
 
     height_m: np.ndarray
@@ -61,6 +64,7 @@ class MountSurface:
     plane_m: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     modules: tuple[str, ...] = ()
     module_of_zone: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    pairs: tuple[bool, ...] = ()
 
     @cached_property
     def axes(self) -> np.ndarray:
@@ -81,11 +85,23 @@ class MountSurface:
         zone = self.zone_at(position_m)
         return self.module_of_zone[zone] if self.modules else np.zeros_like(zone)
 
-    def modules_of(self, cameras: Sequence[RigCamera]) -> np.ndarray | None:
-        """Numbers of the modules of a rig's cameras, -1 of another, int [camera]; None without modules."""
+    def carriers_of(self, cameras: Sequence[RigCamera]) -> np.ndarray | None:
+        """Which modules' zones a rig's cameras may stand in: those of their names, bool [camera, module].
+
+        Cameras of none of the modules may stand in all. None without modules.
+        """
         if not self.modules:
             return None
-        return np.array([self.modules.index(each.module) if each.module in self.modules else -1 for each in cameras])
+        same = np.array([[camera.module == name for name in self.modules] for camera in cameras])
+        same[~same.any(axis=1)] = True
+        return same
+
+    def left_of(self, point_m: np.ndarray) -> np.ndarray:
+        """Points [..., 3] of the ego frame, those on the right mirrored to the left where rigs are symmetric."""
+        point_m = np.array(point_m, np.float64)
+        if any(self.pairs):
+            point_m[..., 1] = np.abs(point_m[..., 1])
+        return point_m
 
     def point_m(self, position_m: np.ndarray, height_m: np.ndarray | float) -> np.ndarray:
         """Points of the ego frame [..., 3] [m] at places of the chart [..., 2] and heights over its planes [...]."""
@@ -97,7 +113,7 @@ class MountSurface:
         zone = self.zone_at(position_m)
         return self.plane_m[zone] + np.einsum("...i,...ij->...j", local_m, self.axes[zone])
 
-    def place_of(self, point_m: np.ndarray, module: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def place_of(self, point_m: np.ndarray, carriers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The place of the chart that a camera at a point stands at, and its height over the surface there.
 
         With zones it is that of the zone whose surface and stand-off are nearest; for a point that is above none of
@@ -105,7 +121,7 @@ class MountSurface:
 
         Args:
             point_m: In the ego frame [m], [..., 3].
-            module: Number of the module of each camera, whose zones alone count, int [...]; -1 or None: all zones.
+            carriers: Of which modules the zones count for each, bool [..., module]; None: all.
 
         Returns:
             Places [m], float64 [..., 2], and heights over the surface [m], float64 [...].
@@ -123,22 +139,39 @@ class MountSurface:
             low_m, high_m = zone.stand_off_m
             away_m = np.maximum(-self.zone_distance_m(here_m), 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
-            if module is not None:
-                away_m = np.where((module < 0) | (module == self.module_of_zone[number]), away_m, np.inf)
+            if carriers is not None:
+                away_m = np.where(carriers[..., self.module_of_zone[number]], away_m, np.inf)
             is_nearer = away_m < best_m
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
         is_lost = np.isinf(best_m)
-        of_module = np.full(is_lost.shape, -1) if module is None else np.broadcast_to(module, is_lost.shape)
-        for number in np.unique(of_module[is_lost]):
-            which = is_lost & (of_module == number)
-            cell_place_m, cell_point_m, tree = self._cells_of(int(number))
-            _, cell = tree.query(point_m[which])
-            place_m[which] = cell_place_m[cell]
-            normal = self.axes[self.zone_at(cell_place_m[cell]), 2]
-            rise_m[which] = np.einsum("ki,ki->k", point_m[which] - cell_point_m[cell], normal)
+        if is_lost.any():
+            self._to_nearest_cell(point_m, is_lost, carriers, place_m, rise_m)
         return place_m, rise_m
+
+    def _to_nearest_cell(
+        self,
+        point_m: np.ndarray,
+        is_lost: np.ndarray,
+        carriers: np.ndarray | None,
+        place_m: np.ndarray,
+        rise_m: np.ndarray,
+    ) -> None:
+        """Write place and height over the nearest cell that carries a camera, for points [..., 3] above no zone."""
+        lost = np.flatnonzero(is_lost)
+        flat_m, flat_place_m, flat_rise_m = point_m.reshape(-1, 3)[lost], place_m.reshape(-1, 2), rise_m.reshape(-1)
+        best_m = np.full(len(lost), np.inf)
+        for number in [-1] if carriers is None else range(len(self.modules)):
+            cell_place_m, cell_point_m, tree = self._cells_of(number)
+            away_m, cell = map(np.asarray, tree.query(flat_m))
+            if carriers is not None:
+                away_m = np.where(carriers.reshape(-1, len(self.modules))[lost, number], away_m, np.inf)
+            nearer = away_m < best_m
+            normal = self.axes[self.zone_at(cell_place_m[cell]), 2]
+            above_m = np.einsum("ki,ki->k", flat_m - cell_point_m[cell], normal)
+            best_m[nearer] = away_m[nearer]
+            flat_place_m[lost[nearer]], flat_rise_m[lost[nearer]] = cell_place_m[cell[nearer]], above_m[nearer]
 
     def _cells_of(self, module: int) -> tuple[np.ndarray, np.ndarray, KDTree]:
         """Places and points [m] of the cells that carry a module, -1: any, [cell, 2] and [cell, 3], and their tree."""

@@ -30,7 +30,10 @@ FLUSH_M = (0.0, 0.03)
 OUTWARD_RAD = math.radians(85.0)
 """How far cameras turn from a zone's normal where the zone does not say."""
 
-_KEYS = ("normal", "kind", "origin_m", "box_m", "keep_out_m", "stand_off_m", "yaw_deg", "pitch_deg", "roll_deg")
+_KEYS = (
+    *("normal", "kind", "centred", "origin_m", "box_m", "keep_out_m", "stand_off_m"),
+    *("yaw_deg", "pitch_deg", "roll_deg"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,7 @@ class Zone:
         pitch_rad: Least and greatest pitch, nose-down positive [rad]; None: as the rig's other cameras.
         roll_rad: Least and greatest roll [rad]; None: 0.
         kinds: What kinds of place it is, such as ``windscreen`` or ``b_pillar``: camera modules say which they fit.
+        is_centred: Whether cameras stand in the vehicle's plane of symmetry alone, with y = 0, and look along it.
         axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
             face up have those of the ego frame; float64 [3, 3].
 
@@ -69,6 +73,7 @@ class Zone:
     pitch_rad: tuple[float, float] | None = None
     roll_rad: tuple[float, float] | None = None
     kinds: tuple[str, ...] = ()
+    is_centred: bool = False
     axes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +84,10 @@ class Zone:
         for name, pair in ranges.items():
             if pair is not None and not -math.inf < pair[0] <= pair[1] < math.inf:
                 raise ValueError(f"{name}: expected a range, the lower end first, got {pair}")
+        if self.is_centred and abs(self.normal[1]) > 1e-6:
+            raise ValueError(f"centred: expected a normal without a part to the side, got {self.normal}")
+        if self.is_centred and self.origin_m[1]:
+            raise ValueError(f"centred: expected an origin_m with y = 0, got {self.origin_m[1]:g}")
         if self.yaw_rad is not None and self.yaw_rad[1] - self.yaw_rad[0] > 2.0 * math.pi + 1e-9:
             raise ValueError(f"yaw: expected at most a whole turn, got {self.yaw_rad}")
         normal /= np.linalg.norm(normal)
@@ -94,7 +103,10 @@ class Zone:
 
     @property
     def yaw_range_rad(self) -> tuple[float, float] | None:
-        """The range of yaws [rad]; None: all round."""
+        """The range of yaws [rad]; None: all round. Centred ones look forwards, on a part that faces backwards back."""
+        if self.is_centred and self.yaw_rad is None:
+            yaw_rad = math.pi if self.axes[2, 0] < -1e-6 else 0.0
+            return yaw_rad, yaw_rad
         if self.yaw_rad is not None:
             return None if self.yaw_rad[1] - self.yaw_rad[0] >= 2.0 * math.pi - 1e-9 else self.yaw_rad
         if abs(self.axes[2, 2]) > 0.5:
@@ -117,7 +129,7 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
     """Read a file of zones: ``zones``, a mapping from names to what they are.
 
     A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``kind`` (a name or a list of
-    them, as the ``zones`` of modules name them), ``origin_m``, ``box_m`` and
+    them, as the ``zones`` of modules name them), ``centred``, ``origin_m``, ``box_m`` and
     ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
     other side of the vehicle, called ``<name>_mirrored``.
@@ -150,8 +162,8 @@ def _zone(name: str, record: Record) -> Zone:
             raise fields[key].error(
                 f"one of {', '.join(known)}", f"the key {key!r}" + (f"; did you mean {near[0]}?" if near else "")
             )
-    if record.at("mirror").value not in (None, True, False):
-        raise record.at("mirror").error("true or false")
+    if _flag(record.at("mirror")) and _flag(record.at("centred")):
+        raise record.at("mirror").error("false, as a centred zone is its own mirror image", "true")
     box = record.at("box_m")
     try:
         return Zone(
@@ -167,6 +179,7 @@ def _zone(name: str, record: Record) -> Zone:
             pitch_rad=_radians(record.at("pitch_deg")),
             roll_rad=_radians(record.at("roll_deg")),
             kinds=_kinds(record.at("kind")),
+            is_centred=_flag(record.at("centred")),
         )
     except ValueError as error:
         raise InputError(str(error) if isinstance(error, InputError) else f"{record.location}: {error}") from None
@@ -187,6 +200,12 @@ def _normal(record: Record) -> tuple[float, float, float]:
         raise record.error("a direction", "one of length 0")
     x, y, z = (numbers / length).tolist()
     return x, y, z
+
+
+def _flag(record: Record) -> bool:
+    if record.value not in (None, True, False):
+        raise record.error("true or false")
+    return bool(record.value)
 
 
 def _kinds(record: Record) -> tuple[str, ...]:
@@ -230,10 +249,10 @@ def mirrored(zone: Zone) -> Zone:
 
     x, y, z = zone.normal
     origin = zone.origin_m
-    turned = {
-        name: None if pair is None else (-pair[1], -pair[0])
-        for name, pair in (("yaw_rad", zone.yaw_rad), ("roll_rad", zone.roll_rad))
-    }
+
+    def turned(pair: tuple[float, float] | None) -> tuple[float, float] | None:
+        return None if pair is None else (-pair[1], -pair[0])
+
     return Zone(
         name=f"{zone.name}_mirrored",
         normal=(x, -y, z),
@@ -243,7 +262,8 @@ def mirrored(zone: Zone) -> Zone:
         stand_off_m=zone.stand_off_m,
         pitch_rad=zone.pitch_rad,
         kinds=zone.kinds,
-        **turned,
+        yaw_rad=turned(zone.yaw_rad),
+        roll_rad=turned(zone.roll_rad),
     )
 
 
@@ -268,6 +288,8 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     for zone in zones:
         normal = names.get(tuple(float(each) for each in zone.normal))  # pyright: ignore[reportArgumentType]
         lines += [f"  {zone.name}:", f"    normal: {normal or numbers(zone.normal)}"]
+        if zone.is_centred:
+            lines.append("    centred: true")
         if zone.kinds:
             lines.append(f"    kind: [{', '.join(zone.kinds)}]")
         if any(zone.origin_m):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import shlex
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +18,12 @@ import numpy as np
 from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import NullProgress, Progress
+from warpav.detection.camera_mixture import ScalingDetector, Window, mixed_camera, windows_of
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import (
     BIN_COUNT,
+    MONOTONE,
+    MONOTONE_FOR_ANY_CAMERA,
     DetectionSamples,
     ProbabilityScores,
     fit_probability,
@@ -27,18 +31,21 @@ from warpav.detection.probability_fit import (
     sample_detections,
     score,
 )
+from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
 from warpav.runs.mounts import camera_model, free_ranges, roof_surface
-from warpav.runs.networks import detector_use, load_detector
+from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector, opened_detector
 from warpav.runs.scene_set import load_scenes
 from warpav.scene.device_scene import DeviceScene
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.raster.mesh import Mesh
+    from warpav.rig.mount_surface import MountSurface
+    from warpav.rig.rig import RigCamera
 
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 TOWN_SEEDS = tuple(range(500_000, 500_050))
@@ -53,7 +60,11 @@ _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref
 _logger = logging.getLogger(__name__)
 
 # streams of random numbers
-_CAMERAS, _FOLDS = 11, 12
+_CAMERAS, _FOLDS, _MIXTURE = 11, 12, 13
+
+LONG_S = 30.0
+"""A fit that takes longer says how long before it begins [s]."""
+_TRIAL_VIEWS = 2
 
 
 @dataclass(frozen=True)
@@ -125,24 +136,35 @@ def ensure_fit(
     *,
     detector: Detector | None = None,
     ego: Mesh | None = None,
+    camera: CameraModel | None = None,
     progress: Progress | None = None,
 ) -> DetectionProbability:
-    """The model of detection probability of a detector and its surroundings: the stored one, else fitted and stored.
+    """The model of detection probability of a detector in a camera.
+
+    It is the stored fit for this very camera, vehicle and range of poses, if there is one; else the stored fit for any
+    camera; else that is made and stored. A detector that is an object and no `ScalingDetector` is fitted for the very
+    camera, as nobody knows what it makes of images of another size.
 
     Where there are too few scenes of the user's own to fit it on, embedded ones take their place. What is fitted for a
-    detector or a vehicle that is an object is kept while the object lives.
+    detector that is an object is kept while the object lives.
 
     Args:
         config: Detector, camera, scenes.
         detector: The detector, where it is an object and not ``config.detector``.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        progress: Reports that it has to be fitted, and how far that is. Where it shows nothing, a warning is logged:
-            a fit takes minutes.
+        camera: The camera that the probability is asked for, where it is not that of ``config``.
+        progress: Reports that it has to be fitted, how long that takes and how far it is. Where it shows nothing, a
+            warning is logged.
+
+    Returns:
+        The model; it counts the pixels that the detector makes of this camera's images.
 
     Raises:
         InputError: It cannot be fitted or read, or was fitted on test scenes of a result.
     """
     progress = progress or NullProgress()
+    if camera == camera_model(config):
+        camera = None
     scene_count = len(config.scenes.train_seeds)
     if config.scenes.source != "town" and scene_count < MIN_FIT_SCENES:
         progress.say(
@@ -150,31 +172,65 @@ def ensure_fit(
             f"scenes.train_seeds has {scene_count}"
         )
         config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
-    use = detector_use(config, ego)
-    if detector is not None:
-        kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
-        if use.identity not in kept:
-            seeds = chosen_seeds(config, None, None)
-            _announce(seeds, "kept as long as the detector object", progress)
-            kept[use.identity] = fit(config, seeds, detector=detector, ego=ego, progress=progress).model
+    use = detector_use(config, ego, camera)
+    if detector is None:
+        if stored_file(use) is not None:
+            return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+        scale = _network_scale(opened_detector(config), camera or camera_model(config))
+        return replace(_ensure_for_any_camera(any_camera_config(config), progress), network_scale=scale)
+    kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
+    if use.identity in kept:
         return kept[use.identity]
+    seeds = chosen_seeds(config, None, None)
+    lasting = "kept as long as the detector object"
+    if not isinstance(detector, ScalingDetector):
+        _announce(seeds, "detector and camera", lasting, progress)
+        found = fit(config, seeds, detector=detector, ego=ego, camera=camera, progress=progress)
+        return kept.setdefault(use.identity, found.model)
+    scale = _network_scale(detector, camera or camera_model(config))
+    any_use = any_camera_use(config)
+    if any_use.identity not in kept:
+        _announce(seeds, "detector", lasting, progress)
+        found = fit(config, seeds, detector=detector, any_camera=True, progress=progress)
+        kept[any_use.identity] = found.model
+    return replace(kept[any_use.identity], network_scale=scale)
+
+
+def _network_scale(detector: ScalingDetector, camera: CameraModel) -> tuple[float, float]:
+    return detector.network_scale(camera.height_px, camera.width_px)
+
+
+def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProbability:
+    """The stored fit for any camera, which is made first if there is none.
+
+    Args:
+        config: Of `any_camera_config`.
+        progress: As in `ensure_fit`.
+    """
+    use = any_camera_use(config)
     if stored_file(use) is None:
         seeds = chosen_seeds(config, None, None)
-        _announce(seeds, "stored for later runs", progress)
-        found = fit(config, seeds, ego=ego, progress=progress)
+        _announce(seeds, "detector", "stored for later runs, with any camera", progress)
+        words = ("warpav", "detector", "fit", "--any-camera")
+        found = fit(config, seeds, any_camera=True, words=words, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
     return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
 
 
-def _announce(seeds: FitSeeds, kept: str, progress: Progress) -> None:
+def _announce(seeds: FitSeeds, of: str, kept: str, progress: Progress) -> None:
     """Say that a fit begins, which takes long, even where progress is off."""
     text = (
-        "detection probability has not been fitted for this detector and camera yet: fitting it once, in "
+        f"detection probability has not been fitted for this {of} yet: fitting it once, in "
         f"{len(seeds.fit) + len(seeds.held_out)} scenes; the fit is {kept}"
     )
+    _say(text, "progress=True shows how far it is", progress)
+
+
+def _say(text: str, hint: str, progress: Progress) -> None:
+    """Say something, and where nothing is shown log it as a warning, with a hint."""
     if type(progress) is NullProgress:
-        _logger.warning("%s; this takes minutes, and progress=True shows how far it is", text)
+        _logger.warning("%s; %s", text, hint)
     else:
         progress.say(text)
 
@@ -187,6 +243,7 @@ def fit_detector(
     held_out_seeds: tuple[int, ...] | None,
     out: Path | None,
     again: bool,
+    any_camera: bool = False,
     progress: Progress,
 ) -> Path:
     """Fit the detection probability of a detector, or take the stored fit, and show how good it is.
@@ -198,6 +255,7 @@ def fit_detector(
         held_out_seeds: Scenes to evaluate on; None: see `chosen_seeds`.
         out: Folder to keep it in; None: beside the detector's file, or in the user's cache.
         again: Whether to fit even if there is a stored fit.
+        any_camera: Whether to fit for any camera, and not for the configuration's alone.
         progress: Where to show it.
 
     Returns:
@@ -208,7 +266,9 @@ def fit_detector(
     """
     from warpav.view.figures.statistics import detection_curves, reliability_diagram
 
-    use = detector_use(config)
+    if any_camera:
+        config = any_camera_config(config)
+    use = any_camera_use(config) if any_camera else detector_use(config)
     seeds = chosen_seeds(config, fit_seeds, held_out_seeds)
     if out is not None:
         try:
@@ -222,10 +282,11 @@ def fit_detector(
             held_out_seeds is None or list(held_out_seeds) == model.record["held_out"]["seeds"]
         )
         if as_asked and not set(model.record["fit"]["seeds"]) & set(config.scenes.test_seeds):
-            progress.say(f"{stored} fits this detector, camera and source of scenes already and is used as it is")
+            of = "detector with any camera" if any_camera else "detector, camera"
+            progress.say(f"{stored} fits this {of} and source of scenes already and is used as it is")
             _show(model.record, progress)
             return stored
-    found = fit(config, seeds, words=words, progress=progress)
+    found = fit(config, seeds, any_camera=any_camera, words=words, progress=progress)
     file = _write(found.model, use, out)
     scores = found.scores
     reliability_diagram(
@@ -246,6 +307,8 @@ def fit(
     *,
     detector: Detector | None = None,
     ego: Mesh | None = None,
+    camera: CameraModel | None = None,
+    any_camera: bool = False,
     words: Sequence[str] = ("warpav", "detector", "fit"),
     progress: Progress,
 ) -> Fit:
@@ -256,8 +319,11 @@ def fit(
         seeds: Scenes to fit and to evaluate on.
         detector: The detector, where it is an object and not ``config.detector``.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
+        camera: The camera, where it is not that of ``config``.
+        any_camera: Whether to fit for cameras of all kinds (`warpav.detection.camera_mixture`) instead of that one; the
+            detector is a `ScalingDetector`.
         words: The command, for the record.
-        progress: Where to show it.
+        progress: Where to show it, and how long it takes if that is long.
 
     Raises:
         InputError: There are too few objects to fit or to evaluate on.
@@ -265,11 +331,20 @@ def fit(
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
     detector = load_detector(config) if detector is None else detector
-    samples = _sample_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, progress)
+    if any_camera:
+        assert isinstance(detector, ScalingDetector)
+        sources = [_any_camera_source(config, window, detector, k) for k, window in enumerate(windows_of(detector))]
+    else:
+        sources = [_camera_source(config, camera or camera_model(config))]
+    samples = _sample_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
-        model, penalty = fit_probability(known, rng=np.random.default_rng([config.run.seed, _FOLDS]))
+        model, penalty = fit_probability(
+            known,
+            rng=np.random.default_rng([config.run.seed, _FOLDS]),
+            monotone=MONOTONE_FOR_ANY_CAMERA if any_camera else MONOTONE,
+        )
     except ValueError as error:
         raise ArgumentError(
             "scenes", f"{error}; give more `scenes`, or other sizes of image", place=f"{name}: detection probability"
@@ -282,7 +357,12 @@ def fit(
     record = {
         "command": shlex.join(words),
         "seconds": round(time.perf_counter() - began, 1),
-        "fit": {"seeds": list(seeds.fit), "views_per_scene": VIEWS_PER_SCENE, **_counts(known), "penalty": penalty},
+        "fit": {
+            "seeds": list(seeds.fit),
+            "views_per_scene": sum(each.count for each in sources),
+            **_counts(known),
+            "penalty": penalty,
+        },
         "held_out": {"seeds": list(seeds.held_out), **_counts(unseen), **asdict(scores)},
     }
     return Fit(replace(model, record=record), known, unseen, probability, scores)
@@ -302,52 +382,174 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
+Draw = Callable[[np.random.Generator, "MountSurface", DeviceScene, int], "list[RigCamera]"]
+"""So many cameras on a vehicle in a scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Views of one image size that a detector is tried on.
+
+    Attributes:
+        model: A camera of that size.
+        count: Views in every scene, at least.
+        draw: Their cameras.
+        stream: Of the random numbers for them.
+        network_scale: Pixels of the network's input for one of their images, along x and y.
+    """
+
+    model: CameraModel
+    count: int
+    draw: Draw
+    stream: tuple[int, ...]
+    network_scale: tuple[float, float] = (1.0, 1.0)
+
+
+def _camera_source(config: Config, model: CameraModel) -> _Source:
+    """Random places and directions of one camera on roof and bonnet."""
+
+    def draw(rng: np.random.Generator, surface: MountSurface, scene: DeviceScene, count: int) -> list[RigCamera]:
+        del scene
+        return random_cameras(
+            rng,
+            surface,
+            model,
+            height_offset_m=config.rig.height_offset_m,
+            count=count,
+            **vars(free_ranges(config)),
+        )
+
+    return _Source(model, VIEWS_PER_SCENE, draw, (_CAMERAS,))
+
+
+def _any_camera_source(config: Config, window: Window, detector: ScalingDetector, index: int) -> _Source:
+    """Cameras of all kinds, seen through a window."""
+    near_m = config.camera.near_m
+
+    def draw(rng: np.random.Generator, surface: MountSurface, scene: DeviceScene, count: int) -> list[RigCamera]:
+        object_ego_m = scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count].astype(np.float64)
+        return [
+            mixed_camera(
+                rng,
+                window,
+                surface=surface,
+                ego_bounds_m=scene.ego_bounds_m,
+                object_ego_m=object_ego_m,
+                near_m=near_m,
+            )
+            for _ in range(count)
+        ]
+
+    model = CameraModel(window.width_px, window.height_px, near_m=near_m)
+    return _Source(model, window.count, draw, (_MIXTURE, index), _network_scale(detector, model))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampler:
+    """Tries a detector on the views of a source, so many at once as its renderer has."""
+
+    config: Config
+    detector: Detector
+    source: _Source
+    renderer: Renderer
+
+    @classmethod
+    def of(cls, config: Config, detector: Detector, source: _Source, *, at_once: int | None = None) -> _Sampler:
+        supersampling = config.camera.supersampling
+        if at_once is None:
+            at_once = chunk_view_count(source.model, supersampling=supersampling)
+        renderer = Renderer(
+            [source.model] * min(source.count, at_once),
+            supersampling=supersampling,
+            occlusion=Occlusion(config.visibility.occlusion),
+            device=checked_device(config.device),
+        )
+        return cls(config, detector, source, renderer)
+
+    def samples(self, scene: DeviceScene, surface: MountSurface, *, seed: int, count: int) -> DetectionSamples:
+        """What the detector finds in at least so many views of a scene."""
+        config, at_once = self.config, self.renderer.view_count
+        rng = np.random.default_rng([config.run.seed, *self.source.stream, seed])
+        cameras = self.source.draw(rng, surface, scene, -(-count // at_once) * at_once)
+        return DetectionSamples.join(
+            [
+                sample_detections(
+                    self.renderer,
+                    scene,
+                    cameras[first : first + at_once],
+                    self.detector,
+                    seed=seed,
+                    confidence_min=config.detector.confidence_min,
+                    iou_min=config.detector.iou_min,
+                    network_scale=self.source.network_scale,
+                )
+                for first in range(0, len(cameras), at_once)
+            ]
+        )
+
+
 def _sample_scenes(
-    config: Config, seeds: Sequence[int], detector: Detector, ego: Mesh | None, progress: Progress
+    config: Config,
+    seeds: Sequence[int],
+    detector: Detector,
+    ego: Mesh | None,
+    sources: Sequence[_Source],
+    progress: Progress,
 ) -> DetectionSamples:
-    """What the detector finds of the scenes through random cameras on the mount surface."""
+    """What the detector finds of the scenes in the views of some sources; says how long it takes, if that is long."""
     device = checked_device(config.device)
-    model = camera_model(config)
-    at_once = min(VIEWS_PER_SCENE, chunk_view_count(model, supersampling=config.camera.supersampling))
-    renderer = Renderer(
-        [model] * at_once,
-        supersampling=config.camera.supersampling,
-        occlusion=Occlusion(config.visibility.occlusion),
-        device=device,
-    )
+
+    def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
+        surface = None
+        for scene in load_scenes(config, seeds, ego=ego):
+            surface = surface or roof_surface(config, scene.ego)
+            yield DeviceScene.pack(scene, device=device), surface
+
+    scenes, scene_s = packed_scenes(), 0.0
+    known: list[tuple[DeviceScene, MountSurface]] = []
+    while len(known) < min(2, len(seeds)):  # the first one also pays for what all need
+        began = time.perf_counter()
+        known.append(next(scenes))
+        scene_s = time.perf_counter() - began
+    if known and known[-1][0].vehicle_count > 0:
+        seed = seeds[len(known) - 1]
+        views_s = sum(_trial_seconds(config, detector, each, *known[-1], seed) for each in sources)
+        expected_s = len(seeds) * (scene_s + views_s)
+        if expected_s > LONG_S:
+            _say(f"the fit takes {_about(expected_s)}", "progress=True shows how far it is", progress)
+    samplers = [_Sampler.of(config, detector, source) for source in sources]
 
     def parts() -> Iterator[DetectionSamples]:
-        surface = None
-        for seed, scene in zip(seeds, load_scenes(config, seeds, ego=ego), strict=True):
-            surface = surface or roof_surface(config, scene.ego)
-            packed = DeviceScene.pack(scene, device=device)
+        for seed, (packed, surface) in zip(seeds, itertools.chain(known, scenes), strict=True):
             if packed.vehicle_count == 0:
                 yield DetectionSamples.join([])
                 continue
-            cameras = random_cameras(
-                np.random.default_rng([config.run.seed, _CAMERAS, seed]),
-                surface,
-                model,
-                height_offset_m=config.rig.height_offset_m,
-                count=-(-VIEWS_PER_SCENE // at_once) * at_once,
-                **vars(free_ranges(config)),
-            )
             yield DetectionSamples.join(
-                [
-                    sample_detections(
-                        renderer,
-                        packed,
-                        cameras[first : first + at_once],
-                        detector,
-                        seed=seed,
-                        confidence_min=config.detector.confidence_min,
-                        iou_min=config.detector.iou_min,
-                    )
-                    for first in range(0, len(cameras), at_once)
-                ]
+                [each.samples(packed, surface, seed=seed, count=each.source.count) for each in samplers]
             )
 
     return DetectionSamples.join(list(progress.steps("sampling scenes", parts(), count=len(seeds))))
+
+
+def _trial_seconds(
+    config: Config, detector: Detector, source: _Source, scene: DeviceScene, surface: MountSurface, seed: int
+) -> float:
+    """How long the views of a source take in a scene, from a few of them [s]."""
+    count = min(_TRIAL_VIEWS, source.count)
+    sampler = _Sampler.of(config, detector, source, at_once=count)
+    sampler.samples(scene, surface, seed=seed, count=count)  # compiles and allocates
+    began = time.perf_counter()
+    sampler.samples(scene, surface, seed=seed, count=count)
+    return (time.perf_counter() - began) * source.count / count
+
+
+def _about(seconds: float) -> str:
+    """A duration as one says it."""
+    if seconds < 90.0:
+        return f"about {max(1, round(seconds / 10.0)) * 10} seconds"
+    if seconds < 5400.0:
+        return f"about {round(seconds / 60.0)} minutes"
+    return f"about {seconds / 3600.0:.1f} hours"
 
 
 def _counts(samples: DetectionSamples) -> dict[str, int]:

@@ -81,8 +81,12 @@ def camera_models(config: Config) -> tuple[CameraModel, ...]:
     return tuple(models) or (camera_model(config),)
 
 
-def rig_limits(config: Config) -> RigLimits | None:
+def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
     """How many cameras of which module a rig may have; None where all cameras are equal.
+
+    Args:
+        config: The configuration.
+        surface: Of `mount_surface`, from this configuration.
 
     Raises:
         InputError: No rig satisfies them.
@@ -91,11 +95,13 @@ def rig_limits(config: Config) -> RigLimits | None:
 
     if config.rig.modules is None:
         return None
+    pairs = surface.pairs or (False,) * len(surface.modules)
     return RigLimits.of(
         config.rig.modules,
         count=config.rig.camera_range,
         price={module.name: module.price.value for module in rig_modules(config)},
         cost_max=config.rig.max_cost,
+        kinds=[(name, 1 + is_pair) for name, is_pair in zip(surface.modules, pairs, strict=True)],
     )
 
 
@@ -126,6 +132,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
         propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones),
         ego,
         modules=rig_modules(config),
+        pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
         cell_m=config.mount.cell_m,
         min_upward_normal=config.mount.min_upward_normal,
         min_zone_normal=config.mount.min_zone_normal,
@@ -151,9 +158,11 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
     from warpav.optimisation.mount import CameraMount
 
+    surface = mount_surface(config, ego)
+    models = dict(zip(config.rig.modules or (), camera_models(config), strict=False))
     return CameraMount(
-        mount_surface(config, ego),
-        camera=camera_models(config) if config.rig.modules is not None else camera_model(config),
+        surface,
+        camera=[models[name] for name in surface.modules] if surface.modules else camera_model(config),
         # zones have their own stand-off
         height_offset_m=0.0 if has_zones(config) else config.rig.height_offset_m,
         device=checked_device(config.device),
@@ -176,8 +185,8 @@ def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras 
 
     if config.method == "thesis":
         return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
-    limits = rig_limits(config)
-    module = None if limits is None else limits.first_modules()
+    limits = rig_limits(config, surface)
+    module = None if limits is None else limits.first_kinds()
     return ZoneAndSpacing(
         surface,
         camera_count=config.rig.cameras if module is None else len(module),

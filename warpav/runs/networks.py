@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.detection.onnx_detector import OnnxDetector
     from warpav.detection.probability import DetectorUse
+    from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
 
 
@@ -60,9 +62,18 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
         InputError: Its file cannot be used, or gives something else than detections.
     """
     from warpav.detection.families.letterbox import GREY
+
+    detector = opened_detector(config, every_road_user=every_road_user)
+    # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
+    detector.detect(np.full((1, config.camera.height_px, config.camera.width_px, 3), GREY, np.uint8))
+    return detector
+
+
+def opened_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
+    """As `load_detector`, but not tried."""
     from warpav.detection.onnx_detector import OnnxDetector
 
-    detector = OnnxDetector(
+    return OnnxDetector(
         config.detector.model,
         confidence_min=config.detector.confidence_min,
         nms_iou_max=config.detector.nms_iou_max,
@@ -73,39 +84,95 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
         input_px=config.detector.input_px,
         provider=config.detector.provider,
     )
-    # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
-    detector.detect(np.full((1, config.camera.height_px, config.camera.width_px, 3), GREY, np.uint8))
-    return detector
 
 
-def detector_use(config: Config, ego: Mesh | None = None) -> DetectorUse:
+def detector_use(config: Config, ego: Mesh | None = None, camera: CameraModel | None = None) -> DetectorUse:
     """The detector, and everything in the configuration on which its detection probability in a view depends.
 
     Args:
         config: The configuration.
         ego: The vehicle, where it is an object and not ``config.scenes.ego``.
+        camera: The camera, where it is not the configuration's.
     """
-    from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
     from warpav.detection.probability import DetectorUse
 
     config = with_absolute_paths(config)  # a run folder writes them so, and finds the same fit
-    model = BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
     vehicle = own_vehicle_digest(config) if ego is None else digest(ego.vertex_m.tobytes(), ego.triangle.tobytes())
     free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}
     return DetectorUse(
-        model,
+        _model_path(config),
         {
             "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
-            "camera": config.camera.model_dump(mode="json"),
-            "scenes": config.scenes.model_dump(
-                mode="json", exclude={"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego"}
-            ),
+            "camera": _camera_settings(config, camera),
+            "scenes": _scene_settings(config),
             **({} if vehicle is None else {"scenes.ego": vehicle}),
             "rig.height_offset_m": config.rig.height_offset_m,
             "visibility.occlusion": config.visibility.occlusion,
             **({"rig.free": free} if free else {}),
         },
     )
+
+
+def any_camera_use(config: Config) -> DetectorUse:
+    """The detector, and what its detection probability depends on when pixels of the network's input are counted.
+
+    Field of view, lens, image size, pose and vehicle are not among it.
+
+    Args:
+        config: The configuration, as `any_camera_config` gives it.
+    """
+    from warpav.detection.camera_mixture import RECIPE
+    from warpav.detection.probability import DetectorUse
+
+    config = with_absolute_paths(config)
+    return DetectorUse(
+        _model_path(config),
+        {
+            "cameras": f"any, mixture {RECIPE}",
+            "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
+            "camera.supersampling": config.camera.supersampling,
+            "scenes": _scene_settings(config),
+            "visibility.occlusion": config.visibility.occlusion,
+        },
+    )
+
+
+def any_camera_config(config: Config) -> Config:
+    """The configuration with which a fit for any camera is made: around the scenes' own vehicle.
+
+    A network that takes images of any size does not care to what size others are scaled before.
+    """
+    changes = ["scenes.ego=null"]
+    if config.detector.input_px is not None and opened_detector(config).takes_any_size:
+        changes.append("detector.input_px=null")
+    return changed_config(config, changes, origin=None)
+
+
+def _model_path(config: Config) -> Path:
+    from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+
+    return BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
+
+
+def _scene_settings(config: Config) -> dict[str, Any]:
+    unseen = {"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego"}
+    return config.scenes.model_dump(mode="json", exclude=unseen)
+
+
+def _camera_settings(config: Config, camera: CameraModel | None) -> dict[str, Any]:
+    settings = config.camera.model_dump(mode="json")
+    if camera is None:
+        return settings
+    settings |= {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "fov_deg": round(math.degrees(camera.fov_rad), 9),
+        "lens": str(camera.lens),
+        "distortion": list(camera.distortion),
+    }
+    if camera.focal_px is not None:
+        settings |= {"focal_px": list(camera.focal_px), "centre_px": list(camera.centre_px or ())}
+    return settings
 
 
 @dataclass(frozen=True, eq=False)

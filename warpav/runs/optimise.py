@@ -12,7 +12,7 @@ from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
-from warpav.optimisation.pool import pool_cache_folder
+from warpav.optimisation.pool import CameraPool, pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.rig_values import single_cameras_of
@@ -112,6 +112,7 @@ class Optimisation:
         executor: Executor | None = None,
         pool: PoolSearchSettings | None = None,
         keeps_pool: bool = True,
+        known_pool: CameraPool | None = None,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -126,6 +127,7 @@ class Optimisation:
             executor: Where the search by a pool draws its cameras; None: here.
             pool: How much a search by a pool looks at; None: as configured.
             keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
+            known_pool: Of an earlier search of the same cameras on the same scenes, which this one goes on with.
             progress: Shows that several starts are tried.
 
         Raises:
@@ -169,6 +171,7 @@ class Optimisation:
                 cache=cache,
                 progress=progress,
                 limits=placement.limits,
+                pool=known_pool,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

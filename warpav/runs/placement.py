@@ -398,7 +398,7 @@ class Placement:
     @property
     def limits(self) -> RigLimits | None:
         """How many cameras of which module a rig may have; None where all are equal."""
-        return rig_limits(self.config)
+        return rig_limits(self.config, self.mount.surface)
 
     @property
     def frozen_rig(self) -> Rig | None:
@@ -629,7 +629,7 @@ def _assembled(
         networks.detector,
         camera_count=camera_count,
         losses=losses_of(options) if parts.losses is None else parts.losses,
-        camera_probability=_camera_probabilities(config, probability),
+        camera_probability=_camera_probabilities(config, probability, mount.surface.modules),
         multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
         constraints=constraints,
         confidence_min=config.detector.confidence_min,
@@ -653,14 +653,15 @@ def _assembled(
 
 
 def _camera_probabilities(
-    config: Config, probability: DetectionProbabilities | None
+    config: Config, probability: DetectionProbabilities | None, modules: Sequence[str]
 ) -> CameraProbability | list[CameraProbability] | None:
-    """How likely a camera is to detect, of modules each; one model stands for all of these."""
+    """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)
     found = [CameraProbability.of(config.losses, model) for model in models]
     if config.rig.modules is None or found == [None]:
         return found[0]
-    return [each for each in found * (len(config.rig.modules) // len(found)) if each is not None]
+    of_module = dict(zip(config.rig.modules, found * (len(config.rig.modules) // len(found)), strict=True))
+    return [each for name in modules if (each := of_module[name]) is not None]
 
 
 def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:

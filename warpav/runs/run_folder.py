@@ -16,6 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -30,7 +31,15 @@ from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.certificate import Certificate
-from warpav.runs.config import START_FILE, ZONES_FILE, Config, dump_config, load_config, with_absolute_paths
+from warpav.runs.config import (
+    CATALOGUE_FILE,
+    START_FILE,
+    ZONES_FILE,
+    Config,
+    dump_config,
+    load_config,
+    with_absolute_paths,
+)
 from warpav.runs.environment import environment
 from warpav.runs.events import flat_numbers, of_modules, read_events
 from warpav.view import Canvas, drawing_of, plot
@@ -111,6 +120,8 @@ class RunFolder:
             config = config.model_copy(update={"rig": rig})
         if config.mount.zones is not None:
             write_zones(read_zones(config.mount.zones), path / ZONES_FILE)
+        if config.rig.catalogue is not None:
+            shutil.copyfile(config.rig.catalogue, path / CATALOGUE_FILE)
         folder.replace_config(config)
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
         return folder
@@ -132,10 +143,14 @@ class RunFolder:
         return cls(folder)
 
     def replace_config(self, config: Config) -> None:
-        """Write ``config.yaml`` (again), with the same start and zones."""
+        """Write ``config.yaml`` (again), with the same start, zones and catalogue of modules."""
         if (self.path / START_FILE).is_file():
             rig = self.config().rig if (self.path / "config.yaml").is_file() else config.rig
             config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
+        if (self.path / CATALOGUE_FILE).is_file():
+            config = config.model_copy(
+                update={"rig": config.rig.model_copy(update={"catalogue": Path(CATALOGUE_FILE)})}
+            )
         if (self.path / ZONES_FILE).is_file():
             mount = config.mount.model_copy(update={"zones": Path(ZONES_FILE)})
             config = config.model_copy(update={"mount": mount})

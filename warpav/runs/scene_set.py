@@ -126,6 +126,8 @@ def scene_part(config: Config) -> Config:
             modules=config.rig.modules,
             catalogue=config.rig.catalogue,
             cameras=config.rig.cameras,
+            symmetric=config.rig.symmetric,
+            min_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else RigConfig().min_spacing_m,
         ),
         camera=config.camera,
         mount=config.mount,

@@ -119,6 +119,8 @@ def detection_probability_kernel(
     contrast: wp.array2d[float],
     width_px: float,
     height_px: float,
+    scale_x: float,
+    scale_y: float,
     coefficient: wp.array2d[float],
     start: wp.array[float],
     step: wp.array[float],
@@ -130,30 +132,33 @@ def detection_probability_kernel(
     """The features of every object in every view, and the probability that the detector finds it there.
 
     The curve of feature f has the knots ``start[f] + i step[f]`` and the B-spline coefficients ``coefficient[f]``; the
-    logit is their sum plus ``constant``. What shows less than a pixel fades out: the probability of an object of which
-    nothing is visible is 0, and so are all its features.
+    logit is their sum plus ``constant``. Pixels are those of the network's input, ``scale_x`` by ``scale_y`` of them
+    for one of the image. What shows less than a pixel fades out: the probability of an object of which nothing is
+    visible is 0, and so are all its features.
 
     Launch: ``dim=(view_count, object_count)``; no gradient is added by two threads.
     Writes: every element of ``feature`` [view, object, feature] and ``probability`` [view, object] once.
     """
     v, k = wp.tid()
-    visible_px = measure[v, k, VISIBLE_AREA]
-    alone_px = measure[v, k, AMODAL_AREA]
+    visible_px = measure[v, k, VISIBLE_AREA] * scale_x * scale_y
+    alone_px = measure[v, k, AMODAL_AREA] * scale_x * scale_y
     if visible_px <= 0.0 or alone_px <= 0.0 or whole_sr[v, k] <= 0.0:
         for f in range(FEATURE_COUNT):
             feature[v, k, f] = 0.0
         probability[v, k] = 0.0
         return
-    left = measure[v, k, LEFT]
-    right = measure[v, k, RIGHT]
-    top = measure[v, k, TOP]
-    bottom = measure[v, k, BOTTOM]
+    left = measure[v, k, LEFT] * scale_x
+    right = measure[v, k, RIGHT] * scale_x
+    top = measure[v, k, TOP] * scale_y
+    bottom = measure[v, k, BOTTOM] * scale_y
+    width = width_px * scale_x
+    height = height_px * scale_y
     size = wp.log(1.0 + visible_px)
     visible_share = visible_px / alone_px
     in_frame_share = in_frame_sr[v, k, 0] / whole_sr[v, k]
     aspect = wp.log((right - left + 1.0) / (bottom - top + 1.0))
     # extents that were carried on along their Jacobian may leave the image, where the logarithm would end
-    border = wp.log(wp.max(4.0 + soft_border_distance_px(left, right, top, bottom, width_px, height_px), 1.0))
+    border = wp.log(wp.max(4.0 + soft_border_distance_px(left, right, top, bottom, width, height), 1.0))
     feature[v, k, VISIBLE_SIZE] = size
     feature[v, k, VISIBLE_SHARE] = visible_share
     feature[v, k, IN_FRAME_SHARE] = in_frame_share

@@ -30,6 +30,7 @@ class Coverage:
         visible: Samples that nothing hides.
         amodal: Samples of the object alone.
         solid_angle_sr: Their solid angle.
+        visible_sr: Solid angle of the samples that nothing hides.
         farthest: How far they reach to the left, right, top and bottom: samples from the opposite side of the grid; 0
             where there are none.
     """
@@ -37,6 +38,7 @@ class Coverage:
     visible: float
     amodal: float
     solid_angle_sr: float
+    visible_sr: float
     farthest: wp.vec4i
 
 
@@ -66,6 +68,7 @@ def measure_coverage_kernel(
     visible = float(0.0)
     amodal = float(0.0)
     solid_angle_sr = float(0.0)
+    visible_sr = float(0.0)
     to_left = int(0)
     to_right = int(0)
     to_top = int(0)
@@ -84,7 +87,10 @@ def measure_coverage_kernel(
                         visible += 1.0
                     ray = sample_ray(camera, row, column)
                     if wp.length_sq(ray) > 0.0:
-                        solid_angle_sr += solid_angle(camera, ray)
+                        of_sample_sr = solid_angle(camera, ray)
+                        solid_angle_sr += of_sample_sr
+                        if hiding.bits[place] == wp.int32(0):
+                            visible_sr += of_sample_sr
                     to_left = wp.max(to_left, width - column)
                     to_right = wp.max(to_right, column + 1)
                     to_top = wp.max(to_top, height - row)
@@ -93,6 +99,7 @@ def measure_coverage_kernel(
     covered.visible = visible
     covered.amodal = amodal
     covered.solid_angle_sr = solid_angle_sr
+    covered.visible_sr = visible_sr
     covered.farthest = wp.vec4i(to_left, to_right, to_top, to_bottom)
     coverage[v, object_index, lane] = covered
 
@@ -107,23 +114,26 @@ def sum_coverage_kernel(
     # out
     measure: wp.array3d[float],
     solid_angle_sr: wp.array3d[float],
+    visible_sr: wp.array3d[float],
 ):
     """Sum what the lanes have found, in their order, and turn it into pixels.
 
     Launch: ``dim=(view_count, object_count)``; one thread per pair. Not taped.
-    Writes: every element of ``measure`` [view, object, measure] once, BOX_AREA with 0, and of ``solid_angle_sr`` [view,
-        object, 1].
+    Writes: every element of ``measure`` [view, object, measure] once, BOX_AREA with 0, and of ``solid_angle_sr`` and
+        ``visible_sr`` [view, object, 1].
     """
     v, k = wp.tid()
     visible = float(0.0)
     amodal = float(0.0)
     solid_angle = float(0.0)
+    visible_solid_angle = float(0.0)
     farthest = wp.vec4i(0, 0, 0, 0)
     for lane in range(coverage.shape[2]):
         part = coverage[v, k, lane]
         visible += part.visible
         amodal += part.amodal
         solid_angle += part.solid_angle_sr
+        visible_solid_angle += part.visible_sr
         farthest = wp.max(farthest, part.farthest)
     samples_per_px = float(supersampling)
     per_sample = 1.0 / (samples_per_px * samples_per_px)
@@ -131,6 +141,7 @@ def sum_coverage_kernel(
     measure[v, k, AMODAL_AREA] = per_sample * amodal
     measure[v, k, BOX_AREA] = 0.0
     solid_angle_sr[v, k, 0] = solid_angle
+    visible_sr[v, k, 0] = visible_solid_angle
     measure[v, k, LEFT] = float(width - 2 * GUARD) / samples_per_px
     measure[v, k, RIGHT] = 0.0
     measure[v, k, TOP] = float(height - 2 * GUARD) / samples_per_px

@@ -30,7 +30,9 @@ def hide_by_nearest_surface_kernel(
     hiding_bits: wp.array[wp.int32],
     hiding_source: wp.array[wp.int32],
 ):
-    """Exact occlusion: whatever is nearest in the joint key buffer and belongs to another object hides the layer.
+    """Whatever is nearest in the key buffer and belongs to another object hides the layer where that is not nearer.
+
+    A joint key buffer (exact occlusion) has nothing behind the layer; one of the occluders alone may have.
 
     Launch: ``dim=(views of this chunk, layer_count, row_lanes * column_lanes)``; the lanes of a pair share its samples.
     Not taped.
@@ -46,8 +48,10 @@ def hide_by_nearest_surface_kernel(
             bits = wp.int32(0)
             if nearest != wp.int64(0):
                 triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
-                if scene.triangle_body[triangle] != layer_body[layer]:
-                    bits = wp.int32(nearest >> wp.int64(32))
+                depth_bits = wp.int32(nearest >> wp.int64(32))
+                is_nearer = layers.inverse_depth_bits[offset + row * rectangle[2] + column] > depth_bits
+                if not is_nearer and scene.triangle_body[triangle] != layer_body[layer]:
+                    bits = depth_bits
                     hiding_source[offset + row * rectangle[2] + column] = triangle
             hiding_bits[offset + row * rectangle[2] + column] = bits
 

@@ -78,7 +78,7 @@ class FreeConfig(Section):
     )
 
 
-LATER_RIG_OPTIONS = ("fewest_cameras", "modules", "catalogue", "max_cost")
+LATER_RIG_OPTIONS = ("fewest_cameras", "modules", "catalogue", "max_cost", "symmetric")
 """Options of the section that files leave out where they are not set."""
 
 _COUNTS_TEXT = "a mapping from modules to how many, such as {front_8mp_30: 1, fisheye_3mp_190: 0..4}"
@@ -179,6 +179,10 @@ class RigConfig(Section):
     ) = Field(default=None, description="catalogue of the modules; null: the one that ships with warpav")
     max_cost: float | None = Field(
         default=None, gt=0.0, description="what all cameras may cost together, in the unit of the catalogue"
+    )
+    symmetric: bool | None = Field(
+        default=None,
+        description="whether modules stand in mirrored pairs, or in the middle where a zone is centred; null: no",
     )
 
     @model_validator(mode="before")

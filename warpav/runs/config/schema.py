@@ -541,11 +541,11 @@ class ConfigTree(Section):
                 "run.batch_size",
                 "scenes.train_seeds",
             )
+        self._check_modules()
         self._check_free()
         self._check_freeze()
         self._check_zones()
         self._check_importance()
-        self._check_modules()
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
@@ -582,12 +582,17 @@ class ConfigTree(Section):
 
     def _check_modules(self) -> None:
         rig = self.rig
-        for name in ("catalogue", "max_cost"):
-            if rig.modules is None and getattr(rig, name) is not None:
-                text = f"expected null without rig.modules, got {shown(getattr(rig, name))}"
-                mistake(f"{text}; say which modules there are", f"rig.{name}", "rig.modules")
         if rig.modules is None:
+            if rig.max_cost is not None:
+                text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
+                mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
+            if rig.symmetric:
+                mistake(
+                    "expected null without rig.modules; say which modules there are", "rig.symmetric", "rig.modules"
+                )
             return
+        if rig.symmetric and rig.freeze:
+            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if self.method == "thesis":
             mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
         if self.descends or not self.losses.suits_pool:

@@ -1,0 +1,46 @@
+"""The command that checks a rig against requirements."""
+
+import json
+
+import pytest
+from PIL import Image
+
+from warpav.cli.app import main
+
+
+def test_a_preset_is_checked_and_drawn(working_directory, capsys):
+    arguments = ["rig", "requirements", "edgar", "--json", "out.json", "--picture", "out.png"]
+    assert main([*arguments, "--requirements", "r158_like"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:2] == ["requirement", "needs"]
+    assert lines[1].startswith("rear_view ")
+    assert lines[3] == "not met: rear_view, rear_detection"
+    assert lines[4:] == ["wrote out.json", "wrote out.png"]
+    data = json.loads((working_directory / "out.json").read_text())
+    assert not data["met"]
+    assert [each["name"] for each in data["requirements"]] == ["rear_view", "rear_detection"]
+    with Image.open("out.png") as image:
+        assert image.width == 1350
+
+
+def test_what_is_met_is_said(working_directory, capsys):
+    (working_directory / "mine.yaml").write_text(
+        "requirements:\n  ahead: {area: {box_m: [[20, -2], [30, 2]]}, grid_m: 2, object: adult}\n", encoding="utf-8"
+    )
+    assert main(["rig", "requirements", "edgar", "--requirements", "mine.yaml"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "100.0 %" in lines[1]
+    assert lines[2] == "all hard requirements are met"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["edgar", "--requirements", "nearfield"], "did you mean near_field?"),
+        (["edgr"], "did you mean edgar"),
+        (["edgar", "--picture", "out.jpg"], "expected a name that ends in .png"),
+    ],
+)
+def test_bad_input_is_status_2(working_directory, capsys, arguments, text):
+    assert main(["rig", "requirements", *arguments]) == 2
+    assert text in capsys.readouterr().err

@@ -1,0 +1,261 @@
+"""Check whether a rig meets requirements: how much of each, where not, and how many cameras see every point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.raster.mesh import Mesh
+from warpav.requirements.area import Body
+from warpav.requirements.read import read_requirements
+from warpav.requirements.requirement import Ghosts, Requirement
+from warpav.requirements.visibility import RENDER_WIDTH_PX, Visibility, ghost_visibility, poses_of
+from warpav.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from warpav.scene.scene import Scene
+
+WORST_COUNT = 5
+"""Points of a requirement that a table and JSON name."""
+
+SCHEMA = "warpav-requirements/1"
+
+
+@dataclass(frozen=True)
+class WorstPoint:
+    """A point that is not met, or the one that is met most narrowly.
+
+    Attributes:
+        position_m: In the ego frame [m].
+        cameras: How many cameras see enough of the test object there.
+        visible_share: The largest share that one camera sees, 0..1.
+        pixels: The largest area that one camera sees [px^2].
+        camera: The camera that comes closest; None where none sees anything.
+    """
+
+    position_m: tuple[float, float]
+    cameras: int
+    visible_share: float
+    pixels: float
+    camera: str | None
+
+
+@dataclass(frozen=True)
+class RequirementOutcome:
+    """How well a rig meets one requirement.
+
+    Attributes:
+        requirement: The requirement.
+        points: Number of its points.
+        met: How many of them are met.
+        worst: The points furthest from being met, the worst first; none where all are met.
+    """
+
+    requirement: Requirement
+    points: int
+    met: int
+    worst: tuple[WorstPoint, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of its points that are met, 0..1."""
+        return self.met / self.points
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every point is met."""
+        return self.met == self.points
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON file has it."""
+        requirement = self.requirement
+        return {
+            "name": requirement.name,
+            "hard": requirement.is_hard,
+            "weight": requirement.weight,
+            "need": {
+                "object": requirement.test_object.kind,
+                "visible_share": requirement.visible_share,
+                "pixels": requirement.pixels,
+                "cameras": requirement.cameras,
+            },
+            "points": self.points,
+            "met": self.met,
+            "share": self.share,
+            "worst": [
+                {
+                    "position_m": list(point.position_m),
+                    "cameras": point.cameras,
+                    "visible_share": point.visible_share,
+                    "pixels": point.pixels,
+                    "camera": point.camera,
+                }
+                for point in self.worst
+            ],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class RequirementResult:
+    """What a rig meets of some requirements, point by point.
+
+    Attributes:
+        camera_names: The rig's cameras.
+        ghosts: The test objects.
+        body: The vehicle from above.
+        visibility: What each camera sees of each of them.
+    """
+
+    camera_names: tuple[str, ...]
+    ghosts: Ghosts
+    body: Body
+    visibility: Visibility
+
+    @cached_property
+    def meets(self) -> np.ndarray:
+        """Whether each camera sees enough of each test object, bool [camera, ghost]."""
+        return self.visibility.meets(self.ghosts)
+
+    @property
+    def camera_count(self) -> np.ndarray:
+        """How many cameras see enough of each test object, int [ghost]."""
+        return self.meets.sum(axis=0)
+
+    @property
+    def is_point_met(self) -> np.ndarray:
+        """Whether enough cameras do, bool [ghost]."""
+        return self.camera_count >= self.ghosts.of_each("cameras")
+
+    @cached_property
+    def outcomes(self) -> tuple[RequirementOutcome, ...]:
+        """One for each requirement, in order."""
+        return tuple(self._outcome(r) for r in range(len(self.ghosts.requirements)))
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every point of every hard requirement is met."""
+        return bool(self.is_point_met[self.ghosts.is_hard].all())
+
+    @property
+    def cost(self) -> float:
+        """Sum over the requirements that have a weight: the weight times the share of points that are not met."""
+        return sum(
+            each.requirement.weight * (1.0 - each.share)
+            for each in self.outcomes
+            if each.requirement.weight is not None
+        )
+
+    def _outcome(self, r: int) -> RequirementOutcome:
+        requirement = self.ghosts.requirements[r]
+        ghost = np.flatnonzero(self.ghosts.requirement == r)
+        closeness = self.visibility.closeness(self.ghosts)[:, ghost]
+        # a point is as close as the last camera that it still needs
+        k = min(requirement.cameras, len(closeness))
+        last = np.sort(closeness, axis=0)[-k] if len(closeness) >= requirement.cameras else np.zeros(len(ghost))
+        is_met = self.is_point_met[ghost]
+        order = np.argsort(last, kind="stable")
+        worst = [int(ghost[i]) for i in order if not is_met[i]][:WORST_COUNT]
+        return RequirementOutcome(requirement, len(ghost), int(is_met.sum()), tuple(map(self._point, worst)))
+
+    def _point(self, ghost: int) -> WorstPoint:
+        share, pixels = self.visibility.visible_share[:, ghost], self.visibility.pixels[:, ghost]
+        x, y = self.ghosts.position_m[ghost].tolist()
+        closest = int(np.argmax(self.visibility.closeness(self.ghosts)[:, ghost]))
+        return WorstPoint(
+            (x, y),
+            int(self.camera_count[ghost]),
+            float(share.max()),
+            float(pixels.max()),
+            self.camera_names[closest] if share.max() > 0.0 else None,
+        )
+
+    def table(self) -> str:
+        """What is required, what of it is met, and where it is furthest from that, as plain text."""
+        rows = [("requirement", "needs", "points", "met", "", "worst point")]
+        for each in self.outcomes:
+            weight = each.requirement.weight
+            rows.append(
+                (
+                    each.requirement.name,
+                    each.requirement.need(),
+                    str(each.points),
+                    f"{100.0 * each.share:.1f} %",
+                    "hard" if weight is None else f"weight {weight:g}",
+                    _worst_text(each.worst),
+                )
+            )
+        width = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join(
+            "  ".join(
+                text.rjust(width[k]) if k in (2, 3) else text.ljust(width[k]) for k, text in enumerate(row)
+            ).rstrip()
+            for row in rows
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON file has it: outcomes, and for every point its position and how many cameras see it."""
+        return {
+            "schema": SCHEMA,
+            "met": self.is_met,
+            "cost": self.cost,
+            "cameras": list(self.camera_names),
+            "requirements": [
+                {
+                    **outcome.to_json(),
+                    "position_m": np.round(self.ghosts.position_m[self.ghosts.requirement == r], 4).tolist(),
+                    "camera_count": self.camera_count[self.ghosts.requirement == r].tolist(),
+                }
+                for r, outcome in enumerate(self.outcomes)
+            ],
+        }
+
+
+def _worst_text(worst: Sequence[WorstPoint]) -> str:
+    if not worst:
+        return ""
+    point = worst[0]
+    x, y = point.position_m
+    seen = "no camera sees it" if point.camera is None else f"{point.camera} {100.0 * point.visible_share:.0f} %"
+    if point.camera is not None:
+        seen += f", {point.pixels:.0f} px"
+    return f"({x:.1f}, {y:.1f}) m: {seen}"
+
+
+def check_requirements(
+    rig: Rig,
+    ego: Mesh | Scene,
+    requirements: str | Path | Sequence[Requirement],
+    *,
+    render_width_px: int = RENDER_WIDTH_PX,
+    supersampling: int = 1,
+    device: str = "cpu",
+) -> RequirementResult:
+    """Check whether a rig meets requirements on a vehicle.
+
+    Each test object stands alone on flat ground; only the vehicle's body hides it.
+
+    Args:
+        rig: Cameras of any lenses and sizes.
+        ego: The vehicle in the ego frame, or a scene, of which the vehicle counts alone.
+        requirements: Of `read_requirements`, or what that reads: a YAML file, or a template's name.
+        render_width_px: Wider images are drawn this wide.
+        supersampling: Samples per pixel of the drawn images along each axis.
+        device: Warp device.
+
+    Raises:
+        InputError: The requirements cannot be read or used, or the device is not there.
+    """
+    if isinstance(requirements, (str, Path)):
+        requirements = read_requirements(requirements)
+    mesh = ego if isinstance(ego, Mesh) else ego.ego
+    ghosts = Ghosts.of(requirements, mesh)
+    pose, models = poses_of(rig)
+    visibility = ghost_visibility(
+        pose, models, ghosts, mesh, render_width_px=render_width_px, supersampling=supersampling, device=device
+    )
+    return RequirementResult(tuple(each.name for each in rig.cameras), ghosts, Body.of(mesh), visibility)

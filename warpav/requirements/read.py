@@ -1,0 +1,223 @@
+"""Requirements' YAML files, and the templates that ship with warpav."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.requirements.area import SIDES, Area, Band, Polygon, Strip
+from warpav.requirements.requirement import Requirement
+from warpav.requirements.test_object import SIZES_M, TestObject
+from warpav.rig.formats.record import Record, read_yaml_record
+from warpav.scene.own_vehicle import read_vehicle_file
+
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Sectors of 45 degrees around the middle of the body, the first one centred straight ahead."""
+
+_FOLDER = Path(__file__).parent / "templates"
+_KEYS = (
+    "area", "grid_m", "object", "visible_share", "pixels", "cameras", "sector", "hard", "weight",
+)  # fmt: skip
+_AREAS = ("around_m", "strip", "box_m", "polygon_m")
+_STRIP = ("side", "distance_m", "along_m")
+_OBJECT = ("kind", "mesh", "height_m", "width_m", "length_m", "yaw_deg")
+
+
+def template_names() -> list[str]:
+    """Names of the shipped templates, sorted, such as ``near_field``."""
+    return sorted(file.stem for file in _FOLDER.glob("*.yaml"))
+
+
+def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
+    """Read requirements, strictly.
+
+    Args:
+        source: A YAML file, or the name of a shipped template (`template_names`). The file holds ``requirements``, a
+            mapping from names to what is required: ``area`` with one of ``around_m`` (least and greatest distance from
+            the body), ``strip`` (``side``, ``distance_m``, ``along_m``), ``box_m`` (two corners) and ``polygon_m`` in
+            the ego frame; ``grid_m``; ``object``, a name of `SIZES_M` or a mapping with ``kind`` or ``mesh``,
+            ``height_m``, ``width_m``, ``length_m``, ``yaw_deg``; and, where wanted, ``visible_share`` (0.5),
+            ``pixels`` (0), ``cameras`` (1), ``sector`` (a name of `SECTORS`, or two yaws in degrees), and ``hard``
+            (true) or a ``weight``.
+
+    Raises:
+        InputError: There is no such file or template, or it breaks the format; the line says where, which field, what
+            was expected and what came.
+    """
+    file = _found(source)
+    record = read_yaml_record(file)
+    fields = record.mapping("a mapping with requirements")
+    _check_keys(fields, ("requirements",))
+    found = record.at("requirements").mapping("a mapping from names to requirements")
+    if not found:
+        raise record.at("requirements").error("at least one requirement")
+    return tuple(_requirement(name, each, file.parent) for name, each in found.items())
+
+
+def _found(source: str | Path) -> Path:
+    names = template_names()
+    if str(source) in names:
+        return _FOLDER / f"{source}.yaml"
+    path = Path(source).expanduser()
+    if path.suffix.lower() not in (".yaml", ".yml") and not path.is_file():
+        near = difflib.get_close_matches(str(source), names, 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(f"requirements: expected a YAML file or one of {', '.join(names)}, got {str(source)!r}{hint}")
+    return path
+
+
+def _check_keys(fields: Mapping[str, Record], known: Sequence[str]) -> None:
+    for key, record in fields.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise record.error(f"one of {', '.join(known)}", f"the key {key!r}{hint}")
+
+
+def _requirement(name: str, record: Record, folder: Path) -> Requirement:
+    fields = record.mapping("a requirement: a mapping with area, grid_m and object")
+    _check_keys(fields, _KEYS)
+    visible_share = record.at("visible_share").number(0.5)
+    if not 0.0 < visible_share <= 1.0:
+        raise record.at("visible_share").error("a share above 0 and up to 1")
+    pixels = record.at("pixels").number(0.0)
+    if pixels < 0.0:
+        raise record.at("pixels").error("an area of 0 px^2 or more")
+    cameras = record.at("cameras").whole(1)
+    if cameras < 1:
+        raise record.at("cameras").error("at least 1 camera")
+    hard = record.at("hard")
+    if hard.value not in (None, True, False):
+        raise hard.error("true or false")
+    weight = None if record.at("weight").value is None else _positive(record.at("weight"))
+    if hard.value is True and weight is not None:
+        raise record.at("weight").error("no weight of a hard requirement; leave out one of hard and weight")
+    if hard.value is False and weight is None:
+        raise hard.error("a weight beside it, such as weight: 1.0", "hard: false alone")
+    return Requirement(
+        name=name,
+        area=_area(record.at("area")),
+        grid_m=_positive(record.at("grid_m")),
+        test_object=_test_object(record.at("object"), folder),
+        visible_share=visible_share,
+        pixels=pixels,
+        cameras=cameras,
+        sector_rad=_sector(record.at("sector")),
+        weight=weight,
+    )
+
+
+def _area(record: Record) -> Area:
+    fields = record.mapping(f"an area: a mapping with one of {', '.join(_AREAS)}")
+    _check_keys(fields, _AREAS)
+    if len(fields) != 1:
+        raise record.error(f"one of {', '.join(_AREAS)}", f"{', '.join(fields) or 'none'}")
+    ((kind, value),) = fields.items()
+    if kind == "around_m":
+        distance = _range(value)
+        if distance[0] < 0.0:
+            raise value.error("distances of 0 m or more")
+        return Band(distance)
+    if kind == "strip":
+        strip = value.mapping(f"a mapping with {', '.join(_STRIP)}")
+        _check_keys(strip, _STRIP)
+        side = value.at("side").text()
+        if side not in SIDES:
+            near = difflib.get_close_matches(side, SIDES, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise value.at("side").error(f"one of {', '.join(SIDES)}", f"{side!r}{hint}")
+        along = value.at("along_m")
+        return Strip(side, _range(value.at("distance_m")), None if along.value is None else _range(along))
+    if kind == "box_m":
+        (x0, y0), (x1, y1) = value.matrix(2, 2)
+        if not (x0 < x1 and y0 < y1):
+            raise value.error("a box: its lowest corner, then its highest")
+        return Polygon(((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
+    corners = [each.numbers(2) for each in value.items("a list of corners [x, y]")]
+    array = np.array(corners).reshape(-1, 2)
+    area = 0.5 * float(np.sum(array[:, 0] * np.roll(array[:, 1], -1) - np.roll(array[:, 0], -1) * array[:, 1]))
+    if len(corners) < 3 or abs(area) < 1e-6:
+        raise value.error("at least three corners that enclose an area")
+    return Polygon(tuple((x, y) for x, y in corners))
+
+
+def _test_object(record: Record, folder: Path) -> TestObject:
+    if isinstance(record.value, str):
+        return TestObject(_kind(record), SIZES_M[_kind(record)])
+    fields = record.mapping(f"one of {', '.join(SIZES_M)}, or a mapping with {', '.join(_OBJECT)}")
+    _check_keys(fields, _OBJECT)
+    if ("kind" in fields) == ("mesh" in fields):
+        raise record.error("one of kind and mesh", "both" if "kind" in fields else "none")
+    yaw_rad = math.radians(record.at("yaw_deg").number(0.0))
+    if "mesh" in fields:
+        sized = [name for name in ("height_m", "width_m", "length_m") if name in fields]
+        if sized:
+            raise fields[sized[0]].error("no size of a mesh, which has its own")
+        return _own(record.at("mesh"), folder, yaw_rad)
+    kind = _kind(record.at("kind"))
+    size = [
+        _positive(record.at(name)) if name in fields else usual
+        for name, usual in zip(("length_m", "width_m", "height_m"), SIZES_M[kind], strict=True)
+    ]
+    return TestObject(kind, (size[0], size[1], size[2]), yaw_rad)
+
+
+def _kind(record: Record) -> str:
+    kind = record.text()
+    if kind not in SIZES_M:
+        near = difflib.get_close_matches(kind, SIZES_M, 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise record.error(f"one of {', '.join(SIZES_M)}", f"{kind!r}{hint}")
+    return kind
+
+
+def _own(record: Record, folder: Path, yaw_rad: float) -> TestObject:
+    """A mesh of one's own, put onto the ground at the origin."""
+    path = folder / Path(record.text()).expanduser()
+    try:
+        file = read_vehicle_file(path)
+    except InputError as error:
+        raise InputError(f"{record.location}: {error}") from None
+    mesh = file.in_ego_frame(file.usual)
+    low, high = mesh.bounds_m()
+    size = (high - low).astype(np.float64)
+    if not (size > 1e-3).all() or size.max() > 20.0:
+        raise record.error("a mesh of 1 mm to 20 m along every axis", f"one of {np.round(size, 3).tolist()} m")
+    shift = -np.append(0.5 * (low + high)[:2], low[2])
+    length, width, height = size.tolist()
+    return TestObject(path.stem, (length, width, height), yaw_rad, mesh.transformed(np.eye(3), shift))
+
+
+def _sector(record: Record) -> tuple[float, float] | None:
+    if record.value is None:
+        return None
+    if isinstance(record.value, str):
+        if record.value not in SECTORS:
+            near = difflib.get_close_matches(record.value, SECTORS, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise record.error(f"one of {', '.join(SECTORS)}, or two yaws in degrees", f"{record.value!r}{hint}")
+        middle = 0.25 * math.pi * SECTORS.index(record.value)
+        return middle - math.pi / 8.0, middle + math.pi / 8.0
+    start, end = record.numbers(2)
+    if not start < end <= start + 360.0:
+        raise record.error("two yaws in degrees, counter-clockwise, such as [135, 225] for the rear")
+    return (math.radians(start), math.radians(end)) if end < start + 360.0 else None
+
+
+def _range(record: Record) -> tuple[float, float]:
+    low, high = record.numbers(2)
+    if not low < high:
+        raise record.error("a range, the lower end first")
+    return low, high
+
+
+def _positive(record: Record) -> float:
+    value = record.number()
+    if value <= 0.0:
+        raise record.error("a positive number")
+    return value

@@ -1,0 +1,353 @@
+"""How many cameras, at what cost: the best rig of every number or budget, each selected, polished and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, OptionError
+from warpav.core.executor import Executor
+from warpav.core.files import write_json
+from warpav.core.progress import Progress
+from warpav.evaluation.rig_evaluation import RigEvaluation, Table
+from warpav.optimisation.further_camera import further_gain, missed_probability
+from warpav.optimisation.pool import CameraPool
+from warpav.optimisation.pool_cache import rows_of
+from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_search import PoolSearchSettings, too_near
+from warpav.optimisation.rig_limits import RigLimits, range_text
+from warpav.rig.rig import Rig, write_rig
+from warpav.runs.config import changed_config
+from warpav.runs.evaluate import evaluate_on
+from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
+from warpav.runs.placement import Placement
+from warpav.runs.progress import shown_progress
+from warpav.scene.scene import Scene
+from warpav.view import Canvas, drawing_of, plot
+
+MOST_BUDGETS = 8
+"""Budgets of a front by cost, at most: evenly spread from the cheapest rig to the dearest."""
+FRONT_FILE, FRONT_FIGURE = "front.json", "front.png"
+"""What `Front.save` writes beside the rigs."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPoint:
+    """The best rig of a number of cameras, or within a budget.
+
+    Attributes:
+        name: ``4_cameras``, or ``cost_12.5``.
+        rig: The rig.
+        cost: What its modules cost together; 0 of equal cameras.
+        objective: Expected miss rate on the scenes of the search.
+        bound: No rig of the pool's cameras within the same limits is below it, on these scenes.
+        pool_cameras: Cameras of that pool.
+        misses_per_100: Objects of unseen scenes that the detector does not find, per 100; None without such scenes.
+        expected_misses_per_100: The same by the model of detection probability.
+        is_dominated: Whether another rig of no more cameras and no more cost misses fewer on the scenes of the search.
+    """
+
+    name: str
+    rig: Rig
+    cost: float
+    objective: float
+    bound: float
+    pool_cameras: int
+    misses_per_100: float | None = None
+    expected_misses_per_100: float | None = None
+    is_dominated: bool = False
+
+    @property
+    def modules(self) -> dict[str, int]:
+        """How many cameras of each module it has; of equal cameras none."""
+        names = [camera.module for camera in self.rig.cameras if camera.module is not None]
+        return {name: names.count(name) for name in dict.fromkeys(names)}
+
+    def to_json(self) -> dict[str, Any]:
+        """As the front's file has it."""
+        return {
+            "name": self.name,
+            "cameras": len(self.rig.cameras),
+            "modules": self.modules,
+            "cost": self.cost,
+            "objective": self.objective,
+            "bound": self.bound,
+            "pool_cameras": self.pool_cameras,
+            "misses_per_100": self.misses_per_100,
+            "expected_misses_per_100": self.expected_misses_per_100,
+            "is_dominated": self.is_dominated,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """Rigs of rising number or cost, the best of each.
+
+    Attributes:
+        points: They, from the fewest cameras or the smallest budget on.
+        by: ``cameras`` or ``cost``.
+        scenes: Names of the unseen scenes that they were judged on.
+        evaluation: All metrics on these; None without such scenes.
+    """
+
+    points: tuple[FrontPoint, ...]
+    by: str
+    scenes: tuple[str, ...] = ()
+    evaluation: RigEvaluation | None = field(repr=False, default=None)
+
+    def table(self) -> Table:
+        """One row a rig: text when printed, HTML in a notebook."""
+        rows = [
+            (
+                each.name.replace("_", " "),
+                str(len(each.rig.cameras)),
+                ", ".join(f"{count} {name}" for name, count in each.modules.items()) or "-",
+                f"{each.cost:g}",
+                f"{100.0 * each.objective:.2f}",
+                f"{100.0 * each.bound:.2f}",
+                "-" if each.expected_misses_per_100 is None else f"{each.expected_misses_per_100:.2f}",
+                "-" if each.misses_per_100 is None else f"{each.misses_per_100:.2f}",
+                "dominated" if each.is_dominated else "",
+            )
+            for each in self.points
+        ]
+        columns = ("rig", "cameras", "modules", "cost", "seen", "bound", "unseen, expected", "unseen, detector", "")
+        caption = (
+            "Misses per 100: on the scenes of the search, where no rig of the pool is below the bound; and unseen."
+        )
+        return Table(columns, tuple(rows), caption)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the rigs, one file each, ``front.json`` and ``front.png``.
+
+        Args:
+            folder: A folder; it is made where it does not exist.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: It holds a front already, or cannot be written.
+        """
+        path = Path(folder).expanduser()
+        if (path / FRONT_FILE).exists():
+            raise ArgumentError(
+                "folder", f"expected one without {FRONT_FILE}, got one that has it; give another", place=path
+            )
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArgumentError("folder", f"expected a folder to write to, got: {error.strerror}", place=path) from None
+        for each in self.points:
+            write_rig(each.rig, path / f"rig_{each.name}.yaml")
+        plot(self, out=path / FRONT_FIGURE)
+        content = {
+            "schema": 1,
+            "by": self.by,
+            "scenes": {"test": list(self.scenes)},
+            "points": [each.to_json() for each in self.points],
+            "evaluation": None if self.evaluation is None else self.evaluation.to_json(),
+        }
+        write_json(path / FRONT_FILE, content)
+        return path
+
+    def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
+        """Show the front in a notebook or write its image to a file; see `warpav.view.plot`."""
+        return plot(self, out=out, **options)
+
+    def __str__(self) -> str:
+        return str(self.table())
+
+    def _repr_html_(self) -> str:
+        return self.table()._repr_html_()
+
+
+def front(
+    placement: Placement,
+    test: Sequence[Scene] | None = None,
+    *,
+    by: str | None = None,
+    progress: bool | Progress | None = None,
+    executor: Executor | None = None,
+) -> Front:
+    """The best rig of every number of cameras, or within every budget. Nothing is written.
+
+    All share one pool of cameras: each search goes on with what those before have rendered, and begins with the rig
+    before and the camera that helps it most, so no rig misses more on the scenes of the search than a smaller one.
+
+    Args:
+        placement: ``cameras="2..8"`` gives the numbers, ``modules=`` what there is to choose from, and
+            ``rig={"max_cost": 12}`` the greatest budget.
+        test: Scenes to judge the rigs on, that none was optimised on; None: those of the configuration, and none where
+            the placement is made of objects.
+        by: ``cameras``: one rig for every number; ``cost``: one for every of some budgets. None: by cost where the
+            numbers are not a range.
+        progress: As of `warpav.runs.optimise.optimise`.
+        executor: Where the pool is drawn; None: here.
+
+    Raises:
+        InputError: There is nothing to choose from, the objective is not by a pool, or the limits exclude each other.
+    """
+    least, most = placement.config.rig.camera_range
+    by = ("cost" if least == most else "cameras") if by is None else by
+    if by not in ("cameras", "cost"):
+        raise ArgumentError("by", f"expected cameras or cost, got {by!r}")
+    if placement.parts.freeze:
+        names = ", ".join(placement.parts.freeze)
+        raise OptionError("rig.freeze", f"expected none, as the rigs have different numbers of cameras, got {names}")
+    with shown_progress(progress) as shown:
+        placement.prepare(shown)
+        if not searches_by_pool(placement):
+            raise OptionError(
+                "optimiser.search", "expected the search by a pool, got a descent; set optimiser.search=pool"
+            )
+        steps = _by_cost(placement) if by == "cost" else _by_number(placement, least, most)
+        points = _searched(placement, steps, shown, executor)
+        if test is not None:
+            scenes = placement.observed(test, progress=shown)
+        else:
+            scenes = [] if placement.parts.has_own_scenes else placement.test
+        if not scenes:
+            return Front(_without_dominated(points), by)
+        evaluation = evaluate_on({each.name: each.rig for each in points}, scenes, placement, progress=shown)
+    judged = []
+    for each in points:
+        outage = evaluation.camera_outage[each.name]
+        expected = None if outage is None else outage.expected_misses_per_100
+        found = evaluation.metrics[each.name].misses_per_100
+        judged.append(replace(each, misses_per_100=found, expected_misses_per_100=expected))
+    return Front(_without_dominated(judged), by, evaluation.scenes, evaluation)
+
+
+_Step = tuple[str, int, RigLimits | None]
+"""Name of a rig, the cameras that it has at most, and its limits."""
+
+
+def _by_number(placement: Placement, least: int, most: int) -> list[_Step]:
+    limits = placement.limits
+    if least == most:
+        raise OptionError("rig.cameras", f"expected a range, such as 2..8, got {most}")
+    return [
+        (
+            f"{count}_camera{'' if count == 1 else 's'}",
+            count,
+            None if limits is None else limits.within(count=(count, count)),
+        )
+        for count in range(least, most + 1)
+    ]
+
+
+def _by_cost(placement: Placement) -> list[_Step]:
+    limits = placement.limits
+    if limits is None:
+        raise OptionError("rig.modules", "expected modules with prices for a front by cost, got equal cameras")
+    low, high = limits.cost_range()
+    if not high > low:
+        raise OptionError("rig.modules", f"expected modules to choose from, got one rig alone, of cost {low:g}")
+    budgets = np.linspace(low, high, MOST_BUDGETS)
+    return [
+        (
+            f"cost_{budget:.4g}",
+            limits.count[1],
+            limits.within(cost_max=float(budget)),
+        )
+        for budget in budgets
+    ]
+
+
+def _searched(
+    placement: Placement, steps: Sequence[_Step], progress: Progress, executor: Executor | None
+) -> list[FrontPoint]:
+    """The best rig of every step."""
+    points: list[FrontPoint] = []
+    pool: CameraPool | None = None
+    before: PoolDescent | None = None
+    settings = pool_search_settings(placement.config)
+    for name, count, limits in progress.steps("rigs", steps, count=len(steps)):
+        start = None if before is None else _larger(before, count, limits)
+        search = _search(placement, count, limits, start, pool, settings, executor, progress)
+        records = []
+        while search.verdict is None:
+            records.append(search.step())
+        found = search.finish()
+        assert search.found is not None
+        pool, before = search.found.pool, search
+        rig = placement.mount.rig(found.mount_pose)
+        cost = 0.0 if limits is None else limits.cost([camera.module for camera in rig.cameras])
+        selections = [each for each in records if each.stage == "selection"]
+        bound = max((each.bound for each in selections[-1:] if each.bound is not None), default=0.0)
+        points.append(FrontPoint(name, rig, cost, found.training_objective, bound, search.found.pool_cameras))
+        progress.say(f"{name.replace('_', ' ')}: expected misses {100.0 * found.training_objective:.2f} per 100")
+    return points
+
+
+def _search(
+    placement: Placement,
+    count: int,
+    limits: RigLimits | None,
+    start: np.ndarray | None,
+    pool: CameraPool | None,
+    settings: PoolSearchSettings,
+    executor: Executor | None,
+    progress: Progress,
+) -> PoolDescent:
+    """The search of a step."""
+    numbers = limits.count if limits is not None else (count, count)
+    options = [f"rig.cameras={range_text(numbers)}"]
+    if limits is not None and limits.cost_max is not None:
+        options.append(f"rig.max_cost={limits.cost_max!r}")
+    smaller = placement.with_config(changed_config(placement.config, options, origin=None))
+    begun = Optimisation.begin(
+        smaller, start=start, executor=executor, pool=settings, known_pool=pool, progress=progress
+    )
+    assert isinstance(begun.descent, PoolDescent)
+    return begun.descent
+
+
+def _larger(before: PoolDescent, count: int, limits: RigLimits | None) -> np.ndarray | None:
+    """A rig to begin with, float32 [camera, 7]: that of a smaller search, and the cameras that help it most.
+
+    None where the limits leave no room for more, or ask for another mix.
+    """
+    assert before.found is not None
+    pool, rig, mount = before.found.pool, before.found.mount_pose, before.objective.mount
+
+    def size(rig: np.ndarray) -> int:
+        return len(rig) if limits is None else limits.size(mount.module_of(rig))
+
+    while size(rig) < (count if limits is None else limits.count[0]):
+        gain = further_gain(
+            missed_probability(pool.detection_probability[rows_of(rig + np.float32(0.0), pool.mount_pose)]),
+            pool.detection_probability,
+            before.object_weight,
+        )
+        for camera in np.argsort(-gain, kind="stable"):
+            larger = np.concatenate([rig, pool.mount_pose[camera][None]])
+            is_part = limits is None or limits.holds(mount.module_of(larger), is_whole=False)
+            if is_part and too_near(larger, before.objective.constraints).nnz == 0:
+                rig = larger
+                break
+        else:
+            return None
+    return rig if limits is None or limits.holds(mount.module_of(rig)) else None
+
+
+def _without_dominated(points: Sequence[FrontPoint]) -> tuple[FrontPoint, ...]:
+    """The points, those marked that another one beats in all: cameras, cost, and misses in the search."""
+
+    def beats(one: FrontPoint, other: FrontPoint) -> bool:
+        pair = [(len(each.rig.cameras), each.cost, each.objective) for each in (one, other)]
+        return pair[0] != pair[1] and all(a <= b for a, b in zip(*pair, strict=True))
+
+    return tuple(replace(each, is_dominated=any(beats(other, each) for other in points)) for each in points)
+
+
+@drawing_of.register(Front)
+def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    from warpav.view.figures.front import front_figure
+
+    return front_figure([each.to_json() for each in found.points], by=found.by, title=canvas.title)

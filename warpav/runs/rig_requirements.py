@@ -1,0 +1,60 @@
+"""A rig on its vehicle against requirements: printed, written and drawn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.devices import checked_device
+from warpav.core.files import writing
+from warpav.requirements.check import check_requirements
+from warpav.requirements.read import read_requirements
+from warpav.runs.config import Config
+from warpav.runs.rig_source import check_rig_source, find_rig
+from warpav.runs.scene_set import load_scenes
+
+
+def check_rig(
+    source: str,
+    config: Config,
+    *,
+    requirements: str,
+    json_file: Path | None = None,
+    picture: Path | None = None,
+) -> Iterator[str]:
+    """Check a rig against requirements; lines that say what it meets.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives the vehicle: ``scenes.ego``, or that of the first test scene.
+        requirements: YAML file, or a template's name.
+        json_file: JSON file to write.
+        picture: PNG file to draw it into.
+
+    Raises:
+        InputError: The rig or the requirements cannot be used, or a file cannot be written.
+    """
+    from warpav.view.figures.requirements import requirement_map
+    from warpav.view.figures.style import checked_png
+
+    if picture is not None:
+        checked_png(picture)
+    wanted = read_requirements(requirements)
+    check_rig_source(source)
+    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    rig = find_rig(source, config, ego)
+    result = check_requirements(
+        rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)
+    )
+    yield result.table()
+    unmet = [each.requirement.name for each in result.outcomes if each.requirement.is_hard and not each.is_met]
+    yield f"not met: {', '.join(unmet)}" if unmet else "all hard requirements are met"
+    if json_file is not None:
+        with writing(json_file), atomic_write(json_file) as draft:
+            draft.write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
+        yield f"wrote {json_file}"
+    if picture is not None:
+        requirement_map(picture, result=result, rig=rig, ego=ego)
+        yield f"wrote {picture}"
