@@ -57,11 +57,22 @@ def draw_zones(folder: Path) -> None:
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
 
 
+def draw_gain(folder: Path) -> None:
+    """gain.png: what one more camera would bring to a rig of a quick search among all zones, on the body."""
+    run, zones = folder / "run", folder / "zones.yaml"
+    _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
+    _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(zones), "--image", str(folder / "zones.png"))
+    _warpav("optimise", "quick", f"mount.zones={zones}", f"run.out={run}")
+    _warpav("inspect", str(run), "--show", "gain", "--out", str(PICTURES / "gain.png"))
+
+
 def draw_front(folder: Path) -> None:
     """front.png: the best rigs of two to eight cameras out of three modules."""
     modules = "rig.modules={side_2mp_100: 0..8, surround_1_4mp_70: 0..8, fisheye_1_3mp_190: 0..8}"
     _warpav("front", "quick", modules, "rig.cameras=2..8", "--out", str(folder / "front"))
     shutil.copyfile(folder / "front" / "front.png", PICTURES / "front.png")
+
+
 def draw_requirements(folder: Path) -> None:
     """requirements.png: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
     _warpav("rig", "requirements", "edgar", "--picture", str(PICTURES / "requirements.png"))
@@ -199,6 +210,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
     "zones.png": draw_zones,
+    "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,

@@ -128,7 +128,7 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert cv2.imread("rig.png").std() > 5.0
     assert capsys.readouterr().out == "wrote rig.png\n"
     pictures = [cv2.imread("rig.png")]
-    for shown in ("coverage", "outcomes", "visibility"):
+    for shown in ("coverage", "redundancy", "outcomes", "visibility", "zones"):
         argv = ["inspect", str(run_folder.path), "--show", shown, "--out", f"{shown}.png"]
         assert main(argv) == 0
         pictures.append(cv2.imread(f"{shown}.png"))
@@ -136,11 +136,10 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
         assert all((one != other).any() for other in pictures[:k])
     assert "--show" in complaint(capsys, "inspect", "highest", "--show", "blind")
     for source in (str(run_folder.path), "highest"):  # a descent, and no run at all
-        told = complaint(capsys, "inspect", source, "--show", "further", "--out", "further.png")
-        assert (
-            "--show): expected the folder of a run with optimiser.search=pool that has drawn its pool for 'further'"
-            in told
-        )
+        for shown in ("further", "gain"):
+            told = complaint(capsys, "inspect", source, "--show", shown, "--out", "further.png")
+            words = f"expected the folder of a run with optimiser.search=pool that has drawn its pool for '{shown}'"
+            assert f"--show): {words}" in told
 
 
 def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
@@ -148,11 +147,12 @@ def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch
     monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
     window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
     monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
-    for shown in ("rig", "coverage", "outcomes", "visibility", "sight"):
+    for shown in ("rig", "coverage", "outcomes", "visibility", "sight", "zones", "redundancy"):
         assert main(["inspect", "highest", "--show", shown]) == 0
         warning = "--show sight: is called --show visibility now; the old name goes in the next version\n"
         assert capsys.readouterr().err == (warning if shown == "sight" else "")
-    assert [options["begin_with"] for options in opened] == ["coverage", "coverage", "outcomes", *2 * ["visibility"]]
+    expected = ["coverage", "coverage", "outcomes", "visibility", "visibility", "zones", "redundancy"]
+    assert [options["begin_with"] for options in opened] == expected
 
 
 @needs_opengl

@@ -55,6 +55,7 @@ def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory,
     assert len(folder.rig().cameras) == 2
     assert folder.evaluation() is None
     assert main(["inspect", "stopped", "--show", "further", "--out", "further.png"]) == 0
+    assert main(["inspect", "stopped", "--show", "gain", "--out", "gain.png"]) == 0
     assert (working_directory / "further.png").is_file()
     assert main(["report", "stopped"]) == 0
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
-from warpav.evaluation.coverage import Ground, free_shares
+from warpav.evaluation.coverage import PATCH_M, Ground, free_shares
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh, merge
@@ -159,3 +159,27 @@ def test_sizes_are_checked(device, rng):
         Ground.around(scene, cell_m=0.0)
     with pytest.raises(ValueError, match="heights_m must be positive"):
         Ground.around(scene).coverage([around_eye()], heights_m=())
+
+
+def test_the_ground_itself_is_seen_around_the_vehicle(device, rng):
+    """Two cameras that see all round see a patch of a plane unless the vehicle hides it: counts against embree."""
+    scene = packed(rng, device)
+    cells = Ground.around(scene, radius_m=20.0, cell_m=0.8)
+    eyes_m = np.array([[1.35, 0.6, 1.8], [1.35, -0.6, 1.8]])
+    cameras = [RigCamera(f"eye_{k}", eye_m, 0.0, 0.0, 0.0, WIDE) for k, eye_m in enumerate(eyes_m)]
+    found = cells.coverage(cameras, heights_m=(PATCH_M,))
+    row, column = np.nonzero(found.is_open[0])
+    point_m = np.stack([cells.x_m[row], cells.y_m[column], np.full(len(row), PATCH_M)], axis=1)
+    ego = ego_mesh(rng)
+    body = trimesh.Trimesh(ego.vertex_m, ego.triangle, process=False)
+    assert type(body.ray).__module__.endswith("ray_pyembree")
+    # a segment that meets the body ends at it; the plane below is never met before the point
+    hidden = [body.ray.intersects_any(np.tile(eye_m, (len(point_m), 1)), point_m - eye_m) for eye_m in eyes_m]
+    expected = 2 - np.sum(hidden, axis=0)
+    found_count = found.count[0, row, column]
+    assert set(np.unique(expected)) == {0, 1, 2}
+    assert (found_count != expected).mean() < 0.005  # rays along the body's outline
+    distance_m = np.linalg.norm(point_m[:, :2] - 0.5 * sum(ego.bounds_m())[:2], axis=1)
+    for cameras_count in (1, 2):
+        share = float(found.share_seen_by(cameras_count, radius_m=10.0)[0])
+        assert share == pytest.approx((found_count[distance_m < 10.0] >= cameras_count).mean())

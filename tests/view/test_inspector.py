@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
-from warpav.evaluation.coverage import Ground
+from warpav.evaluation.coverage import PATCH_M, Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.further_camera import FurtherCameras
@@ -19,7 +19,7 @@ from warpav.view.further_view import ARROW_M, TITLE
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
-from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
+from warpav.view.palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
 from warpav.view.rig_view import project_px
 
 CAR = vehicle(1, 9.0, 0.5)
@@ -181,10 +181,10 @@ def test_a_camera_is_dragged_by_the_mouse(inspector):
 def test_keys_do_what_the_help_says(inspector, tmp_path):
     state = inspector.state
     heights = []
-    for _ in range(3):
+    for _ in range(4):
         press(inspector, "c")
         heights.append(inspector.shown_height)
-    assert heights == [1, None, 0]
+    assert heights == [1, 2, None, 0]
     press(inspector, "n")
     assert state.scene is SCENES[1]
     press(inspector, "d")
@@ -355,6 +355,73 @@ def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector
         opened.go_to(2)
         press(opened, "m")
         assert "further_cameras" not in opened.plotter.actors
+    finally:
+        opened.plotter.close()
+
+
+def test_the_ground_itself_is_counted(inspector):
+    """Its colours and the line are those of a coverage computed anew, also after a drag."""
+    state = inspector.state
+    press(inspector, "c")
+    press(inspector, "c")
+    inspector.drag(0, np.array([1.5, 0.6]))
+    inspector.choose(0)
+    inspector.turn(1.3)  # to the left, where the second looks
+    anew = Ground.around(state.packed).coverage(state.rig.cameras, heights_m=(PATCH_M,))
+    np.testing.assert_array_equal(state.ground_coverage.count, anew.count)
+    row, column = np.nonzero(anew.is_open[0])
+    level = np.minimum(anew.count[0, row, column], 3)
+    assert len(np.unique(level)) >= 3  # none, one, two cameras
+    shown = inspector.plotter.actors["coverage"].mapper.dataset.cell_data["RGBA"]
+    np.testing.assert_array_equal(shown[:, :3], np.array(COVERAGE_RGB)[level])
+    ground = anew.ground
+    centre_m = SCENES[0].ego.bounds_m().mean(axis=0)[:2]
+    near = np.hypot(ground.x_m[row] - centre_m[0], ground.y_m[column] - centre_m[1]) < 20.0
+    share = [float((anew.count[0, row, column][near] >= count).mean()) for count in (1, 2, 3)]
+    line = f"the ground within 20 m: {share[0]:.1%} by 1, {share[1]:.1%} by 2, {share[2]:.1%} by 3 cameras or more"
+    assert line in inspector._numbers.input.splitlines()
+    press(inspector, "n")  # another scene, another ground
+    assert inspector.plotter.actors["coverage"].mapper.dataset.n_cells == state.ground_coverage.is_open.sum()
+    press(inspector, "c")
+    assert "coverage" not in inspector.plotter.actors
+
+
+def test_the_body_carries_zones_then_gains_then_nothing(state, inspector):
+    """Zones stay whatever happens to the cameras; gains belong to the rig of the last frame."""
+
+    def painted(opened):
+        return {name for name in opened.plotter.actors if name in ("zones", "gain")}
+
+    assert "z: body: zones, off" in help_of(inspector)
+    seen = []
+    for _ in range(3):
+        press(inspector, "z")
+        seen.append(painted(inspector))
+    assert seen == [{"zones"}, set(), {"zones"}]  # no search by a pool
+    inspector.drop(0, np.array([1.2, 0.3]))
+    press(inspector, "n")
+    assert painted(inspector) == {"zones"}
+    assert "zones/legend/0" in inspector.plotter.actors
+    state._further, state.has_further_cameras = FURTHER, True
+    opened = Inspector(state, save_to=inspector.save_to, begin_with="gain", off_screen=True, window_size=(640, 400))
+    try:
+        opened.plotter.show(auto_close=False, interactive=False)
+        assert "z: body: zones, one more camera, off" in help_of(opened)
+        before = picture(opened)
+        assert painted(opened) == {"gain"}
+        gain_of_100 = opened.plotter.actors["gain"].mapper.dataset.cell_data["gain_of_100"]
+        assert set(np.unique(gain_of_100).round(6)) == {0.5, 1.0, 2.0}
+        opened.go_to(0)
+        assert painted(opened) == set()
+        opened.go_to(2)
+        opened.drag(1, np.array([1.0, 0.0]))
+        assert painted(opened) == set()
+        opened.go_to(2)
+        press(opened, "z")
+        assert painted(opened) == set()
+        assert np.abs(picture(opened) - before).max() > 50
+        press(opened, "z")
+        assert painted(opened) == {"zones"}
     finally:
         opened.plotter.close()
 

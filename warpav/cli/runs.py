@@ -131,11 +131,24 @@ def inspect(
         ),
     ] = None,
     show: Annotated[
-        Literal["rig", "coverage", "outcomes", "visibility", "further", "sheet", "sight"],
+        Literal[
+            "rig",
+            "coverage",
+            "redundancy",
+            "outcomes",
+            "visibility",
+            "further",
+            "zones",
+            "gain",
+            "sheet",
+            "sight",
+        ],
         Parameter(
-            help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
+            help="Besides the rig: coverage, how many cameras see a child where; redundancy, how many see the ground "
+            "itself; zones, where cameras may stand on the body; outcomes, which vehicles are "
             "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name); "
-            "further, of a run with optimiser.search=pool, where one more camera would help most; sheet, instead of "
+            "further, of a run with optimiser.search=pool, where one more camera would help most, gain, the same "
+            "painted on the body; sheet, instead of "
             "all that, a page to print (PDF, SVG or PNG) with the rig to scale from above and from the side."
         ),
     ] = "rig",

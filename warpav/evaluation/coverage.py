@@ -25,6 +25,9 @@ from warpav_kernels.evaluation import ground as kernels
 HEIGHTS_M = (1.1, 1.7)
 """Top of a child's and of an adult's head above the ground [m]."""
 
+PATCH_M = 0.05
+"""Of a patch of the ground itself: so high above it that the ground does not hide it [m]."""
+
 RADIUS_M = 25.0
 CELL_M = 0.5
 STEP_M = 0.3
@@ -275,6 +278,18 @@ class Coverage:
         """Area of the ground where no camera sees a person of a height [m^2], float64 [height]."""
         return (self.count == 0).sum(axis=(1, 2)) * self.ground.cell_m**2
 
+    def share_seen_by(self, cameras: int, *, radius_m: float) -> np.ndarray:
+        """Share of the open cells near the vehicle that so many cameras see, or more.
+
+        Args:
+            cameras: How many, at least 1.
+            radius_m: How near to the ego vehicle's centre [m].
+
+        Returns:
+            float64 [height]; NaN where nobody can stand.
+        """
+        return self._share(self.count >= cameras, self._distance_m < radius_m)
+
     def covered_share_by_distance(self, edges_m: Sequence[float]) -> np.ndarray:
         """`covered_share` in rings around the ego vehicle's centre.
 
@@ -284,14 +299,19 @@ class Coverage:
         Returns:
             float64 [height, ring]; NaN where nobody can stand in a ring.
         """
-        ground = self.ground
-        centre_m = 0.5 * (ground.x_m[0] + ground.x_m[-1]), 0.5 * (ground.y_m[0] + ground.y_m[-1])
-        distance_m = np.hypot(ground.x_m[:, None] - centre_m[0], ground.y_m[None] - centre_m[1])
+        distance_m = self._distance_m
         rings = [
             self._share(self.count > 0, (low <= distance_m) & (distance_m < high))
             for low, high in itertools.pairwise(edges_m)
         ]
         return np.stack(rings, axis=1)
+
+    @property
+    def _distance_m(self) -> np.ndarray:
+        """Of every cell from the ego vehicle's centre [m], float64 [row, column]."""
+        ground = self.ground
+        centre_m = 0.5 * (ground.x_m[0] + ground.x_m[-1]), 0.5 * (ground.y_m[0] + ground.y_m[-1])
+        return np.hypot(ground.x_m[:, None] - centre_m[0], ground.y_m[None] - centre_m[1])
 
     def _share(self, flag: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
         is_open = self.is_open if within is None else self.is_open & within

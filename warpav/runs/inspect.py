@@ -11,7 +11,7 @@ from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import nearest_iteration, rigs_of_events
 from warpav.runs.events import of_modules, trajectory
-from warpav.runs.mounts import camera_mount, constraints_of
+from warpav.runs.mounts import camera_mount, constraints_of, mount_surface
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.scene.scene import Scene
-    from warpav.view.inspector import Inspector
+    from warpav.view.inspector import BEGINNINGS, Inspector
 
-Shown = Literal["rig", "coverage", "outcomes", "visibility", "further", "sheet"]
-"""What an image of a rig shows besides: the ground by how many cameras see somebody there, traffic by what becomes of
-it, what every camera sees, or what one more camera would bring; or, instead, a page to print."""
+Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
+"""What an image of a rig shows besides: the ground by how many cameras see somebody there, or see the ground itself;
+traffic by what becomes of it; what every camera sees; what one more camera would bring, as arrows, or painted on the
+body; the zones of the body; or, instead, a page to print."""
 
 
 def inspect_rig(
@@ -60,20 +61,22 @@ def inspect_rig(
         inspector(source, config, begin_with="coverage" if shown == "rig" else shown).plotter.show()
         return None
     is_run = is_run_folder(source)
-    further = _further(source) if shown == "further" else None
+    further = _further(source, shown) if shown in ("further", "gain") else None
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
     if is_run and shown == "rig":
         return plot(RunFolder.open(source).drawn(config), out=out, progress=progress)
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
+    on_body = shown in ("further", "zones", "gain")
     return plot(
         rig,
         out=out,
         progress=progress,
         scene=scene,
-        trajectory_m=trajectory(RunFolder.open(source).events()) if is_run and further is None else None,
+        trajectory_m=trajectory(RunFolder.open(source).events()) if is_run and not on_body else None,
+        mount_surface=mount_surface(config, scene.ego) if shown in ("zones", "gain") else None,
         outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
-        coverage=_coverage(rig, scene, config) if shown == "coverage" else None,
+        coverage=_coverage(rig, scene, config, shown) if shown in ("coverage", "redundancy") else None,
         visibility=shown == "visibility",
         further=further,
     )
@@ -92,7 +95,7 @@ def inspector(
     source: str,
     config: Config,
     *,
-    begin_with: Literal["coverage", "outcomes", "visibility", "further"] = "coverage",
+    begin_with: BEGINNINGS = "coverage",
     off_screen: bool | None = None,
 ) -> Inspector:
     """The interactive view of a rig on the test scenes, with the iterations of a run; not yet shown.
@@ -111,7 +114,7 @@ def inspector(
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
 
-    further = _further(source) if begin_with == "further" else None
+    further = _further(source, begin_with) if begin_with in ("further", "gain") else None
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
     first = next(load_scenes(config, seeds[:1]))
     rig = find_rig(source, config, first.ego)
@@ -143,25 +146,26 @@ def inspector(
     return Inspector(state, save_to=save_to, trajectory_m=trajectory_m, begin_with=begin_with, off_screen=off_screen)
 
 
-def _further(source: str) -> FurtherCameras:
+def _further(source: str, shown: str) -> FurtherCameras:
     """What further cameras would add to the rig of a run."""
     found = RunFolder.open(source).further_cameras() if is_run_folder(source) else None
     if found is None:
         raise ArgumentError(
             "show",
-            "expected the folder of a run with optimiser.search=pool that has drawn its pool for 'further', got "
+            f"expected the folder of a run with optimiser.search=pool that has drawn its pool for {shown!r}, got "
             f"{source!r}",
         )
     return found
 
 
-def _coverage(rig: Rig, scene: Scene, config: Config) -> Coverage:
-    """Which cameras see whom where."""
-    from warpav.evaluation.coverage import Ground
+def _coverage(rig: Rig, scene: Scene, config: Config, shown: Shown) -> Coverage:
+    """Which cameras see whom where, or the ground itself."""
+    from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
     from warpav.scene.device_scene import DeviceScene
 
     packed = DeviceScene.pack(scene, device=checked_device(config.device))
-    return Ground.around(packed).coverage(rig.cameras)
+    heights_m = HEIGHTS_M if shown == "coverage" else (PATCH_M,)
+    return Ground.around(packed).coverage(rig.cameras, heights_m=heights_m)
 
 
 def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:

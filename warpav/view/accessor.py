@@ -52,7 +52,7 @@ class SurfaceAccessor:
             InputError: No face looks upwards, or the vehicle is not given in metres.
         """
         from warpav.rig.mount_surface import mount_surface_from_mesh
-        from warpav.view.vehicle_view import mountable_zone_to_pyvista
+        from warpav.view.body_view import mountable_zone_to_pyvista
 
         return mountable_zone_to_pyvista(
             mount_surface_from_mesh(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.evaluation.coverage import Ground
+from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.rig.rig import Rig, RigCamera, write_rig
 from warpav.scene.device_scene import DeviceScene
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.descent_view import Steepest
+
+NEAR_M = 20.0
+"""Ground of which the lines say how much several cameras see is this near to the vehicle's centre [m]."""
 
 KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
@@ -86,7 +89,7 @@ class InspectedRig:
         self.scene_index, self.scene_count = 0, scene_count
         self._constraints, self._height_offset_m = constraints, height_offset_m
         self._observer_of, self._device = observer_of, device
-        self._last_coverage: tuple[tuple[RigCamera, ...], Coverage] | None = None
+        self._last_coverage: dict[tuple[float, ...], tuple[tuple[RigCamera, ...], Coverage]] = {}
         kept = lru_cache(KEPT_SCENES)
         self._scene_of = kept(scene_of)
         self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
@@ -162,15 +165,23 @@ class InspectedRig:
     @cached_property
     def coverage(self) -> Coverage:
         """Which cameras see whom where in the scene; only cameras that changed since the last time are asked again."""
+        return self._coverage_of(HEIGHTS_M)
+
+    @cached_property
+    def ground_coverage(self) -> Coverage:
+        """The same of patches of the ground itself."""
+        return self._coverage_of((PATCH_M,))
+
+    def _coverage_of(self, heights_m: tuple[float, ...]) -> Coverage:
         ground, cameras = self._ground_of(self.scene_index), self.rig.cameras
-        if self._last_coverage is None or self._last_coverage[1].ground is not ground:
-            coverage = ground.coverage(cameras)
+        before, coverage = self._last_coverage.get(heights_m, (None, None))
+        if before is None or coverage is None or coverage.ground is not ground:
+            coverage = ground.coverage(cameras, heights_m=heights_m)
         else:
-            before, coverage = self._last_coverage
             for index, (old, new) in enumerate(zip(before, cameras, strict=True)):
                 if new is not old:
                     coverage = coverage.with_camera(index, new)
-        self._last_coverage = cameras, coverage
+        self._last_coverage[heights_m] = cameras, coverage
         return coverage
 
     @cached_property
@@ -217,5 +228,5 @@ class InspectedRig:
         self._forget()
 
     def _forget(self) -> None:
-        for name in ("coverage", "observation"):
+        for name in ("coverage", "ground_coverage", "observation"):
             self.__dict__.pop(name, None)

@@ -14,18 +14,28 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M
+from warpav.view.body_view import add_gain, add_zones
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
 from warpav.view.further_view import add_further_cameras
+from warpav.view.inspected import NEAR_M
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
-from warpav.view.visibility_view import RAYS_PX, add_camera_visibility, add_coverage, add_outcomes, colour_coverage
+from warpav.view.visibility_view import (
+    RAYS_PX,
+    add_camera_visibility,
+    add_coverage,
+    add_outcomes,
+    colour_coverage,
+    patch_words,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from warpav.evaluation.coverage import Ground
+    from warpav.evaluation.coverage import Coverage, Ground
     from warpav.evaluation.metrics import CameraObservation
     from warpav.rig.rig import RigCamera
     from warpav.view.inspected import InspectedRig
@@ -34,23 +44,32 @@ if TYPE_CHECKING:
 
 KEYS = {
     "n": "next scene",
-    "c": "coverage: child, adult, off",
+    "c": "coverage: child, adult, ground, off",
     "d": "detections",
     "v": "views",
     "g": "descent arrows",
     "m": "one more camera",
+    "z": "body: zones, one more camera, off",
     "Left": "turn left",
     "Right": "turn right",
     "Return": "write the rig",
     "q": "quit",
 }
-"""What keys do, as the line of help in the window says; m only after a search by a pool.
+"""What keys do, as the line of help in the window says; m, and the second of z, only after a search by a pool.
 
 VTK has uses of its own for w, s, r, f, p, u, e, a and 3.
 """
 
 VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
+
+BEGINNINGS = Literal["coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain"]
+"""What an inspector may show at first."""
+
+SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
+"""Of which the ground shows how many cameras see somebody, or at last the ground itself [m]."""
+
+_BOTTOM = 0.1  # above the lines of help
 
 TURN_RAD = math.radians(2.0)
 MESSAGE_CHARACTERS = 80
@@ -69,12 +88,13 @@ class Inspector:
         plotter: The window; call ``show`` on it.
         state: What is shown; change it by the methods of this class, so that the window follows.
         chosen: Number of the camera whose view is shown; None: no view.
-        shown_height: Which of the coverage's heights is shown; None: no coverage.
+        shown_height: Which of `SHOWN_HEIGHTS_M` the coverage is shown of; None: no coverage.
         shows_outcomes: Whether traffic is coloured by what becomes of it.
         shows_visibility: Whether the views of the cameras are painted, up to what hides the rest; the ground carries
             either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
         shows_further: Whether arrows show what one more camera would bring, where that is known.
+        shown_on_body: What the body is painted with: its zones, or what one more camera would bring where.
 
     What moves is changed, not drawn again: while a camera is dragged no actor is made, and one image is drawn.
     """
@@ -85,7 +105,7 @@ class Inspector:
         *,
         save_to: Path,
         trajectory_m: np.ndarray | None = None,
-        begin_with: Literal["coverage", "outcomes", "visibility", "further"] = "coverage",
+        begin_with: BEGINNINGS = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
     ) -> None:
@@ -95,8 +115,9 @@ class Inspector:
             state: What to show.
             save_to: File that the rig is written to; files that are there stay.
             trajectory_m: Trajectories of the cameras over a run [m], [iteration, camera, 3].
-            begin_with: What is shown at first: how many cameras see the ground, traffic in the colours of what
-                becomes of it, the views of the cameras, or what one more camera would bring.
+            begin_with: What is shown at first: how many cameras see somebody where, or the ground itself; traffic in
+                the colours of what becomes of it; the views of the cameras; what one more camera would bring, as
+                arrows or painted on the body; or zones of the body.
             off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
 
@@ -105,11 +126,13 @@ class Inspector:
         """
         self.state, self.save_to = state, save_to
         self.chosen: int | None = None
-        self.shown_height: int | None = 0 if begin_with == "coverage" else None
+        first_height = {"coverage": 0, "redundancy": SHOWN_HEIGHTS_M.index(PATCH_M)}
+        self.shown_height: int | None = first_height.get(begin_with)
         self.shows_outcomes = begin_with == "outcomes"
         self.shows_visibility = begin_with == "visibility"
         self.shows_descent = True
         self.shows_further = begin_with == "further"
+        self.shown_on_body: Literal["zones", "gain"] | None = begin_with if begin_with in ("zones", "gain") else None
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
             # neither holds up the other: the one is Warp's, the other VTK's
@@ -132,11 +155,12 @@ class Inspector:
         self._drawn = list(state.rig.cameras)
         self._balls: list[Any] = []
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
-        self._ground: tuple[Ground, Any] | None = None
+        self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
         self._add_controls()
         self._draw_descent()
         self._draw_further()
+        self._draw_body()
         if self.shows_outcomes:
             self._draw_scene()
         self._draw_visibility()
@@ -155,6 +179,7 @@ class Inspector:
                 self._put_ball(index)
             self._draw_descent()
             self._draw_further()
+            self._draw_gain()
             self._draw_visibility()
             self._redraw()
 
@@ -167,8 +192,8 @@ class Inspector:
             self._redraw()
 
     def cycle_coverage(self) -> None:
-        """Show who is seen where for the next height, then nothing, then the first height again; views go."""
-        heights = [*range(len(self.state.coverage.heights_m)), None]
+        """Show who is seen where for the next height, then the ground, nothing, the first height again; views go."""
+        heights = [*range(len(SHOWN_HEIGHTS_M)), None]
         self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
         if self.shown_height is not None:
             self.shows_visibility = False
@@ -203,6 +228,13 @@ class Inspector:
         self.shows_further = not self.shows_further
         with self._one_render():
             self._draw_further()
+
+    def cycle_body(self) -> None:
+        """Paint the zones on the body, then what one more camera would bring if that is known, then nothing."""
+        after = {None: "zones", "zones": "gain" if self.state.has_further_cameras else None, "gain": None}
+        self.shown_on_body = after[self.shown_on_body]
+        with self._one_render():
+            self._draw_body()
 
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
@@ -253,6 +285,7 @@ class Inspector:
             self._draw_descent()
         if was_further:
             self._draw_further()
+            self._draw_gain()
         if self.shows_visibility:
             self._draw_visibility_of(camera, rays=DRAGGED_RAYS_PX)
         self._redraw(detector=False)
@@ -268,6 +301,7 @@ class Inspector:
             self._put_ball(camera)
             self._draw_descent()
             self._draw_further()
+            self._draw_gain()
             if self.shows_visibility:
                 self._draw_visibility_of(camera)
             if self.shows_outcomes:
@@ -294,6 +328,7 @@ class Inspector:
         controls = {"click a ball": "look through the camera", "drag it": "move the camera", **KEYS}
         if not self.state.has_further_cameras:
             del controls["m"]
+            controls["z"] = "body: zones, off"
         help_texts = [f"{key}: {word}" for key, word in controls.items()]
         half = len(help_texts) // 2
         plotter.add_text(
@@ -325,6 +360,7 @@ class Inspector:
             "v": self.toggle_visibility,
             "g": self.toggle_descent,
             "m": self.toggle_further,
+            "z": self.cycle_body,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
             "Return": self.save,
@@ -383,6 +419,17 @@ class Inspector:
         if self.state.has_further_cameras:
             add_further_cameras(self.plotter, self.state.further if self.shows_further else None)
 
+    def _draw_body(self) -> None:
+        """Paint the body; zones stay where they are, whatever becomes of the cameras."""
+        shown = self.state.surface if self.shown_on_body == "zones" else None
+        add_zones(self.plotter, shown, legend_bottom=_BOTTOM)
+        self._draw_gain()
+
+    def _draw_gain(self) -> None:
+        if self.state.has_further_cameras:
+            further = self.state.further if self.shown_on_body == "gain" else None
+            add_gain(self.plotter, self.state.surface, further, scale_at=(0.325, _BOTTOM))
+
     def _draw_visibility(self) -> None:
         for index, camera in enumerate(self.state.rig.cameras):
             if self.shows_visibility:
@@ -413,8 +460,12 @@ class Inspector:
         """What the corner says."""
         lines = self.state.lines
         if self.shown_height is not None:
-            height_m = self.state.coverage.heights_m[self.shown_height]
-            lines.append(f"ground: {height_m:g} m tall, seen by no camera (red), by one, two or more (blue)")
+            coverage, height_m = self._shown_coverage(self.shown_height)
+            lines.append(f"{patch_words(height_m)}: seen by no camera (red), by one, two or more (blue)")
+            if height_m == PATCH_M:
+                shares = [float(coverage.share_seen_by(count, radius_m=NEAR_M)[0]) for count in (1, 2, 3)]
+                seen = ", ".join(f"{share:.1%} by {count}" for count, share in zip((1, 2, 3), shares, strict=True))
+                lines.append(f"the ground within {NEAR_M:g} m: {seen} cameras or more")
         if detector and (self.shows_outcomes or self.chosen is not None):
             observed = self.state.observation
             lines.append(f"{int(observed.detected.sum())} of {len(observed.detected)} vehicles detected")
@@ -425,12 +476,17 @@ class Inspector:
             self.plotter.remove_actor("coverage")
             self._ground = None
             return
-        coverage = self.state.coverage
-        height_m = coverage.heights_m[self.shown_height]
-        if self._ground is not None and self._ground[0] is coverage.ground:
-            colour_coverage(self._ground[1], coverage, height_m)
+        coverage, height_m = self._shown_coverage(self.shown_height)
+        if self._ground is not None and self._ground[1] == coverage.heights_m and self._ground[0] is coverage.ground:
+            colour_coverage(self._ground[2], coverage, height_m)
         else:
-            self._ground = coverage.ground, add_coverage(self.plotter, coverage, height_m=height_m, legend=False)
+            drawn = add_coverage(self.plotter, coverage, height_m=height_m, legend=False)
+            self._ground = coverage.ground, coverage.heights_m, drawn
+
+    def _shown_coverage(self, shown: int) -> tuple[Coverage, float]:
+        """The coverage that one of `SHOWN_HEIGHTS_M` is part of, and the height [m]."""
+        height_m = SHOWN_HEIGHTS_M[shown]
+        return self.state.ground_coverage if height_m == PATCH_M else self.state.coverage, height_m
 
     def _say(self, text: str) -> None:
         if self._numbers is None:

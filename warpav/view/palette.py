@@ -44,6 +44,18 @@ COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222)
 """Of ground that no, one, two, or more cameras see."""
 
 
+ZONE_RGB: tuple[Rgb, ...] = (
+    (86, 180, 233),
+    (230, 159, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (240, 228, 66),
+    (213, 94, 0),
+    (120, 120, 200),
+    (170, 200, 120),
+)
+"""Of zones of the body, which differ to most colour-blind readers as well."""
+
 FURTHER_RGB: tuple[Rgb, ...] = ((247, 243, 220), (246, 198, 91), (226, 98, 44), (138, 16, 34))
 """Of what one more camera would bring, from nothing to most."""
 
@@ -53,6 +65,11 @@ def further_map() -> Any:  # noqa: ANN401 (matplotlib)
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("further", [hex_colour(rgb) for rgb in FURTHER_RGB])
+
+
+def zone_rgb(index: int) -> Rgb:
+    """Colour of the zone with this index, from 0; the colours repeat after the eighth."""
+    return ZONE_RGB[index % len(ZONE_RGB)]
 
 
 def camera_rgb(index: int) -> Rgb:

@@ -105,12 +105,13 @@ def plot(
 
     - ``ego``: the `Mesh` that carries the cameras; by default that of the scene, else the axes of the ego frame.
     - ``scene``: the `Scene` around it; by default an empty ground.
-    - ``mount_surface``: a `MountSurface`, drawn on the vehicle in colours of height.
+    - ``mount_surface``: a `MountSurface`, drawn on the vehicle in colours of height, or of its zones.
     - ``trajectory_m``: camera positions over the iterations of an optimisation [m], shape [iteration, camera, 3].
     - ``outcomes``: for every vehicle of the scene an `ObjectOutcome`, which gives its colour.
     - ``coverage``: a `Coverage`, which paints the ground by how many cameras see somebody there.
     - ``visibility``: True paints what every camera sees of the scene, and the sides of its view.
-    - ``further``: `FurtherCameras`, such as ``result.further_cameras``: arrows where one more camera would help.
+    - ``further``: `FurtherCameras`, such as ``result.further_cameras``: arrows where one more camera would help; with
+      ``mount_surface`` the body is painted instead, by what one more camera would bring there.
     - ``sheet``: True draws instead a page to print: from above and from the side to scale, with fans of what each
       camera sees, range rings and a table; see `warpav.view.figures.rig_sheet`. Only ``ego``, ``scene`` and
       ``range_m`` go with it.

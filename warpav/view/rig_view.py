@@ -86,7 +86,7 @@ def rig_plotter(
     is_painted = visibility or coverage is not None or outcomes is not None
     if scene is None and is_painted:
         raise ValueError("visibility, coverage, outcomes: expected a scene with what is seen, got none")
-    shows_body = further is not None and not is_painted
+    shows_body = not is_painted and (further is not None or bool(mount_surface is not None and mount_surface.zones))
     zoom = (WIDE_ZOOM if is_painted else BODY_ZOOM if shows_body else 1.0) if zoom is None else zoom
     sectors = not is_painted and not shows_body if sectors is None else sectors and not visibility
     if frustum_depth_m is None:
@@ -124,7 +124,7 @@ def rig_plotter(
         add_scene(plotter, shown)
         # last, as most of it is hidden: what is drawn behind others costs little
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
-    if mount_surface is not None:
+    if mount_surface is not None and further is None:
         add_mount_surface(plotter, mount_surface)
     if rig is not None:
         add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
@@ -140,9 +140,13 @@ def rig_plotter(
 
         add_coverage(plotter, coverage)
     if further is not None:
+        from warpav.view.body_view import add_gain
         from warpav.view.further_view import add_further_cameras
 
-        add_further_cameras(plotter, further)
+        if mount_surface is None:
+            add_further_cameras(plotter, further)
+        else:
+            add_gain(plotter, mount_surface, further)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
@@ -342,22 +346,21 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
 
 
 def add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: str = "mount_surface") -> None:
-    """Add the surface on which cameras may sit, coloured by height from dark (low) to light (high)."""
+    """Add the surface on which cameras may sit, coloured by height from dark (low) to light (high), or by zone."""
+    if mount_surface.zones:
+        from warpav.view.body_view import add_zones
+
+        add_zones(plotter, mount_surface, name=name)
+        return
     pyvista = load_pyvista()
     height = np.asarray(mount_surface.height_m, dtype=np.float64)
     row, column = np.indices(height.shape)
     place = np.asarray(mount_surface.origin_m) + mount_surface.cell_m * np.stack([row, column], axis=-1)
     point = mount_surface.point_m(place, height + 0.035)
     grid = pyvista.StructuredGrid(*np.moveaxis(point, -1, 0))
-    colour = height
-    if mount_surface.zones:
-        # between the zones of a chart there is nothing, and every zone has a colour of its own
-        colour = mount_surface.zone_of_cell.astype(np.float64)
-        shown = np.asarray(mount_surface.is_mountable)
-        grid.point_data["shown"] = shown.ravel(order="F").astype(np.uint8)
-    grid.point_data["height_m"] = colour.ravel(order="F")
+    grid.point_data["height_m"] = height.ravel(order="F")
     plotter.add_mesh(
-        grid.threshold(0.5, scalars="shown", all_scalars=True) if mount_surface.zones else grid,
+        grid,
         scalars="height_m",
         cmap="viridis",
         opacity=0.75,

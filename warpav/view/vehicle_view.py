@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
+from warpav.view.body_view import LIFT_M, add_zones, mountable_zone_to_pyvista
+from warpav.view.opengl import has_display, load_pyvista
 from warpav.view.palette import INK_RGB, PAPER_RGB, hex_colour
 from warpav.view.rig_view import add_axes, add_ego, add_ground, look_at_ego
 
@@ -18,11 +19,8 @@ if TYPE_CHECKING:
     from warpav.rig.mount_surface import MountSurface
 
     Plotter = Any
-    PolyData = Any
 
 VEHICLE_PX = (1280, 720)
-LIFT_M = 0.03
-"""By how much the mountable zone is drawn above the surface."""
 
 
 def vehicle_plotter(
@@ -39,7 +37,8 @@ def vehicle_plotter(
 
     Args:
         vehicle: In the ego frame; None: only the surface.
-        surface: Its mount surface; the cells that can carry a camera are coloured by height. None: nothing is.
+        surface: Its mount surface; the cells that can carry a camera are coloured by height, or by zone. None: none
+            are.
         axle_m: x of its axles, drawn as lines on the ground [m].
         title: A line in the upper left corner.
         window_size: Width and height [px].
@@ -89,31 +88,11 @@ def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
     return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
 
 
-def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
-    """The cells that can carry a camera as ``pyvista.PolyData``, one square each.
-
-    Cell data: ``height_m`` above the ground, and ``border_distance_m`` to the nearest position that carries none.
-
-    Args:
-        surface: The mount surface.
-        lift_m: By how much the squares are drawn above it [m].
-    """
-    is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
-    cell = np.argwhere(is_mountable)
-    half_m = 0.5 * surface.cell_m
-    middle_m = surface.origin_m + cell * surface.cell_m
-    corner = np.array([[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]])
-    corner_m = (middle_m[:, None] + corner).reshape(-1, 2)
-    point_m = surface.point_m(corner_m, surface.height_at_m(corner_m) + lift_m)
-    zone = load_pyvista_data().PolyData.from_regular_faces(point_m, np.arange(len(point_m)).reshape(-1, 4))
-    zone.cell_data["border_distance_m"] = surface.border_distance_m[is_mountable].astype(np.float64)
-    above_m = surface.point_m(middle_m, surface.height_m[is_mountable].astype(np.float64))[:, 2]
-    zone.cell_data["height_m"] = above_m
-    return zone
-
-
 def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
-    """Add the cells that can carry a camera, coloured by height from dark (low) to light (high), with a scale."""
+    """Add the cells that can carry a camera: coloured by height with a scale, or zones in colours of their own."""
+    if surface.zones:
+        add_zones(plotter, surface, name=name)
+        return
     font_size = max(11, round(18 * min(1.0, plotter.window_size[0] / VEHICLE_PX[0])))
     plotter.add_mesh(
         mountable_zone_to_pyvista(surface, lift_m=LIFT_M),

@@ -236,9 +236,17 @@ def add_coverage(
     plotter.add_mesh(surface, scalars="RGBA", rgb=True, lighting=False, name=name)
     if legend:
         words = ("no camera", "one camera", "two cameras", "more cameras")
-        labels = {f"{height_m:g} m tall: {word}": rgb for word, rgb in zip(words, COVERAGE_RGB, strict=True)}
+        who = patch_words(height_m)
+        labels = {f"{who}: {word}": rgb for word, rgb in zip(words, COVERAGE_RGB, strict=True)}
         add_legend(plotter, labels)
     return surface
+
+
+def patch_words(height_m: float) -> str:
+    """Whom a height of a coverage means [m]: the ground itself, or somebody so tall."""
+    from warpav.evaluation.coverage import PATCH_M
+
+    return "the ground" if height_m <= PATCH_M else f"{height_m:g} m tall"
 
 
 def colour_coverage(surface: PolyData, coverage: Coverage, height_m: float) -> None:
@@ -257,15 +265,22 @@ def colour_coverage(surface: PolyData, coverage: Coverage, height_m: float) -> N
     ]
 
 
-def add_legend(plotter: Plotter, labels: dict[str, Rgb], *, name: str = "legend") -> None:
-    """Add what colours mean, in the lower left corner; an earlier legend is replaced."""
+def add_legend(plotter: Plotter, labels: dict[str, Rgb], *, name: str = "legend", bottom: float = 0.025) -> None:
+    """Add what colours mean, in the lower left corner; an earlier legend is replaced.
+
+    Args:
+        plotter: Where to draw.
+        labels: Colours by what they mean.
+        name: First part of the actors' names.
+        bottom: Where the lowest line stands, as a share of the window's height.
+    """
     for actor in [actor for actor in plotter.actors if actor.startswith(f"{name}/")]:
         plotter.remove_actor(actor)
     size = 10.0 * plotter.window_size[1] / 800.0
     for line, (text, rgb) in enumerate(reversed(labels.items())):
         actor = plotter.add_text(
             f" {text} ",
-            position=(0.015, 0.025 + 0.037 * line),
+            position=(0.015, bottom + 0.037 * line),
             viewport=True,
             font_size=size,
             color=hex_colour(INK_RGB),
