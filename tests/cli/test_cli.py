@@ -91,6 +91,11 @@ BAD_INPUT = [
     (["evaluate", "nuscene"], "nuscene: rig: expected a rig YAML, a run folder, a preset (argoverse2, edgar,"),
     (["evaluate", "empty"], "empty: run folder: expected a folder written by warpav optimise, got one without"),
     (["evaluate", "highest", "--json", "none/x.json"], "none/x.json: --json: expected an existing folder"),
+    (
+        ["evaluate", "highest", "--soiling", "disc", "0.5", "0.5", "3"],
+        "command line (--soiling): expected a share of the image's area in (0, 1], got 3.0",
+    ),
+    (["evaluate", "highest", "--load", "40", "0"], "command line (--load): expected an angle within 30, got 40.0"),
     (["render", "garbage.onnx", "--rig", "highest", "--out", "o"], "garbage.onnx: "),
     (
         ["render", "none.glb", "--rig", "highest", "--out", "o"],

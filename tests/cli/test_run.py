@@ -123,6 +123,25 @@ def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory)
     assert _numbers(found["arms"]["optimised"]) == pytest.approx(_numbers(of_the_run), abs=1e-3)
 
 
+def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):
+    few = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
+    asked = ["--soiling", "rows", "0.5", "0.5", "1", "--load", "-1", "-0.05", "--load", "0", "0"]
+    assert main(["evaluate", "highest", *few, *asked, "--json", "m.json"]) == 0
+    found = json.loads((working_directory / "m.json").read_text())
+    outage = found["camera_outage"]["highest"]
+    # an image that is covered all over is a camera that is lost
+    for soiled, lost in zip(found["soiling"]["cameras"], outage["cameras"], strict=True):
+        assert soiled["expected_misses_per_100"] == pytest.approx(lost["expected_misses_per_100"], abs=1e-3)
+    laden, none = found["load_states"]["states"]
+    assert laden["state"] == {"pitch_deg": -1.0, "height_m": -0.05}
+    assert abs(laden["difference_per_100"]) > 1e-3 > abs(none["difference_per_100"])
+    printed = capsys.readouterr().out
+    assert "one camera soiled: a band of rows" in printed
+    assert "-1 deg, -5 cm" in printed
+    assert main(["evaluate", "highest", *few, "--json", "plain.json"]) == 0
+    assert not {"soiling", "load_states"} & set(json.loads((working_directory / "plain.json").read_text()))
+
+
 def test_scenes_from_files_give_the_same_metrics(working_directory):
     seeds = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
     assert main(["scenes", "make", "--seeds", "[0, 1000]", "--out", "scenes"]) == 0

@@ -92,15 +92,41 @@ def evaluate(
     *overrides: Overrides,
     json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    soiling: Annotated[
+        tuple[Literal["disc", "rows", "columns"], float, float, float] | None,
+        Parameter(
+            help="Also what the rig misses with a part of one camera's image covered, for each camera: its shape, its "
+            "middle as shares of width and height, its share of the image's area, such as disc 0.5 0.5 0.1."
+        ),
+    ] = None,
+    load: Annotated[
+        list[tuple[float, float]] | None,
+        Parameter(
+            allow_leading_hyphen=True,
+            help="Also what it misses with the vehicle pitched by so many degrees, nose down positive, and raised by "
+            "so many metres, such as -1 -0.05. May be given several times.",
+        ),
+    ] = None,
 ) -> None:
     """Measure a rig on the test scenes."""
+    from warpav.core.errors import ArgumentError
+    from warpav.evaluation.robustness import LoadState, SoiledPart
     from warpav.runs.jobs import measure_rig
     from warpav.runs.progress import RunDisplay
     from warpav.runs.rig_source import config_for
     from warpav.runs.verdict import show_verdict
 
+    try:
+        part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
+    except ArgumentError as error:
+        raise ArgumentError("soiling", error.text) from None
+    try:
+        loads = {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
+    except ArgumentError as error:
+        raise ArgumentError("load", error.text) from None
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
-        show_verdict(display.console, measure_rig(rig, settings, json_file=json, progress=display))
+        found = measure_rig(rig, settings, json_file=json, soiled=part, loads=loads, progress=display)
+        show_verdict(display.console, found)
 
 
 def render(

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -149,6 +149,10 @@ class Soiling:
     def worst(self) -> SoiledCamera:
         """The camera whose soiling costs most; of equal ones the first."""
         return max(self.cameras, key=lambda each: each.difference_per_100)
+
+    def to_json(self) -> dict[str, Any]:
+        """As the file of ``warpav evaluate --json`` has it."""
+        return {**asdict(self), "worst": self.worst.camera}
 
     def table(self) -> Table:
         """What each soiled camera costs: text when printed, HTML in a notebook."""
@@ -316,6 +320,10 @@ class LoadStates:
     def worst(self) -> LoadedRig:
         """The load that costs most; of equal ones the first."""
         return max(self.states, key=lambda each: each.difference_per_100)
+
+    def to_json(self) -> dict[str, Any]:
+        """As the file of ``warpav evaluate --json`` has it."""
+        return {**asdict(self), "worst": self.worst.name}
 
     def table(self) -> Table:
         """What each load costs: text when printed, HTML in a notebook."""

@@ -172,9 +172,16 @@ def soiling(
     """
     part = SoiledPart(shape, place, share)
     with shown_progress(progress) as shown:
-        pose, cameras, seen, weight = _posed(rig, scenes, placement, "what dirt costs", shown)
-        names = [camera.name for camera in rig.cameras]
-        return Soiling.of(names, pose, cameras, seen, part, weight=weight, progress=shown)
+        return soiling_of(rig, scenes, placement, part, progress=shown)
+
+
+def soiling_of(
+    rig: Rig, scenes: Sequence[Scene], placement: Placement, part: SoiledPart, *, progress: Progress
+) -> Soiling:
+    """`soiling` with a part of an image."""
+    pose, cameras, seen, weight = _posed(rig, scenes, placement, "what dirt costs", progress)
+    names = [camera.name for camera in rig.cameras]
+    return Soiling.of(names, pose, cameras, seen, part, weight=weight, progress=progress)
 
 
 def load_states(
@@ -206,8 +213,15 @@ def load_states(
     given = _LOADS if states is None else states
     loads = {name: LoadState(*state) for name, state in given.items()}
     with shown_progress(progress) as shown:
-        pose, cameras, seen, weight = _posed(rig, scenes, placement, "what loads cost", shown)
-        return LoadStates.of(pose, cameras, seen, loads, weight=weight, progress=shown)
+        return load_states_of(rig, scenes, placement, loads, progress=shown)
+
+
+def load_states_of(
+    rig: Rig, scenes: Sequence[Scene], placement: Placement, loads: Mapping[str, LoadState], *, progress: Progress
+) -> LoadStates:
+    """`load_states` with loads by name."""
+    pose, cameras, seen, weight = _posed(rig, scenes, placement, "what loads cost", progress)
+    return LoadStates.of(pose, cameras, seen, loads, weight=weight, progress=progress)
 
 
 def _posed(

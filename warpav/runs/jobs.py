@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +11,20 @@ from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.executor import Executor
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
+from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.rig.rig import write_rig
+from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate_on
+from warpav.runs.evaluate import evaluate_on, load_states_of, soiling_of
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
+from warpav.runs.scene_set import load_scenes
 
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
@@ -89,13 +92,23 @@ def _keep_reached(folder: RunFolder, descent: Descent | PoolDescent) -> None:
         folder.write_further_cameras(further)
 
 
-def measure_rig(source: str, config: Config, *, json_file: Path | None, progress: Progress) -> dict[str, Any]:
+def measure_rig(
+    source: str,
+    config: Config,
+    *,
+    json_file: Path | None,
+    soiled: SoiledPart | None = None,
+    loads: Mapping[str, LoadState] | None = None,
+    progress: Progress,
+) -> dict[str, Any]:
     """Metrics of one rig on the test scenes, written to a file if there is one.
 
     Args:
         source: Rig YAML, preset, run folder, or ``highest``.
         config: The scenes, the detector and the objective.
         json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
+        soiled: What of one camera's image is covered, for each camera in turn; None: nothing.
+        loads: States of the vehicle by name; none: without a load alone.
         progress: Where to show it.
 
     Returns:
@@ -118,13 +131,29 @@ def measure_rig(source: str, config: Config, *, json_file: Path | None, progress
         )
     placement = Placement.from_config(config).prepare(progress)
     rig = find_rig(source, config, placement.ego)
+    if soiled or loads:
+        _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
     began_as = rig
     if is_run_folder(source):
         began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
     name = arm_name(source)
     found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
     evaluation = {"schema": EVALUATION_SCHEMA, **found.to_json()}
+    scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
+    if soiled is not None:
+        evaluation["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress).to_json()
+    if loads:
+        evaluation["load_states"] = load_states_of(rig, scenes, placement, loads, progress=progress).to_json()
     if json_file is not None:
         write_json(json_file, evaluation)
         progress.say(f"wrote {json_file}")
     return evaluation
+
+
+def _check_posed(rig: Rig, placement: Placement, option: str) -> None:
+    try:
+        placement.mount_pose_of(rig)
+    except ArgumentError as error:
+        raise ArgumentError(
+            option, f"{error.text}; set rig.cameras and camera.* to the rig's, or evaluate a run folder"
+        ) from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -111,6 +111,40 @@ def outage_table(evaluation: Mapping[str, Any]) -> Table | None:
     return table
 
 
+def robustness_tables(evaluation: Mapping[str, Any]) -> list[Table]:
+    """What dirt and loads cost the rig, as far as ``evaluation.json`` says so."""
+    tables = []
+    soiling, loads = evaluation.get("soiling"), evaluation.get("load_states")
+    if soiling:
+        part = soiling["part"]
+        (column, row), shape = part["place"], part["shape"]
+        what = "disc" if shape == "disc" else f"band of {shape}"
+        title = f"one camera soiled: a {what} around {column:.0%} of the width, {row:.0%} of the height"
+        rows = [(each["camera"], f"{each['covered_share']:.0%}", each) for each in soiling["cameras"]]
+        tables.append(_cost_table(title, ("soiled", "covered"), rows, soiling))
+    if loads:
+        rows = [
+            (each["name"], f"{each['state']['pitch_deg']:+g} deg, {100.0 * each['state']['height_m']:+g} cm", each)
+            for each in loads["states"]
+        ]
+        tables.append(_cost_table("vehicle under a load", ("load", "nose down, up by"), rows, loads))
+    return tables
+
+
+def _cost_table(
+    title: str, columns: tuple[str, str], rows: Sequence[tuple[str, str, Any]], found: Mapping[str, Any]
+) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column(columns[0], no_wrap=True)
+    for column in (columns[1], "expected misses per 100", "difference"):
+        table.add_column(column, justify="right")
+    table.add_row("none", "", f"{found['expected_misses_per_100']:.2f}", "")
+    for name, what, each in rows:
+        numbers = f"{each['expected_misses_per_100']:.2f}", f"{each['difference_per_100']:+.2f}"
+        table.add_row(*map(Text, (name, what, *numbers)))
+    return table
+
+
 def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
     """In what the rig that a run has found is worse than the rig that it started from, a sentence each.
 
@@ -156,6 +190,8 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     outage = outage_table(evaluation)
     if outage is not None:
         console.print(outage)
+    for table in robustness_tables(evaluation):
+        console.print(table)
     name, metrics = next(iter(arms.items()))
     violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
     met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
