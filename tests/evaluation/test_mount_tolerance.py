@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 import warpav as wa
+from tests.optimisation.test_modules import cameras_of as mixed_cameras
+from tests.optimisation.test_modules import spread
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.mount_tolerance import COLUMNS, MountTolerance
+from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.raster.camera import CameraModel
 from warpav.view.figures.sensitivity import sensitivity_figure
 
@@ -133,3 +136,31 @@ def test_json_has_the_worst_and_all_effects():
     assert len(table["effects"]) == len(NAMES) * len(COLUMNS)
     assert max(each["worst"] for each in table["effects"]) == table["worst"]["change_per_100"]
     assert table["draws"]["count"] == 3
+
+
+def test_errors_inwards_end_at_the_skin():
+    """A camera behind the skin would be as good as lost: one that is flush with it is off outwards alone."""
+    cameras, pose = mixed_cameras(), spread()[[0, 20, 40]].copy()
+    pose[:, HEIGHT_DELTA_M] = 0.0, 0.03, 0.005
+    scenes = streets()
+    found = MountTolerance.of(
+        NAMES, pose, cameras, scenes, position_m=0.02, angle_rad=0.01, sample_count=16, seed=0
+    )  # fmt: skip
+    below = {effect.camera: effect.below for effect in found.effects if effect.degree == "z"}
+
+    def missed(camera, height_m):
+        moved = pose.copy()
+        moved[camera, HEIGHT_DELTA_M] = height_m
+        detected = np.concatenate([cameras.detection_probability(moved, each) for each in scenes], axis=1)
+        return 100.0 * float(np.prod(1.0 - detected.astype(np.float64), axis=0).mean())
+
+    assert below["front"] == 0.0
+    assert below["left"] == pytest.approx(missed(1, 0.01) - found.nominal, abs=1e-4)
+    assert below["rear"] == pytest.approx(missed(2, 0.0) - found.nominal, abs=1e-4)
+    # without that, a camera would be lost at once
+    lost = CameraOutages.of(
+        NAMES, np.concatenate([cameras.detection_probability(pose, each) for each in scenes], axis=1)
+    )
+    inside = missed(0, -0.02) - found.nominal
+    assert inside == pytest.approx(lost.cameras[0].difference_per_100, abs=0.5)
+    assert inside > 1.0

@@ -1,6 +1,6 @@
 """What errors of mounting cost a rig: each camera and degree of freedom alone, and all of them together by chance.
 
-All cameras are rendered by themselves, as a pool is; a rig's expected misses follow from what each of them detects.
+Errors inwards end at the skin of the body. All cameras are rendered by themselves, as a pool is; a rig's expected misses follow from what each of them detects.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class MountTolerance:
         weight: np.ndarray | None = None,
         progress: Progress | None = None,
     ) -> MountTolerance:
-        """Render a rig's cameras with errors of mounting.
+        """Render a rig's cameras with errors of mounting; inwards they end at the surface that the cameras stand on.
 
         Args:
             camera: Names of the cameras.
@@ -150,6 +150,9 @@ class MountTolerance:
             alone[0, k, :, column] -= tolerance[k]
             alone[1, k, :, column] += tolerance[k]
         every = np.concatenate([pose[None], alone.reshape(-1, count, pose.shape[1]), drawn]).astype(np.float32)
+        # a camera that is flush with the skin cannot be off inwards: there it would see the body's inside alone
+        skin_m = np.minimum(pose[:, HEIGHT_DELTA_M], -cameras.mount.height_offset_m).astype(np.float32)
+        every[..., HEIGHT_DELTA_M] = np.maximum(every[..., HEIGHT_DELTA_M], skin_m)
         progress = progress or NullProgress()
         found = np.concatenate(
             [
