@@ -1,6 +1,7 @@
 """What errors of mounting cost a rig: each camera and degree of freedom alone, and all of them together by chance.
 
-Errors inwards end at the skin of the body. All cameras are rendered by themselves, as a pool is; a rig's expected misses follow from what each of them detects.
+All cameras are rendered by themselves, as a pool is; a rig's expected misses follow from what each of them detects.
+Errors inwards end at the skin of the body.
 """
 
 from __future__ import annotations
