@@ -39,6 +39,11 @@ def draw_coverage(folder: Path) -> None:
     _warpav("inspect", "nuscenes", "--show", "coverage", "--out", str(PICTURES / "coverage.png"))
 
 
+def draw_sheet(folder: Path) -> None:
+    """sheet.png: the cameras of nuScenes on the town's car, to scale."""
+    _warpav("inspect", "nuscenes", "--show", "sheet", "--out", str(PICTURES / "sheet.png"))
+
+
 def draw_vehicle(folder: Path) -> None:
     """vehicle.png: what of the embedded vehicle can carry cameras."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
@@ -190,6 +195,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "rig.png": draw_run,
     "detections.png": draw_run,
     "coverage.png": draw_coverage,
+    "sheet.png": draw_sheet,
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
     "zones.png": draw_zones,

@@ -21,7 +21,7 @@ from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
 from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate, mount_tolerance
+from warpav.runs.evaluate import evaluate, load_states, mount_tolerance, soiling
 from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
@@ -57,6 +57,7 @@ __all__ = [
     "export_rig",
     "highest_rig",
     "import_rig",
+    "load_states",
     "losses",
     "mount_tolerance",
     "optimise",
@@ -71,6 +72,7 @@ __all__ = [
     "read_scenes",
     "read_vehicle",
     "render",
+    "soiling",
     "town",
     "write_rig",
     "write_scenes",

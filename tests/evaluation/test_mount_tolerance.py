@@ -1,5 +1,6 @@
 """What errors of mounting cost: against renders of rigs that are off, one by one."""
 
+import json
 import math
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 import warpav as wa
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
+from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.mount_tolerance import COLUMNS, MountTolerance
 from warpav.raster.camera import CameraModel
+from warpav.view.figures.sensitivity import sensitivity_figure
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 NAMES = ("front", "left", "rear")
@@ -103,3 +106,30 @@ def test_the_public_call_takes_a_rig_and_scenes():
     thesis = wa.Placement(scenes, cameras=2, losses={"detected_area": 1.0})
     with pytest.raises(InputError, match="losses: expected the expected_miss_rate alone"):
         wa.mount_tolerance(rig, wa.town([1000]), thesis)
+
+
+def test_the_figure_has_every_change_and_every_loss(tmp_path):
+    found = tolerance_of()
+    detected = np.concatenate([CAMERAS.detection_probability(POSE, scene) for scene in streets()], axis=1)
+    outages = CameraOutages.of(NAMES, detected)
+    figure = sensitivity_figure(found, outages)
+    cells = {text.get_text() for text in figure.axes[0].texts}
+    assert {f"{effect.worst:+.2f}" for effect in found.effects} == cells
+    assert [bar.get_width() for bar in figure.axes[1].patches] == [each.difference_per_100 for each in outages.cameras]
+    [image] = figure.axes[0].images
+    worst = np.unravel_index(np.argmax(image.get_array()), image.get_array().shape)
+    assert (NAMES[worst[0]], list(COLUMNS)[worst[1]]) == (found.worst.camera, found.worst.degree)
+    for name, drawn, options in (("both", found, {"outages": outages}), ("off", found, {}), ("lost", outages, {})):
+        assert wa.plot(drawn, out=tmp_path / f"{name}.svg", **options).read_text().startswith("<?xml")
+    with pytest.raises(ValueError, match="of the same cameras"):
+        sensitivity_figure(found, CameraOutages.of(("a", "b", "c"), detected))
+
+
+def test_json_has_the_worst_and_all_effects():
+    found = tolerance_of(sample_count=3)
+    table = found.to_json()
+    assert json.loads(json.dumps(table, allow_nan=False)) == table
+    assert table["expected_misses_per_100"] == found.nominal
+    assert len(table["effects"]) == len(NAMES) * len(COLUMNS)
+    assert max(each["worst"] for each in table["effects"]) == table["worst"]["change_per_100"]
+    assert table["draws"]["count"] == 3

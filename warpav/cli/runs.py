@@ -126,16 +126,17 @@ def inspect(
     out: Annotated[
         Path | None,
         Parameter(
-            help="PNG, HTML, GIF or MP4 to write. GIF and MP4 are one turn around the vehicle; of a run, without "
-            "--show, animations of its iterations."
+            help="PNG, HTML, GIF or MP4 to write, of a sheet PDF, SVG or PNG. GIF and MP4 are one turn around the "
+            "vehicle; of a run, without --show, animations of its iterations."
         ),
     ] = None,
     show: Annotated[
-        Literal["rig", "coverage", "outcomes", "visibility", "further", "sight"],
+        Literal["rig", "coverage", "outcomes", "visibility", "further", "sheet", "sight"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; outcomes, which vehicles are "
             "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name); "
-            "further, of a run with optimiser.search=pool, where one more camera would help most."
+            "further, of a run with optimiser.search=pool, where one more camera would help most; sheet, instead of "
+            "all that, a page to print (PDF, SVG or PNG) with the rig to scale from above and from the side."
         ),
     ] = "rig",
 ) -> None:
@@ -149,7 +150,7 @@ def inspect(
         show = "visibility"
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)
-    if file is not None and out is None:
+    if file is not None and out is None and show != "sheet":
         from warpav.view.opengl import display_text
 
         say(f"no window here, as {display_text()}: wrote {file}")

@@ -6,7 +6,8 @@ All cameras are rendered by themselves, as a pool is; a rig's expected misses fo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,6 +86,21 @@ class MountTolerance:
             f"{self.nominal:.2f} of 100; with all cameras off by chance {self.samples.mean():.2f}, "
             f"in 95 % of {len(self.samples)} draws at most {high:.2f}.",
         )
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has it, angles in radians."""
+        return {
+            "position_m": self.position_m,
+            "angle_rad": self.angle_rad,
+            "expected_misses_per_100": self.nominal,
+            "draws": {
+                "count": len(self.samples),
+                "expected_misses_per_100": float(self.samples.mean()),
+                "quantile_95": float(np.quantile(self.samples, 0.95)),
+            },
+            "effects": [{**asdict(effect), "worst": effect.worst} for effect in self.effects],
+            "worst": {"camera": self.worst.camera, "degree": self.worst.degree, "change_per_100": self.worst.worst},
+        }
 
     @classmethod
     def of(

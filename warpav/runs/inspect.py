@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from warpav.scene.scene import Scene
     from warpav.view.inspector import Inspector
 
-Shown = Literal["rig", "coverage", "outcomes", "visibility", "further"]
+Shown = Literal["rig", "coverage", "outcomes", "visibility", "further", "sheet"]
 """What an image of a rig shows besides: the ground by how many cameras see somebody there, traffic by what becomes of
-it, what every camera sees, or what one more camera would bring."""
+it, what every camera sees, or what one more camera would bring; or, instead, a page to print."""
 
 
 def inspect_rig(
@@ -39,7 +39,8 @@ def inspect_rig(
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives the scene, which is the first test scene, and the detector.
-        out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. None opens a window.
+        out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. Of a sheet PNG, PDF or SVG. None
+            opens a window, or writes ``sheet.pdf``.
         shown: What is drawn besides the rig and the trajectories of its cameras. The inspector begins with it, and with
             the coverage when it is the rig alone.
         progress: Shows how many images of an animation are done.
@@ -53,6 +54,8 @@ def inspect_rig(
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
+    if shown == "sheet":
+        return _write_sheet(source, config, out)
     if out is None and has_display():
         inspector(source, config, begin_with="coverage" if shown == "rig" else shown).plotter.show()
         return None
@@ -74,6 +77,15 @@ def inspect_rig(
         visibility=shown == "visibility",
         further=further,
     )
+
+
+def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
+    """Write a page to print, of which the title is the source."""
+    from warpav.view import plot
+
+    out = out or (Path(source) / "sheet.pdf" if is_run_folder(source) else Path("sheet.pdf"))
+    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    return plot(find_rig(source, config, ego), sheet=True, ego=ego, title=Path(source).name, out=out)
 
 
 def inspector(

@@ -26,7 +26,7 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config, changed_config, flow_text
-from warpav.runs.evaluate import evaluate_on
+from warpav.runs.evaluate import evaluate_on, tolerance_on
 from warpav.runs.events import of_modules
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
@@ -38,10 +38,15 @@ from warpav.scene.store import scene_path
 from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
+    from warpav.evaluation.camera_outage import CameraOutages
     from warpav.optimisation.assignment import AssignedScene
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""
+
+_TOLERANCE_M, _TOLERANCE_RAD = 0.02, math.radians(1.0)
+_TOLERANCE_SCENES, _TOLERANCE_DRAWS = 10, 8
+"""Errors of mounting of which a run says what they cost, and on how much: some percent of a run's time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,8 +325,12 @@ def write_verdict(
         progress.stage("ground that no camera sees")
         ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
         timer.end("ground that no camera sees")
+        progress.stage("errors of mounting")
+        tolerance = _tolerance(result, test, compared.camera_outage[OPTIMISED], folder)
+        timer.end("errors of mounting")
         evaluation = {
             **compared.to_json(),
+            "mount_tolerance": tolerance,
             "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
             "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
             "descent": {
@@ -355,6 +364,30 @@ def write_verdict(
     folder.write_evaluation(evaluation)
     progress.say(f"report: {write_report(folder)}   took {timer.total_s():.0f} s")
     return evaluation
+
+
+def _tolerance(
+    result: Result, test: Sequence[AssignedScene], outages: CameraOutages | None, folder: RunFolder
+) -> dict[str, Any] | None:
+    """What errors of mounting cost the rig that was found, drawn too; None where that is not known."""
+    from warpav.view.figures.sensitivity import sensitivity_figure
+    from warpav.view.figures.style import save_figure
+
+    scenes = [each for each in test if each.scene.vehicle_count][:_TOLERANCE_SCENES]
+    if not scenes:
+        return None
+    found = tolerance_on(
+        result.found,
+        scenes,
+        result.placement,
+        position_m=_TOLERANCE_M,
+        angle_rad=_TOLERANCE_RAD,
+        sample_count=_TOLERANCE_DRAWS,
+    )
+    if found is None:
+        return None
+    save_figure(sensitivity_figure(found, outages), folder.figure_path("sensitivity"))
+    return {**found.to_json(), "scenes": len(scenes)}
 
 
 def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:

@@ -1,4 +1,4 @@
-"""What a camera sees, as plain geometry: its frustum and its sector of bearings."""
+"""What a camera sees, as plain geometry: its frustum, its sector of bearings, arcs of what it sees, and the ground."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from warpav.rig.rig import RigCamera
 
 
+_ARC_STEPS = 1440
+_BISECTIONS = 30
 _TOWARDS_MIDDLE = np.linspace(0.0, 1.0, 512, endpoint=False)
 
 
@@ -77,3 +79,89 @@ def sector_polygon_m(camera: RigCamera, *, radius_m: float, step_rad: float = ma
     centre = np.asarray(camera.position_m, dtype=np.float64)[:2]
     arc = centre + radius_m * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     return np.vstack([centre, arc])
+
+
+def is_seen(camera: RigCamera, direction_ego: np.ndarray) -> np.ndarray:
+    """Whether directions in the ego frame, [..., 3], have an image within the camera's image; bool [...].
+
+    It holds for every lens, turned as the camera is; nothing stands in the way.
+    """
+    model = camera.model
+    place_px = model.project(np.asarray(direction_ego, np.float64) @ camera.ego_from_camera[:3, :3])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((place_px >= 0.0) & (place_px <= [model.width_px, model.height_px])).all(axis=-1))
+
+
+def seen_arcs_rad(camera: RigCamera, first: np.ndarray, second: np.ndarray) -> list[tuple[float, float]]:
+    """Which directions of a plane the camera sees.
+
+    Args:
+        camera: The camera.
+        first: Direction of angle 0 in the ego frame, unit length, shape [3].
+        second: Direction of angle pi / 2, likewise, square to the first.
+
+    Returns:
+        First and last angle of every arc [rad], the first in [-pi, pi), the last larger; (-pi, pi) where the camera
+        sees all round. Arcs and gaps below a quarter of a degree may be missed.
+    """
+    basis = np.stack([first, second])
+
+    def sees(angle_rad: np.ndarray) -> np.ndarray:
+        return is_seen(camera, np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1) @ basis)
+
+    step_rad = 2.0 * math.pi / _ARC_STEPS
+    start_rad = -math.pi + (np.arange(_ARC_STEPS) + 0.5) * step_rad
+    seen = sees(start_rad)
+    if seen.all():
+        return [(-math.pi, math.pi)]
+    edge = np.flatnonzero(seen != np.roll(seen, -1))  # between this sample and the next
+    low_rad, high_rad = start_rad[edge], start_rad[edge] + step_rad
+    for _ in range(_BISECTIONS):
+        middle_rad = 0.5 * (low_rad + high_rad)
+        is_as_low = sees(middle_rad) == seen[edge]
+        low_rad, high_rad = np.where(is_as_low, middle_rad, low_rad), np.where(is_as_low, high_rad, middle_rad)
+    begins, ends = low_rad[~seen[edge]], low_rad[seen[edge]]
+    begins = (begins + math.pi) % (2.0 * math.pi) - math.pi
+    return sorted((float(begin), float(begin + ((ends - begin) % (2.0 * math.pi)).min())) for begin in begins)
+
+
+def seen_ground_m(camera: RigCamera, *, reach_m: float, step_rad: float = math.radians(0.5)) -> list[np.ndarray]:
+    """Level ground that the camera sees, from the nearest to the farthest point by azimuth; nothing stands in the way.
+
+    Args:
+        camera: A camera above the ground.
+        reach_m: How far from the camera ground counts [m]; farther points are brought to it.
+        step_rad: Between azimuths, and between directions of one [rad].
+
+    Returns:
+        Closed outlines [m], float64 [point, 2], one for each run of azimuths; empty where it sees no ground.
+    """
+    height_m = float(camera.position_m[2])
+    if height_m <= 0.0:
+        return []
+    count = math.ceil(2.0 * math.pi / step_rad)
+    azimuth_rad = (np.arange(count) + 0.5) * 2.0 * math.pi / count
+    down_rad = np.linspace(math.atan2(height_m, reach_m), 0.5 * math.pi, math.ceil(0.5 * math.pi / step_rad))
+    across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+    direction = np.concatenate(
+        [
+            np.cos(down_rad)[None, :, None] * across[:, None],
+            np.broadcast_to(-np.sin(down_rad)[None, :, None], (count, len(down_rad), 1)),
+        ],
+        axis=-1,
+    )
+    seen = is_seen(camera, direction)
+    has_any = np.asarray(seen.any(axis=1))
+    distance_m = height_m / np.tan(down_rad)
+    far_m = distance_m[seen.argmax(axis=1)]
+    near_m = distance_m[len(down_rad) - 1 - seen[:, ::-1].argmax(axis=1)]
+    centre_m = camera.position_m[:2]
+    far, near = (centre_m + each[:, None] * across for each in (far_m, near_m))
+    if has_any.all():
+        order = np.append(np.arange(count), 0)
+        return [np.vstack([far[order], near[order][::-1]])]
+    if not has_any.any():
+        return []
+    order = np.roll(np.arange(count), -int(np.flatnonzero(~has_any)[0]))  # begins where it sees none
+    runs = np.split(order, np.flatnonzero(np.diff(has_any[order].astype(int))) + 1)
+    return [np.vstack([far[run], near[run][::-1]]) for run in runs if has_any[run[0]]]

@@ -209,13 +209,13 @@ def _without_module(name: str) -> Iterator[None]:
             sys.modules[name] = before
 
 
-def check_suffix(path: Path) -> None:
-    """Check that an image file has a suffix out of `SUFFIXES`.
+def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
+    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones.
 
     Raises:
         InputError: It has another one.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in (*SUFFIXES, *further):
         raise InputError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
 
 

@@ -14,11 +14,12 @@ from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
+from warpav.view.figures.style import FIGURE_SUFFIXES, checked_figure, save_figure
 from warpav.view.opengl import display_text, has_display, load_pyvista
 from warpav.view.output import ANIMATION_PX, ANIMATION_SUFFIXES, Animation, check_suffix, save_animation, save_image
 from warpav.view.rig_view import WINDOW_PX, rig_plotter
@@ -110,6 +111,10 @@ def plot(
     - ``coverage``: a `Coverage`, which paints the ground by how many cameras see somebody there.
     - ``visibility``: True paints what every camera sees of the scene, and the sides of its view.
     - ``further``: `FurtherCameras`, such as ``result.further_cameras``: arrows where one more camera would help.
+    - ``sheet``: True draws instead a page to print: from above and from the side to scale, with fans of what each
+      camera sees, range rings and a table; see `warpav.view.figures.rig_sheet`. Only ``ego``, ``scene`` and
+      ``range_m`` go with it.
+    - ``range_m``: radii of the sheet's range rings [m]; by default every 5 m.
 
     Of a scene: ``rig``, ``outcomes``, ``coverage``, ``visibility``. Of a mesh, which is a vehicle in the ego frame:
     ``mount_surface`` (where it can carry cameras), ``axle_m`` (x of its axles [m]). Of a mount surface: ``vehicle``
@@ -120,7 +125,10 @@ def plot(
     - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
     - ``visibility``: as of a rig; not in animations.
 
-    An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options.
+    What errors of mounting cost (`warpav.mount_tolerance`) is a heat map of cameras by degrees of freedom, with
+    ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the bars.
+    An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options. Such figures
+    and sheets may also be ``.pdf`` and ``.svg``.
 
     Args:
         obj: What to show.
@@ -145,7 +153,7 @@ def plot(
     draw = drawing_of.dispatch(type(obj))
     canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
     if canvas.out is not None:
-        check_suffix(canvas.out)
+        check_suffix(canvas.out, further=FIGURE_SUFFIXES)
         canvas = replace(canvas, off_screen=True)
     own, of_show = _split(options, draw, obj, is_file=out is not None)
     drawing = draw(obj, canvas, **own)
@@ -203,10 +211,8 @@ def _deliver_figure(figure: Any, canvas: Canvas) -> Any:  # noqa: ANN401 (matplo
     """Write a figure of matplotlib, or show it: as an image in a notebook, else in the system's viewer of images."""
     from PIL import Image
 
-    from warpav.view.figures.style import checked_png, save_figure
-
     if canvas.out is not None:
-        return save_figure(figure, checked_png(canvas.out))
+        return save_figure(figure, checked_figure(canvas.out))
     encoded = io.BytesIO()
     figure.savefig(encoded, format="png")
     image = Image.open(encoded)
@@ -241,7 +247,21 @@ def _draw_rig(
     coverage: Coverage | None = None,
     visibility: bool = False,
     further: FurtherCameras | None = None,
-) -> Plotter:
+    sheet: bool = False,
+    range_m: Sequence[float] | None = None,
+) -> Drawing:
+    if sheet and rig is not None:
+        from warpav.view.figures.rig_sheet import rig_sheet
+
+        drawn = {"mount_surface": mount_surface, "trajectory_m": trajectory_m, "outcomes": outcomes}
+        drawn |= {"coverage": coverage, "visibility": visibility or None, "further": further}
+        given = [name for name, value in drawn.items() if value is not None]
+        if given:
+            raise ArgumentError("sheet", f"expected a sheet alone, with ego, scene or range_m, got {given[0]} as well")
+        vehicle = scene.ego if ego is None and scene is not None else ego
+        return rig_sheet(rig, ego=vehicle, range_m=range_m, title=canvas.title)
+    if range_m is not None:
+        raise ArgumentError("range_m", "expected it with sheet=True alone")
     return rig_plotter(
         rig,
         ego=ego,

@@ -156,6 +156,24 @@ def test_what_is_missed_without_each_camera_is_told(folder, page):
         write_report(folder)
 
 
+def test_the_most_sensitive_camera_is_named(folder, page):
+    assert "If a camera is off" not in page.text  # an older run does not know
+    worst = {"camera": "<rear>", "degree": "yaw", "change_per_100": 0.254}
+    tolerance = {"position_m": 0.02, "angle_rad": 0.017453292519943295, "scenes": 10, "worst": worst}
+    both = {"mount_tolerance": tolerance, "camera_outage": {"optimised": OUTAGE}}
+    folder.write_evaluation(evaluation(**both))
+    told = " ".join(page_of(folder).text)
+    assert "Most sensitive is <rear> in yaw: off by 1 degree, the rig is expected to miss 0.25 more of 100" in told
+    assert "(10 scenes); the loss of <rear> costs most, 37.5 of 100." in told
+    worst |= {"degree": "z", "change_per_100": 0.1}
+    folder.write_evaluation(evaluation(mount_tolerance=tolerance))
+    assert "in z: off by 2 cm," in " ".join(page_of(folder).text)
+    worst["change_per_100"] = 0.0
+    folder.write_evaluation(evaluation(mount_tolerance=tolerance))
+    nothing = "No camera that is off by 2 cm or 1 degree in one direction costs anything (10 scenes)."
+    assert nothing in " ".join(page_of(folder).text)
+
+
 def test_the_blind_spots_are_those_of_the_evaluation(page):
     child, adult = (table[1:] for table in page.tables if table[0][0] == "sector")
     assert [[numbers(cell) for cell in row[1:]] for row in child] == [[[80, 50], [7, 7]], [[25, 5], []]]

@@ -185,6 +185,23 @@ class OutageRecord(_Part):
         return self
 
 
+class MountEffectRecord(_Part):
+    """The camera and degree of freedom that cost most."""
+
+    camera: str
+    degree: Literal["x", "y", "z", "yaw", "pitch", "roll"]
+    change_per_100: float
+
+
+class ToleranceRecord(_Part):
+    """What errors of mounting cost, see `warpav.evaluation.mount_tolerance.MountTolerance`."""
+
+    position_m: float = Field(gt=0.0)
+    angle_rad: float = Field(gt=0.0)
+    scenes: int
+    worst: MountEffectRecord
+
+
 class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
@@ -199,6 +216,7 @@ class EvaluationRecord(_Part):
     outcomes: list[ReportedObject] | None = None
     ground: GroundTable | None = None
     camera_outage: dict[str, OutageRecord | None] = {}
+    mount_tolerance: ToleranceRecord | None = None
 
     @model_validator(mode="after")
     def _knows_its_arms(self) -> EvaluationRecord:

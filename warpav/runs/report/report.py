@@ -54,10 +54,14 @@ FIGURES = {
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
+    "sensitivity": "What each camera costs that is off, by degree of freedom, and that is lost",
     "search": "Best rig and bound over the camera renders",
     "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
 }
 """Figures of a run in the order of the report; others follow by name."""
+
+_ELSEWHERE = ("loss_curves", "further_cameras", "sensitivity")
+"""Figures that have places of their own."""
 
 
 @dataclass(frozen=True)
@@ -157,13 +161,15 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run),
-        "images": [image for image in shown if image.name not in ("loss_curves", "further_cameras")],
+        "images": [image for image in shown if image.name not in _ELSEWHERE],
         "old_curves": [image for image in shown if image.name == "loss_curves"],
         "further": _further(run),
         "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
         "free": _free(run),
         "is_weighted": run.config is not None and run.config.importance.is_set,
+        "sensitivity": words.sensitivity(run),
+        "sensitivity_map": [image for image in shown if image.name == "sensitivity"],
         "outage": _outage(evaluation) if evaluation else None,
         "views": _views(run.views, [next(encoded) for _ in run.views]),
         "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),

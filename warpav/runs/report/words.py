@@ -12,6 +12,7 @@ import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
+from warpav.evaluation.mount_tolerance import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
 
@@ -380,6 +381,30 @@ def _end(run: RunContent) -> Statement | None:
     )
     kept = "the rig at the start is kept: none was better" if end.kept == 0 else f"the rig after {end.kept} is kept"
     return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
+
+
+def sensitivity(run: RunContent) -> str:
+    """Which error of mounting and the loss of which camera cost most, in a sentence; empty where that is not known."""
+    evaluation = run.evaluation
+    tolerance = None if evaluation is None else evaluation.mount_tolerance
+    if evaluation is None or tolerance is None:
+        return ""
+    worst, objects = tolerance.worst, objects_name(run)
+    is_angle = worst.degree in ANGLES
+    off = f"{math.degrees(tolerance.angle_rad):g} degree" if is_angle else f"{100.0 * tolerance.position_m:g} cm"
+    text = (
+        f"Most sensitive is {worst.camera} in {worst.degree}: off by {off}, the rig is expected to miss "
+        f"{number(worst.change_per_100, 2)} more of 100 {objects} ({_counted(tolerance.scenes, 'scene')})"
+        if worst.change_per_100 > 0.0
+        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {math.degrees(tolerance.angle_rad):g} "
+        f"degree in one direction costs anything ({_counted(tolerance.scenes, 'scene')})"
+    )
+    outage = evaluation.camera_outage.get(evaluation.first)
+    if outage is None:
+        return f"{text}."
+    lost = next(each for each in outage.cameras if each.camera == outage.worst)
+    more = lost.difference_per_100 if lost.weighted_difference_per_100 is None else lost.weighted_difference_per_100
+    return f"{text}; the loss of {lost.camera} costs most, {number(more, 1)} of 100."
 
 
 def _caution(evaluation: EvaluationRecord) -> Statement | None:

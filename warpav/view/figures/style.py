@@ -18,6 +18,15 @@ DOTS_PER_INCH = 150
 SVG_WIDTH_INCH = 4.5
 """Of panels as SVG: a phone shows one below the other, and every letter can be read."""
 
+_METADATA: dict[str, Any] = {
+    ".png": {"Software": None},
+    ".pdf": {"Creator": None, "Producer": None, "CreationDate": None},
+    ".svg": {"Creator": None, "Date": None},
+}
+"""By suffix, without times and versions."""
+
+FIGURE_SUFFIXES = tuple(_METADATA)
+
 STYLE: Any = {
     "font.size": 10.0,
     "axes.titlesize": 11.0,
@@ -61,7 +70,11 @@ def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (m
 
 
 def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
-    """Write a figure as a PNG file that appears whole or not at all; missing folders are made.
+    """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made.
+
+    Args:
+        figure: The figure.
+        path: A name that ends as one of `FIGURE_SUFFIXES`.
 
     Returns:
         The path.
@@ -69,9 +82,13 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     Raises:
         InputError: It cannot be written.
     """
+    import matplotlib
+
     path = Path(path)
+    suffix = path.suffix.lower()
     encoded = io.BytesIO()
-    figure.savefig(encoded, format="png", metadata={"Software": None})
+    with matplotlib.rc_context({"svg.hashsalt": "warpav"}):
+        figure.savefig(encoded, format=suffix[1:], metadata=_METADATA[suffix])
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as draft:
@@ -105,6 +122,19 @@ def checked_png(path: Path | str) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
+    return path
+
+
+def checked_figure(path: Path | str) -> Path:
+    """The path of a figure to write.
+
+    Raises:
+        InputError: It does not end as one of `FIGURE_SUFFIXES`.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        expected = ", ".join(FIGURE_SUFFIXES)
+        raise ArgumentError("out", f"expected a name that ends in {expected}, got {path.suffix!r}", place=path)
     return path
 
 

@@ -221,13 +221,26 @@ def start_and_end_handles() -> list[Any]:
     ]
 
 
-def draw_vehicle(axis: Any, ego: Mesh) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw a vehicle from above as a silhouette in one flat colour; x points right."""
+def draw_vehicle(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    ego: Mesh,
+    *,
+    from_side: bool = False,
+    has_outline: bool = False,
+) -> None:
+    """Draw a vehicle as a silhouette in one flat colour, x pointing right: from above, or with z up.
+
+    With an outline the triangles are drawn as pixels in files of vectors too, as there are thousands of them.
+    """
     from matplotlib.collections import PolyCollection
 
-    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, :2]
+    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [0, 2] if from_side else [0, 1]]
     colour = hex_colour(GRID_RGB)
-    axis.add_collection(PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=0.6, zorder=1))
+    border = [(hex_colour(MUTED_RGB), 2.4)] if has_outline else []
+    for edge, width in (*border, (colour, 0.6)):
+        silhouette = PolyCollection(list(corner_m), facecolors=edge, edgecolors=edge, linewidths=width, zorder=1)
+        silhouette.set_rasterized(has_outline)
+        axis.add_collection(silhouette)
     axis.autoscale_view()
 
 

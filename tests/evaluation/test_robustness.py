@@ -1,0 +1,190 @@
+"""Dirt and loads: against masks of pixels, the loss of a camera, and renders of a vehicle that is moved itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from tests.driving_scene import street
+from tests.optimisation.test_modules import cameras_of as mixed_cameras
+from tests.optimisation.test_modules import spread
+from warpav.core.errors import InputError
+from warpav.evaluation.camera_outage import CameraOutages
+from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, loaded_scene, soiled_scene
+from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
+from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.device_scene import DeviceScene
+
+PARTS = [
+    SoiledPart("disc", (0.5, 0.5), 0.2),
+    SoiledPart("disc", (0.1, 0.9), 0.3),
+    SoiledPart("rows", (0.5, 0.6), 0.25),
+    SoiledPart("columns", (1.0, 0.5), 0.5),
+]
+MODELS = [
+    CameraModel(160, 120, math.radians(90.0)),
+    CameraModel(160, 120, math.radians(90.0), lens="brown_conrady", distortion=(-0.1, 0.01, 0.0, 0.0)),
+    CameraModel(160, 160, math.radians(190.0), lens="fisheye"),
+    CameraModel(320, 80, 2.0 * math.pi, lens="panorama"),
+]
+
+
+@pytest.fixture(scope="module")
+def town():
+    return next(iter(wa.town([5000])))
+
+
+def pixel_centres(model):
+    row, column = np.mgrid[: model.height_px, : model.width_px] + 0.5
+    return np.stack([column, row], axis=-1)
+
+
+@pytest.mark.parametrize("part", PARTS, ids=str)
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.lens)
+def test_dirt_covers_its_part_of_the_image_and_nothing_else(town, model, part):
+    one = RigCamera("one", np.array([1.3, 0.1, 2.6]), 0.4, 0.2, 0.1, model)
+    clean = wa.render(Rig([one]), town)["one"]
+    dirty = wa.render(Rig([one]), soiled_scene(town, one, part))["one"]
+    is_soiled = dirty.depth_m < 1.3 * model.near_m  # nothing else is as near: the own roof is a metre below
+    expected = part.covers(pixel_centres(model), model)
+    # the outline is a polygon, so that some pixels on it differ; worst seen 0.5 %
+    assert (is_soiled != expected).mean() < 0.01
+    assert expected.mean() == part.covered_share(model)
+    np.testing.assert_array_equal(dirty.object_index[is_soiled], 0)
+    np.testing.assert_array_equal(dirty.object_index[~is_soiled], clean.object_index[~is_soiled])
+
+
+def test_covered_shares_have_closed_forms():
+    model = CameraModel(400, 300)
+    assert SoiledPart("disc", (0.5, 0.5), 0.2).covered_share(model) == pytest.approx(0.2, abs=1e-3)
+    assert SoiledPart("disc", (0.0, 0.0), 0.2).covered_share(model) == pytest.approx(0.05, abs=1e-3)
+    assert SoiledPart("rows", (0.3, 0.5), 0.25).covered_share(model) == pytest.approx(0.25, abs=4e-3)
+    assert SoiledPart("columns", (1.0, 0.5), 0.5).covered_share(model) == pytest.approx(0.25, abs=4e-3)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    placement = wa.Placement(wa.town(range(2)), cameras=3)
+    return placement, wa.highest_rig(placement), wa.town([5000, 5001])
+
+
+def test_a_camera_that_is_covered_all_over_is_lost(problem):
+    placement, rig, scenes = problem
+    found = wa.soiling(rig, scenes, placement, shape="rows", share=1.0)
+    outages = wa.evaluate(rig, scenes, placement).camera_outage["rig"]
+    assert [each.camera for each in found.cameras] == [camera.name for camera in rig.cameras]
+    assert found.expected_misses_per_100 == pytest.approx(outages.expected_misses_per_100, abs=1e-3)
+    for soiled, lost in zip(found.cameras, outages.cameras, strict=True):
+        assert soiled.covered_share == 1.0
+        assert soiled.expected_misses_per_100 == pytest.approx(lost.expected_misses_per_100, abs=1e-3)
+    assert found.worst.camera == outages.worst.camera
+    assert found.worst.difference_per_100 > 1.0
+
+
+def test_dirt_costs_nothing_where_nobody_is_and_something_where_they_are(problem):
+    placement, rig, scenes = problem
+    sky, middle = (wa.soiling(rig, scenes, placement, shape="rows", place=(0.5, y), share=0.1) for y in (0.05, 0.5))
+    assert [each.difference_per_100 for each in sky.cameras] == pytest.approx([0.0] * 3, abs=1e-3)
+    assert min(each.difference_per_100 for each in middle.cameras) >= 0.0
+    assert middle.worst.difference_per_100 > 10.0  # objects stand around the horizon
+    assert middle.worst.camera in str(middle.table())
+    assert "band of rows around 50% of the width and 50% of the height" in str(middle.table())
+
+
+def moved_with(transform, one):
+    """The camera of the same vehicle in the frame that a transform leads to."""
+    return RigCamera.at(one.name, transform @ one.ego_from_camera, one.model)
+
+
+@pytest.mark.parametrize(("pitch_deg", "height_m"), [(2.0, 0.0), (-3.0, -0.1), (0.0, 0.3)])
+def test_under_a_load_the_world_moves_as_if_the_vehicle_did(town, pitch_deg, height_m):
+    """The same images come of a pitched and raised vehicle, body and cameras, in a world that stays."""
+    state = LoadState(pitch_deg, height_m)
+    angle = math.radians(pitch_deg)
+    nose_down = np.eye(4)
+    nose_down[:3, :3] = [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
+    nose_down[2, 3] = height_m
+    rig = Rig(
+        RigCamera(f"c{k}", np.array([1.3, 0.1, 1.62]), yaw, 0.1, 0.02, model)
+        for k, (yaw, model) in enumerate(zip((0.3, 2.0, -1.5, 3.0), MODELS, strict=True))
+    )
+    of_load = wa.render(rig, loaded_scene(town, state))
+    body = town.ego.transformed(nose_down[:3, :3], nose_down[:3, 3])
+    directly = wa.render(Rig(moved_with(nose_down, one) for one in rig.cameras), replace(town, ego=body))
+    level = wa.render(rig, town)
+    for name, image in of_load.items():
+        differs = (image.object_index != directly[name].object_index).mean()
+        assert differs < 0.002  # worst seen 0.0006: float32 on outlines
+        world = image.object_index == 0  # the own body stays
+        for other in (directly, level):
+            world &= (other[name].object_index == 0) & np.isfinite(image.depth_m) & np.isfinite(other[name].depth_m)
+        depth_m, expected_m, level_m = (each.depth_m[world] for each in (image, directly[name], level[name]))
+        assert np.quantile(np.abs(depth_m / expected_m - 1.0), 0.95) < 1e-5
+        assert (np.abs(depth_m / level_m - 1.0) > 1e-3).mean() > 0.1  # walls beside it keep their depth
+    ahead = np.array([math.cos(angle), 0.0, math.sin(angle)])  # where the level line ahead lies: nose down, higher
+    box = loaded_scene(town, state).vehicles[0].box
+    expected = np.linalg.inv(nose_down) @ np.append(town.vehicles[0].box.center_m, 1.0)
+    np.testing.assert_allclose(box.center_m, expected[:3], atol=1e-9)
+    np.testing.assert_allclose(state.ground_from_ego[:3, :3] @ ahead, [1.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_no_load_costs_nothing_and_names_stay(problem):
+    placement, rig, scenes = problem
+    found = wa.load_states(rig, scenes, placement, states={"none": (0.0, 0.0), "steep": (12.0, 0.0)})
+    assert [each.name for each in found.states] == ["none", "steep"]
+    assert found.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-4)
+    assert found.worst.name == "steep"
+    assert found.worst.difference_per_100 > 0.5
+    assert "+12.0" in str(found.table())
+    usual = wa.load_states(rig, scenes, placement)
+    assert [each.name for each in usual.states] == ["nose down", "nose up", "laden"]
+    assert usual.expected_misses_per_100 == found.expected_misses_per_100
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"shape": "star"}, "shape: expected one of disc, rows, columns, got 'star'"),
+        ({"place": (0.5, 1.2)}, r"place: expected two shares of the image from 0 to 1, got \(0.5, 1.2\)"),
+        ({"share": 0.0}, r"share: expected a share of the image's area in \(0, 1\], got 0.0"),
+        ({"share": math.nan}, "share: expected a share"),
+    ],
+)
+def test_dirt_that_cannot_be_is_one_line(problem, options, words):
+    placement, rig, scenes = problem
+    with pytest.raises(InputError, match=words):
+        wa.soiling(rig, scenes, placement, **options)
+
+
+def test_loads_and_placements_that_cannot_be_are_one_line(problem):
+    placement, rig, scenes = problem
+    with pytest.raises(InputError, match=r"pitch_deg: expected an angle within 30, got 31\.0"):
+        wa.load_states(rig, scenes, placement, states={"much": (31.0, 0.0)})
+    with pytest.raises(InputError, match="height_m: expected a finite number, got inf"):
+        wa.load_states(rig, scenes, placement, states={"up": (0.0, math.inf)})
+    with pytest.raises(InputError, match="states: expected at least one load, got none"):
+        wa.load_states(rig, scenes, placement, states={})
+    thesis = wa.Placement(wa.town([0]), cameras=3, losses={"detected_area": 1.0})
+    with pytest.raises(InputError, match=r"losses: expected the expected_miss_rate alone, .*, for what dirt costs"):
+        wa.soiling(rig, scenes, thesis)
+
+
+def test_rigs_of_different_modules_are_soiled_and_loaded_each_in_its_own_image():
+    cameras, pose = mixed_cameras(), spread()[[0, 20, 40]]
+    assert sorted(cameras.mount.module_of(pose)) == [0, 1, 2]
+    scenes, names = [street(6, 0), street(4, 2)], ("a", "b", "c")
+    packed = [DeviceScene.pack(scene) for scene in scenes]
+    detected = np.concatenate([cameras.detection_probability(pose, scene) for scene in packed], axis=1)
+    outages = CameraOutages.of(names, detected)
+    found = Soiling.of(names, pose, cameras, scenes, SoiledPart("columns", share=1.0))
+    lost = [each.expected_misses_per_100 for each in outages.cameras]
+    assert [each.expected_misses_per_100 for each in found.cameras] == pytest.approx(lost, abs=0.01)
+    loads = LoadStates.of(pose, cameras, scenes, {"none": LoadState(), "steep": LoadState(10.0)})
+    assert loads.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-3)
+    assert abs(loads.states[1].difference_per_100) > 0.1
+    others = replace(cameras, occlusion=Occlusion.PAIRWISE)
+    with pytest.raises(InputError, match="expected exact for dirt to hide something, got pairwise"):
+        Soiling.of(names, pose, others, scenes, SoiledPart())

@@ -1,0 +1,165 @@
+"""The page of a rig: its fans against closed forms and against the rays of an image's border, its scale, its files."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.view.stand_ins import ego, needs_opengl, rig, scene
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.raster.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera
+from warpav.view import plot
+from warpav.view.figures.rig_sheet import horizontal_arcs_rad, rig_sheet, vertical_arcs_rad
+from warpav.view.frustum import seen_ground_m
+
+EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
+
+
+def camera(model, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, place_m=(1.0, 0.0, 1.5)):
+    return RigCamera("cam", np.array(place_m), *np.radians([yaw_deg, pitch_deg, roll_deg]), model)
+
+
+def border_rays(one, step_px=0.05):
+    """Directions of the image's border in the ego frame, once around."""
+    width, height = one.model.width_px, one.model.height_px
+    across, down = np.arange(0.0, width, step_px), np.arange(0.0, height, step_px)
+    border_px = np.concatenate(
+        [
+            np.stack([across, 0.0 * across], axis=1),
+            np.stack([0.0 * down + width, down], axis=1),
+            np.stack([width - across, 0.0 * across + height], axis=1),
+            np.stack([0.0 * down, height - down], axis=1),
+        ]
+    )
+    return one.model.rays(border_px) @ one.ego_from_camera[:3, :3].T
+
+
+def arc_deg(arcs):
+    assert len(arcs) == 1
+    return np.degrees(arcs[0])
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 55.0, 180.0, -91.0])
+def test_a_level_pinhole_spans_its_field_of_view(yaw_deg):
+    one = camera(CameraModel(400, 200, math.radians(80.0)), yaw_deg)
+    first, last = arc_deg(horizontal_arcs_rad(one))
+    assert last - first == pytest.approx(80.0, abs=math.degrees(EXACT_RAD))
+    assert math.remainder(0.5 * (first + last) - yaw_deg, 360.0) == pytest.approx(0.0, abs=1e-6)
+    half_deg = math.degrees(math.atan(0.5 * math.tan(math.radians(40.0))))
+    assert arc_deg(vertical_arcs_rad(one)) == pytest.approx([-half_deg, half_deg], abs=1e-6)
+
+
+def test_a_fisheye_sees_behind_itself_and_a_panorama_all_round():
+    wide = camera(CameraModel(400, 400, math.radians(190.0), lens="fisheye"), 90.0)
+    assert arc_deg(horizontal_arcs_rad(wide)) == pytest.approx([-5.0, 185.0], abs=1e-5)
+    assert arc_deg(vertical_arcs_rad(wide)) == pytest.approx([-95.0, 95.0], abs=1e-5)
+    all_round = camera(CameraModel(720, 180, 2.0 * math.pi, lens="panorama"), 30.0)
+    assert horizontal_arcs_rad(all_round) == [(-math.pi, math.pi)]
+    ahead, behind = np.degrees(vertical_arcs_rad(all_round))
+    assert [behind[1] - behind[0], ahead[1] - ahead[0]] == pytest.approx([ahead[1] - ahead[0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("lens", "fov_deg", "distortion"),
+    [("pinhole", 90.0, ()), ("brown_conrady", 90.0, (-0.1, 0.01, 0.0, 0.0)), ("fisheye", 100.0, ())],
+)
+def test_pitched_and_rolled_fans_end_where_the_border_crosses_the_horizon(lens, fov_deg, distortion):
+    model = CameraModel(320, 240, math.radians(fov_deg), lens=lens, distortion=distortion)
+    one = camera(model, 70.0, 18.0, 25.0)
+    ray = border_rays(one)
+    up = ray[:, 2] / np.linalg.norm(ray, axis=1)
+    crossing = np.flatnonzero(np.sign(up) != np.sign(np.roll(up, -1)))
+    following = (crossing + 1) % len(up)
+    share = (up[crossing] / (up[crossing] - up[following]))[:, None]
+    at = (1.0 - share) * ray[crossing] + share * ray[following]
+    expected_deg = sorted(np.degrees(np.arctan2(at[:, 1], at[:, 0])))
+    level_deg = arc_deg(horizontal_arcs_rad(camera(model, 70.0)))
+    found_deg = arc_deg(horizontal_arcs_rad(one))
+    assert found_deg == pytest.approx(expected_deg, abs=1e-3)  # worst seen 2e-5: between samples of the border
+    assert np.abs(found_deg - level_deg).max() > 1.0  # the fan of a level camera would be wrong
+
+
+def test_a_camera_that_looks_down_has_the_ground_of_its_border():
+    one = camera(CameraModel(320, 240, math.radians(60.0)), 40.0, 62.0, 10.0, (1.0, 0.5, 2.0))
+    assert horizontal_arcs_rad(one) == []
+    ray = border_rays(one)
+    foot_m = one.position_m[:2] - ray[:, :2] * (one.position_m[2] / ray[:, 2:])
+    [outline_m] = seen_ground_m(one, reach_m=100.0, step_rad=math.radians(0.1))
+
+    def area_m2(point):
+        x, y = point.T
+        return 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+    assert area_m2(outline_m) == pytest.approx(area_m2(foot_m), rel=0.01)  # worst seen 0.003: steps of 0.1 degrees
+    assert outline_m.max(axis=0) == pytest.approx(foot_m.max(axis=0), abs=0.02)
+    assert outline_m.min(axis=0) == pytest.approx(foot_m.min(axis=0), abs=0.02)
+    assert seen_ground_m(camera(CameraModel(), pitch_deg=-80.0), reach_m=100.0) == []
+
+
+def test_straight_down_the_plane_is_that_of_the_upper_edge():
+    arcs = vertical_arcs_rad(camera(CameraModel(200, 200, math.radians(80.0)), pitch_deg=90.0))
+    assert arc_deg(arcs) == pytest.approx([-130.0, -50.0], abs=1e-5)
+
+
+def test_the_page_is_in_the_scale_that_it_states():
+    figure = rig_sheet(rig(), ego=ego(), range_m=[4.0, 8.0])
+    assert figure.get_size_inches() * 25.4 == pytest.approx([210.0, 297.0])
+    [stated] = [text.get_text() for text in figure.texts if text.get_text().startswith("1 : ")]
+    for axis in figure.axes:
+        for unit in ((1.0, 0.0), (0.0, 1.0)):
+            drawn_px = np.linalg.norm(axis.transData.transform(unit) - axis.transData.transform((0.0, 0.0)))
+            assert 1000.0 / (drawn_px / figure.dpi * 25.4) == pytest.approx(float(stated.removeprefix("1 : ")))
+    words = {text.get_text() for part in (figure, *figure.axes) for text in part.texts}
+    assert {"1 cam_0", "4 cam_3", "4 m", "8 m", "256 x 256", "80 x 80"} <= words
+
+
+def test_many_cameras_make_the_page_longer():
+    figure = rig_sheet(rig(60))
+    assert figure.get_size_inches()[1] * 25.4 > 297.0
+    lowest = min(text.get_position()[1] for text in figure.texts if text.get_text().startswith("60 "))
+    note = next(text for text in figure.texts if text.get_text().startswith("Above"))
+    assert lowest > note.get_window_extent().y1 / figure.bbox.height
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_it_is_written_in_every_format(tmp_path, suffix, begins):
+    cameras = [
+        *rig().cameras,
+        camera(CameraModel(400, 300, math.radians(190.0), lens="fisheye"), 90.0, 30.0),
+        RigCamera("down", np.array([1.0, 0.9, 1.0]), 1.6, math.radians(70.0)),
+        RigCamera("sky", np.array([1.0, 0.0, 1.6]), 0.0, math.radians(-89.0)),
+    ]
+    path = tmp_path / "new" / f"sheet.{suffix}"
+    assert plot(Rig(cameras), sheet=True, scene=scene(), out=path) == path
+    content = path.read_bytes()
+    assert content.startswith(begins)
+    plot(Rig(cameras), sheet=True, scene=scene(), out=path)
+    assert path.read_bytes() == content
+
+
+def test_what_does_not_fit_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"range_m: expected positive radii in metres, got \[-1.0, 5.0\]"):
+        plot(rig(), sheet=True, range_m=[5.0, -1.0], out=tmp_path / "x.png")
+    with pytest.raises(InputError, match="sheet: expected a sheet alone, with ego, scene or range_m, got visibility"):
+        plot(rig(), sheet=True, visibility=True, out=tmp_path / "x.png")
+    with pytest.raises(InputError, match="range_m: expected it with sheet=True alone"):
+        plot(rig(), range_m=[5.0], out=tmp_path / "x.png")
+    with pytest.raises(InputError, match=r"expected a name that ends in \.png, \.pdf, \.svg, got '\.html'"):
+        plot(rig(), sheet=True, out=tmp_path / "x.html")
+
+
+@needs_opengl
+def test_a_view_in_space_is_no_page(tmp_path):
+    with pytest.raises(
+        InputError, match=r"x\.pdf: expected a name that ends in \.png, \.html, \.gif, \.mp4, got '\.pdf'"
+    ):
+        plot(rig(), out=tmp_path / "x.pdf")
+
+
+def test_the_command_writes_it(tmp_path, capsys):
+    out = tmp_path / "sheet.svg"
+    assert main(["inspect", "nuscenes", "--show", "sheet", "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"wrote {out}\n"
+    assert out.read_text().startswith("<?xml")

@@ -1,0 +1,389 @@
+"""What a rig is expected to miss with a soiled camera, and under loads that pitch and lower the vehicle.
+
+Both render scenes that are changed instead of the rig: dirt is an opaque sheet before the lens, and under a load it is
+the world that moves in the ego frame. Every camera is rendered by itself, as a pool is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.frames import rotation_from_yaw_pitch_roll
+from warpav.core.progress import NullProgress, Progress
+from warpav.evaluation.rig_evaluation import Table
+from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
+from warpav.raster.mesh import Mesh, merge
+from warpav.rig.rig import RigCamera
+from warpav.scene.device_scene import DeviceScene
+from warpav.scene.scene import Box, Scene, Vehicle
+
+SoilShape = Literal["disc", "rows", "columns"]
+
+_DIRT_RGB = (88, 78, 66)
+_DIRT_STEPS = 64
+_BEYOND_NEAR = 1.05  # of the distance from which on a camera sees
+_PITCH_LIMIT_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class SoiledPart:
+    """A part of an image in which nothing can be seen.
+
+    Attributes:
+        shape: A disc; or a band of rows (from the left edge to the right) or of columns (from the upper edge to the
+            lower).
+        place: Its middle as shares of the image's width and height from the upper left corner, 0..1.
+        share: Its area as a share of the image's, in (0, 1]. What lies beyond the image's edge counts too, so that less
+            of the image may be covered, see `covered_share`.
+
+    Raises:
+        InputError: A number is out of its range, or the shape is unknown.
+    """
+
+    shape: SoilShape = "disc"
+    place: tuple[float, float] = (0.5, 0.5)
+    share: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.shape not in get_args(SoilShape):
+            raise ArgumentError("shape", f"expected one of {', '.join(get_args(SoilShape))}, got {self.shape!r}")
+        if len(self.place) != 2 or not all(0.0 <= value <= 1.0 for value in self.place):
+            raise ArgumentError("place", f"expected two shares of the image from 0 to 1, got {self.place!r}")
+        if not 0.0 < self.share <= 1.0:
+            raise ArgumentError("share", f"expected a share of the image's area in (0, 1], got {self.share!r}")
+
+    def covers(self, place_px: np.ndarray, model: CameraModel) -> np.ndarray:
+        """Whether places of an image, column and row [px], [..., 2], lie in the part; bool [...]."""
+        size_px = np.array([model.width_px, model.height_px], np.float64)
+        offset_px = np.asarray(place_px, np.float64) - self.place * size_px
+        if self.shape == "disc":
+            return np.hypot(offset_px[..., 0], offset_px[..., 1]) <= self._radius_px(model)
+        axis = 1 if self.shape == "rows" else 0
+        return np.abs(offset_px[..., axis]) <= 0.5 * self.share * size_px[axis]
+
+    def covered_share(self, model: CameraModel) -> float:
+        """Share of an image's pixels of which the middle lies in the part, 0..1."""
+        row, column = np.mgrid[: model.height_px, : model.width_px] + 0.5
+        return float(self.covers(np.stack([column, row], axis=-1), model).mean())
+
+    def _radius_px(self, model: CameraModel) -> float:
+        return math.sqrt(self.share * model.width_px * model.height_px / math.pi)
+
+    def sheet(self, camera: RigCamera) -> Mesh:
+        """An opaque sheet in the ego frame that covers the part of an image, just beyond the camera's near distance."""
+        model = camera.model
+        size_px = np.array([model.width_px, model.height_px], np.float64)
+        middle_px = self.place * size_px
+        first, second = np.meshgrid(*2 * [np.linspace(0.0, 1.0, _DIRT_STEPS + 1)], indexing="ij")
+        if self.shape == "disc":
+            radius_px, turn = self._radius_px(model) * first, 2.0 * math.pi * second
+            corner_px = middle_px + radius_px[..., None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        else:
+            axis = 1 if self.shape == "rows" else 0
+            along = middle_px[axis] + (first - 0.5) * self.share * size_px[axis]
+            across = second * size_px[1 - axis]
+            corner_px = np.stack([across, along] if axis == 1 else [along, across], axis=-1)
+        ray = model.rays(np.clip(corner_px, 0.0, size_px)).reshape(-1, 3)
+        index = np.arange((_DIRT_STEPS + 1) ** 2).reshape(_DIRT_STEPS + 1, -1)
+        corners = [index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]]
+        a, b, c, d = (each.ravel() for each in corners)
+        triangle = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        point_camera_m = _BEYOND_NEAR * model.near_m * ray
+        edge_m = np.diff(point_camera_m[triangle], axis=1)
+        area = np.linalg.norm(np.cross(edge_m[:, 0], edge_m[:, 1]), axis=1)
+        triangle = triangle[np.isfinite(area) & (area > 0.0)]  # beyond a fisheye's circle nothing is seen
+        if not len(triangle):
+            raise InputError(f"soiled part: camera {camera.name!r} sees nothing at place {self.place}")
+        used, numbered = np.unique(triangle, return_inverse=True)
+        transform = camera.ego_from_camera
+        point_m = point_camera_m[used] @ transform[:3, :3].T + transform[:3, 3]
+        return Mesh.create(point_m, numbered.reshape(-1, 3), _DIRT_RGB)
+
+
+def soiled_scene(scene: Scene, camera: RigCamera, part: SoiledPart) -> Scene:
+    """The scene with dirt before one camera; other cameras may see it where it is."""
+    return replace(scene, environment=merge([scene.environment, part.sheet(camera)]))
+
+
+@dataclass(frozen=True)
+class SoiledCamera:
+    """A rig of which one camera is soiled.
+
+    Attributes:
+        camera: Its name.
+        covered_share: Share of its image's pixels that the dirt covers, 0..1.
+        expected_misses_per_100: Objects that the rig is expected to miss, per 100.
+        difference_per_100: The same less that of the clean rig.
+    """
+
+    camera: str
+    covered_share: float
+    expected_misses_per_100: float
+    difference_per_100: float
+
+
+@dataclass(frozen=True)
+class Soiling:
+    """What a soiled camera costs a rig, weighted where objects have weights.
+
+    Attributes:
+        part: What is soiled of one camera's image.
+        expected_misses_per_100: Objects that the clean rig is expected to miss, per 100.
+        cameras: One for each camera, in the order of the rig.
+    """
+
+    part: SoiledPart
+    expected_misses_per_100: float
+    cameras: tuple[SoiledCamera, ...]
+
+    @property
+    def worst(self) -> SoiledCamera:
+        """The camera whose soiling costs most; of equal ones the first."""
+        return max(self.cameras, key=lambda each: each.difference_per_100)
+
+    def table(self) -> Table:
+        """What each soiled camera costs: text when printed, HTML in a notebook."""
+        column, row = self.part.place
+        return Table(
+            ("soiled camera", "covered", "expected misses per 100", "difference"),
+            tuple(
+                (
+                    each.camera,
+                    f"{each.covered_share:.0%}",
+                    f"{each.expected_misses_per_100:.2f}",
+                    f"{each.difference_per_100:+.2f}",
+                )
+                for each in self.cameras
+            ),
+            f"Soiled in one camera: a {self._words} around {column:.0%} of the width and {row:.0%} of the height. The "
+            f"clean rig is expected to miss {self.expected_misses_per_100:.2f} of 100.",
+        )
+
+    @property
+    def _words(self) -> str:
+        return "disc" if self.part.shape == "disc" else f"band of {self.part.shape}"
+
+    @classmethod
+    def of(
+        cls,
+        camera: Sequence[str],
+        mount_pose: np.ndarray,
+        cameras: SingleCameras,
+        scenes: Sequence[Scene],
+        part: SoiledPart,
+        *,
+        weight: np.ndarray | None = None,
+        progress: Progress | None = None,
+    ) -> Soiling:
+        """Render a rig's cameras clean and soiled.
+
+        Args:
+            camera: Names of the cameras.
+            mount_pose: The rig, float [camera, 7].
+            cameras: What the cameras are, and how likely one is to detect.
+            scenes: Around the mount's vehicle.
+            part: What is soiled.
+            weight: Of each object, at least 0, float [object]; None: all alike.
+            progress: Told of every scene.
+
+        Raises:
+            InputError: The scenes hold no objects, a camera sees nothing there, or only other road users occlude, so
+                that dirt would not.
+        """
+        if cameras.occlusion is not Occlusion.EXACT:
+            raise InputError(
+                f"visibility.occlusion: expected exact for dirt to hide something, got {cameras.occlusion.value}"
+            )
+        _check_objects(scenes)
+        pose = np.asarray(mount_pose, np.float32)
+        standing = cameras.mount.rig(pose).cameras
+        share = shares_of(weight)
+        clean, soiled = [], []
+        for scene in (progress or NullProgress()).steps("soiled cameras", scenes, count=len(scenes)):
+            clean.append(cameras.detection_probability(pose, _packed(scene, cameras)))
+            soiled.append(
+                [
+                    cameras.detection_probability(pose[k : k + 1], _packed(soiled_scene(scene, each, part), cameras))[0]
+                    for k, each in enumerate(standing)
+                ]
+            )
+        plain, dirty = np.concatenate(clean, axis=1), np.concatenate(soiled, axis=1)
+        nominal = 100.0 * expected_miss_rate(plain, share)
+        found = []
+        for k, (name, each) in enumerate(zip(camera, standing, strict=True)):
+            changed = plain.copy()
+            changed[k] = dirty[k]
+            missed = 100.0 * expected_miss_rate(changed, share)
+            found.append(SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
+        return cls(part, nominal, tuple(found))
+
+
+@dataclass(frozen=True)
+class LoadState:
+    """How a load moves the vehicle, with its cameras, against the world.
+
+    Attributes:
+        pitch_deg: Turn about the ego frame's y axis, nose down positive [deg], within 30.
+        height_m: How far the frame's origin rises [m]; negative where it sinks.
+
+    Raises:
+        InputError: A number is out of its range.
+    """
+
+    pitch_deg: float = 0.0
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.pitch_deg) <= _PITCH_LIMIT_DEG:
+            raise ArgumentError("pitch_deg", f"expected an angle within {_PITCH_LIMIT_DEG:g}, got {self.pitch_deg!r}")
+        if not math.isfinite(self.height_m):
+            raise ArgumentError("height_m", f"expected a finite number, got {self.height_m!r}")
+
+    @property
+    def ground_from_ego(self) -> np.ndarray:
+        """From the ego frame under the load to that without one, float64 [4, 4]."""
+        transform = np.eye(4)
+        transform[:3, :3] = rotation_from_yaw_pitch_roll(0.0, math.radians(self.pitch_deg), 0.0)
+        transform[2, 3] = self.height_m
+        return transform
+
+
+def loaded_scene(scene: Scene, state: LoadState) -> Scene:
+    """The scene as a vehicle under a load has it in its frame: the vehicle stays, all else moves.
+
+    Boxes stay upright and as large, with their middle and heading moved. So does the sky, whose colours change with
+    elevation.
+    """
+    ground_from_ego = state.ground_from_ego
+    rotation, offset_m = ground_from_ego[:3, :3], ground_from_ego[:3, 3]
+
+    def moved(mesh: Mesh) -> Mesh:
+        return mesh.transformed(rotation.T, -rotation.T @ offset_m)
+
+    def user(each: Vehicle) -> Vehicle:
+        heading = np.array([math.cos(each.box.yaw_rad), math.sin(each.box.yaw_rad), 0.0]) @ rotation
+        centre_m = (np.asarray(each.box.center_m) - offset_m) @ rotation
+        box = Box(centre_m, each.box.size_m, math.atan2(heading[1], heading[0]))
+        return replace(each, mesh=moved(each.mesh), box=box)
+
+    return replace(
+        scene,
+        environment=moved(scene.environment),
+        vehicles=tuple(user(each) for each in scene.vehicles),
+        others=tuple(user(each) for each in scene.others),
+    )
+
+
+@dataclass(frozen=True)
+class LoadedRig:
+    """A rig on a vehicle under a load.
+
+    Attributes:
+        name: Of the load.
+        state: How it moves the vehicle.
+        expected_misses_per_100: Objects that the rig is expected to miss, per 100.
+        difference_per_100: The same less that without a load.
+    """
+
+    name: str
+    state: LoadState
+    expected_misses_per_100: float
+    difference_per_100: float
+
+
+@dataclass(frozen=True)
+class LoadStates:
+    """What loads cost a rig, weighted where objects have weights; the weights are those without a load.
+
+    Attributes:
+        expected_misses_per_100: Objects that the rig is expected to miss without a load, per 100.
+        states: One for each load, in their order.
+    """
+
+    expected_misses_per_100: float
+    states: tuple[LoadedRig, ...]
+
+    @property
+    def worst(self) -> LoadedRig:
+        """The load that costs most; of equal ones the first."""
+        return max(self.states, key=lambda each: each.difference_per_100)
+
+    def table(self) -> Table:
+        """What each load costs: text when printed, HTML in a notebook."""
+        return Table(
+            ("load", "pitch [deg]", "height [m]", "expected misses per 100", "difference"),
+            tuple(
+                (
+                    each.name,
+                    f"{each.state.pitch_deg:+.1f}",
+                    f"{each.state.height_m:+.3f}",
+                    f"{each.expected_misses_per_100:.2f}",
+                    f"{each.difference_per_100:+.2f}",
+                )
+                for each in self.states
+            ),
+            "Pitch is positive nose down. Without a load the rig is expected to miss "
+            f"{self.expected_misses_per_100:.2f} of 100.",
+        )
+
+    @classmethod
+    def of(
+        cls,
+        mount_pose: np.ndarray,
+        cameras: SingleCameras,
+        scenes: Sequence[Scene],
+        states: Mapping[str, LoadState],
+        *,
+        weight: np.ndarray | None = None,
+        progress: Progress | None = None,
+    ) -> LoadStates:
+        """Render a rig's cameras without a load and under each.
+
+        Args:
+            mount_pose: The rig, float [camera, 7].
+            cameras: What the cameras are, and how likely one is to detect.
+            scenes: Around the mount's vehicle, without a load.
+            states: Loads by name, at least one.
+            weight: Of each object, at least 0, float [object]; None: all alike.
+            progress: Told of every scene.
+
+        Raises:
+            InputError: There is no load, or the scenes hold no objects.
+        """
+        if not states:
+            raise ArgumentError("states", "expected at least one load, got none")
+        _check_objects(scenes)
+        share = shares_of(weight)
+        pose = np.asarray(mount_pose, np.float32)
+        found: list[list[np.ndarray]] = [[] for _ in range(1 + len(states))]
+        for scene in (progress or NullProgress()).steps("loads", scenes, count=len(scenes)):
+            for rows, changed in zip(
+                found, [scene, *(loaded_scene(scene, state) for state in states.values())], strict=True
+            ):
+                rows.append(cameras.detection_probability(pose, _packed(changed, cameras)))
+        nominal, *loaded = (100.0 * expected_miss_rate(np.concatenate(rows, axis=1), share) for rows in found)
+        return cls(
+            nominal,
+            tuple(
+                LoadedRig(name, state, missed, missed - nominal)
+                for (name, state), missed in zip(states.items(), loaded, strict=True)
+            ),
+        )
+
+
+def _packed(scene: Scene, cameras: SingleCameras) -> DeviceScene:
+    return DeviceScene.pack(scene, device=cameras.mount.device)
+
+
+def _check_objects(scenes: Sequence[Scene]) -> None:
+    if not any(scene.vehicles for scene in scenes):
+        raise ArgumentError("scenes", "expected at least one object, got none")

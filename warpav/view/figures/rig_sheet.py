@@ -1,0 +1,328 @@
+"""A rig on one page, to print: the vehicle from above and from the side, to scale, and what every camera sees."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError
+from warpav.raster.lens import Lens
+from warpav.view.figures.style import figure_style, new_figure
+from warpav.view.figures.top_view import draw_vehicle
+from warpav.view.frustum import seen_arcs_rad, seen_ground_m
+from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.rig import Rig, RigCamera
+
+PAGE_MM = (210.0, 297.0)
+"""A4; rigs of many cameras make it longer."""
+
+_SCALES = (10, 20, 25, 50, 75, 100, 125, 150, 200, 250, 400, 500, 1000, 2000)
+_MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
+_UP = np.array([0.0, 0.0, 1.0])
+_ARC_STEP_RAD = math.radians(1.0)
+_ANGLE_EPSILON = 1e-6
+
+_NOTE = (
+    "Above: azimuths at which a camera sees the horizon; of one that sees none, the level ground that it sees "
+    "(hatched).\n"
+    "Below: what it sees in the upright plane of its optical axis, turned into the page to the front or the rear, "
+    "whichever is nearer.\nNothing stands in the way. Sees: the angles of both. Frame: x forward, y left, z up, origin "
+    "on the ground below the rear axle."
+)
+
+
+def horizontal_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
+    """Azimuths at which the camera sees the horizon, in the ego frame, see `seen_arcs_rad`."""
+    return seen_arcs_rad(camera, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+
+
+def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
+    """Elevations that the camera sees in the upright plane of its optical axis, see `seen_arcs_rad`.
+
+    0 is the horizon where the camera looks, pi / 2 up, -pi / 2 down; beyond them it is behind. Of a camera that looks
+    straight up or down the plane is that of its image's upper edge.
+    """
+    return seen_arcs_rad(camera, _forward(camera), _UP)
+
+
+def _forward(camera: RigCamera) -> np.ndarray:
+    """Level direction in which a camera looks, or of its image's upper edge where it looks straight up or down."""
+    rotation = camera.ego_from_camera[:3, :3]
+    level = rotation[:2, 2]
+    if np.linalg.norm(level) < _ANGLE_EPSILON:
+        level = -rotation[:2, 1]
+    return np.append(level / np.linalg.norm(level), 0.0)
+
+
+def rig_sheet(
+    rig: Rig, *, ego: Mesh | None = None, range_m: Sequence[float] | None = None, title: str | None = None
+) -> Any:  # noqa: ANN401 (matplotlib)
+    """A rig on a page of A4: from above and from the side, in a scale that the page states, and a table.
+
+    What is drawn follows from the lens and the rotation of each camera, not from its angles alone:
+
+    - From above, a fan over the azimuths at which the camera sees the horizon (`horizontal_arcs_rad`). A camera that
+      sees none of it has the level ground that it sees instead, from the nearest to the farthest point at each azimuth,
+      hatched; one that looks up has nothing.
+    - From the side, a fan over the elevations that it sees in the upright plane of its optical axis
+      (`vertical_arcs_rad`), turned about the camera's vertical into the page, to the front or the rear, whichever is
+      nearer to where it looks. It ends at the ground.
+
+    Fans end at the outermost range ring. Neither the vehicle nor anything else stands in their way.
+
+    Args:
+        rig: The cameras.
+        ego: The vehicle, of which the silhouette is drawn; None: none is, and the rings are around the frame's origin.
+        range_m: Radii of the range rings around the vehicle's middle [m], positive; None: every 5 m as far as the
+            vehicle is long, but two at least.
+        title: Heading; None: the number of cameras.
+
+    Returns:
+        A ``matplotlib.figure.Figure`` in the size of the page.
+
+    Raises:
+        InputError: A radius is not positive.
+    """
+    low_m, high_m = (np.zeros(3), np.zeros(3)) if ego is None else np.asarray(ego.bounds_m(), np.float64)
+    middle_m = 0.5 * (low_m + high_m)[:2]
+    usual_count = max(2, math.ceil((high_m - low_m)[0] / 5.0))
+    ring_m = [5.0 * (k + 1) for k in range(usual_count)] if range_m is None else sorted(map(float, range_m))
+    if not ring_m or not all(0.0 < each < math.inf for each in ring_m):
+        raise ArgumentError("range_m", f"expected positive radii in metres, got {ring_m}")
+    reach_m = ring_m[-1]
+    top_m = max(0.3 * reach_m, high_m[2] + 0.5, *(camera.position_m[2] + 0.5 for camera in rig.cameras))
+    half_m = 1.09 * reach_m  # with room for names
+    rest_mm = _HEAD_MM + (len(rig.cameras) + 1) * _ROW_MM + _NOTE_MM + 2.0 * _GAP_MM + 2.0 * _MARGIN_MM
+    width_mm = PAGE_MM[0]
+
+    def height_mm(scale: float) -> float:
+        return rest_mm + 1000.0 * (2.0 * half_m + top_m) / scale
+
+    wide = [one for one in _SCALES if 2000.0 * half_m / one <= width_mm - 2.0 * _MARGIN_MM] or [_SCALES[-1]]
+    scale = next((one for one in wide if height_mm(one) <= PAGE_MM[1]), wide[-1] if rest_mm < 200.0 else wide[0])
+    page_mm = max(PAGE_MM[1], height_mm(scale))
+
+    with figure_style():
+        figure = new_figure(width_mm / 25.4, page_mm / 25.4)
+        figure.set_layout_engine("none")
+        drawing_mm = 2000.0 * half_m / scale
+        left_mm = 0.5 * (width_mm - drawing_mm)
+
+        def panel(below_mm: float, panel_mm: float) -> Any:  # noqa: ANN401 (matplotlib)
+            """Axes whose upper edge is so far below the page's."""
+            bottom_mm = page_mm - below_mm - panel_mm
+            axis = figure.add_axes((left_mm / width_mm, bottom_mm / page_mm, drawing_mm / width_mm, panel_mm / page_mm))
+            axis.set(xticks=[], yticks=[])
+            axis.grid(visible=False)
+            axis.spines[:].set_visible(False)
+            return axis
+
+        below_mm = _MARGIN_MM
+        count = len(rig.cameras)
+        heading = title or f"Rig of {count} camera{'' if count == 1 else 's'}"
+        figure.text(_MARGIN_MM / width_mm, 1.0 - below_mm / page_mm, heading, va="top", fontsize=13, fontweight="bold")
+        figure.text(
+            1.0 - _MARGIN_MM / width_mm, 1.0 - below_mm / page_mm, f"1 : {scale}", va="top", ha="right", fontsize=10
+        )
+        below_mm += 0.5 * _HEAD_MM
+        above = panel(below_mm, drawing_mm)
+        above.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=middle_m[1] + half_m * np.array([-1, 1]))
+        below_mm += drawing_mm + _GAP_MM
+        side_mm = 1000.0 * top_m / scale
+        side = panel(below_mm, side_mm)
+        side.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=(0.0, top_m))
+        if ego is not None:
+            draw_vehicle(above, ego, has_outline=True)
+            draw_vehicle(side, ego, from_side=True, has_outline=True)
+        _draw_rings(above, side, ring_m, middle_m)
+        _draw_from_above(above, rig, middle_m, reach_m)
+        _draw_from_side(side, rig, middle_m, reach_m)
+        below_mm += side_mm + _GAP_MM
+        _write_table(figure, rig, below_mm=below_mm, page_mm=page_mm)
+        grey = hex_colour(MUTED_RGB)
+        figure.text(_MARGIN_MM / width_mm, _MARGIN_MM / page_mm, _NOTE, va="bottom", fontsize=6.5, color=grey)
+        return figure
+
+
+def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
+    from matplotlib.patches import Circle
+
+    grey = hex_colour(MUTED_RGB)
+    thin = {"fill": False, "edgecolor": grey, "linewidth": 0.6, "linestyle": (0, (5, 3)), "zorder": 2}
+    diagonal = math.sqrt(0.5)
+    for radius_m in ring_m:
+        above.add_patch(Circle(tuple(middle_m), radius_m, **thin))
+        side.add_patch(Circle((middle_m[0], 0.0), radius_m, **thin))
+        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
+        label = {"fontsize": 7, "color": grey, "ha": "center", "zorder": 10}
+        for sign in (-1.0, 1.0):
+            place_m = middle_m + radius_m * diagonal * np.array([sign, -1.0])
+            above.text(*place_m, f"{radius_m:g} m", va="center", bbox=paper, **label)
+            side.annotate(
+                f"{radius_m:g} m",
+                (middle_m[0] + sign * radius_m, 0.0),
+                xytext=(0, -3),
+                textcoords="offset points",
+                va="top",
+                annotation_clip=False,
+                **label,
+            )
+    side.axhline(0.0, color=hex_colour(INK_RGB), linewidth=1.2, zorder=9, clip_on=False)
+
+
+def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+    from matplotlib.patches import Circle
+
+    border = Circle(tuple(middle_m), reach_m, transform=axis.transData)
+    bearing_rad = []
+    for index, camera in enumerate(rig.cameras):
+        colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
+        arcs = horizontal_arcs_rad(camera)
+        for outline_m in (_fan_m(arc, centre_m, middle_m, reach_m) for arc in arcs):
+            _draw_fan(axis, outline_m, colour, alpha=0.14)
+        if not arcs:
+            for outline_m in seen_ground_m(camera, reach_m=2.0 * reach_m):
+                fan = axis.fill(*outline_m.T, facecolor="none", edgecolor=colour, hatch="////", linewidth=0.9, zorder=4)
+                fan[0].set_clip_path(border)
+        axis.plot(*centre_m, **_mark(colour), zorder=7)
+        axis.text(*centre_m, str(index + 1), **_digit(), zorder=8)
+        forward = _forward(camera)[:2]
+        largest = max(arcs, key=lambda arc: arc[1] - arc[0], default=None)
+        if largest is not None and largest[1] - largest[0] < 2.0 * math.pi - _ANGLE_EPSILON:
+            middle_rad = 0.5 * sum(largest)
+            forward = np.array([math.cos(middle_rad), math.sin(middle_rad)])
+        end_m = centre_m + _distance_m(centre_m, forward, middle_m, reach_m) * forward - middle_m
+        bearing_rad.append(math.atan2(end_m[1], end_m[0]))
+    for index, place_rad in enumerate(_apart(bearing_rad)):
+        outwards = np.array([math.cos(place_rad), math.sin(place_rad)])
+        place_m = middle_m + 1.02 * reach_m * outwards
+        is_upright = abs(outwards[0]) > 0.9  # beside the drawing there is no room for a level name
+        across = "left" if outwards[0] > 0.0 else "right"
+        axis.text(
+            *place_m,
+            f"{index + 1} {rig.cameras[index].name}",
+            color=hex_colour(camera_rgb(index)),
+            fontsize=7.5,
+            fontweight="bold",
+            ha=across if is_upright or abs(outwards[0]) > 0.2 else "center",
+            va="center" if is_upright else "bottom" if outwards[1] > 0.0 else "top",
+            rotation=-90.0 if is_upright else 0.0,
+            zorder=10,
+        )
+
+
+def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+    ground_m = np.array([middle_m[0], 0.0])
+    for index, camera in enumerate(rig.cameras):
+        colour = hex_colour(camera_rgb(index))
+        centre_m = camera.position_m[[0, 2]]
+        sign = 1.0 if _forward(camera)[0] > -_ANGLE_EPSILON else -1.0
+        for arc in vertical_arcs_rad(camera):
+            outline_m = _fan_m(arc, centre_m, ground_m, reach_m, sign=sign, on_ground=True)
+            _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
+        axis.plot(*centre_m, **_mark(colour), zorder=7)
+        axis.text(*centre_m, str(index + 1), **_digit(), zorder=8)
+
+
+def _fan_m(
+    arc_rad: tuple[float, float],
+    centre_m: np.ndarray,
+    middle_m: np.ndarray,
+    reach_m: float,
+    *,
+    sign: float = 1.0,
+    on_ground: bool = False,
+) -> np.ndarray:
+    """Outline of a fan from a camera to the outermost ring or the ground, [point, 2]; a sign of -1 mirrors it."""
+    first, last = arc_rad
+    angle_rad = np.linspace(first, last, 2 + math.ceil((last - first) / _ARC_STEP_RAD))
+    direction = np.stack([sign * np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
+    distance_m = np.array([_distance_m(centre_m, each, middle_m, reach_m) for each in direction])
+    if on_ground:
+        down = -direction[:, 1]
+        to_ground_m = np.full(len(down), np.inf)
+        np.divide(max(centre_m[1], 0.0), down, out=to_ground_m, where=down > _ANGLE_EPSILON)
+        distance_m = np.minimum(distance_m, to_ground_m)
+    return np.vstack([centre_m, centre_m + distance_m[:, None] * direction])
+
+
+def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> float:
+    """How far it is from a point to a circle around it along a unit direction; 0 for a point outside."""
+    offset_m = start_m - middle_m
+    along = float(offset_m @ direction)
+    square = along * along - float(offset_m @ offset_m) + radius_m * radius_m
+    return max(-along + math.sqrt(square), 0.0) if square > 0.0 else 0.0
+
+
+def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) -> None:  # noqa: ANN401 (matplotlib)
+    axis.fill(*outline_m.T, color=colour, alpha=alpha, linewidth=0, zorder=3)
+    axis.plot(*np.vstack([outline_m, outline_m[:1]]).T, color=colour, linewidth=0.9, zorder=4)
+
+
+def _apart(bearing_rad: Sequence[float]) -> list[float]:
+    """Bearings moved apart where names would lie on each other."""
+    place = np.array(bearing_rad)
+    least_rad = math.radians(min(20.0, 300.0 / len(place)))
+    for _ in range(200):
+        moved = False
+        for i, j in itertools.combinations(range(len(place)), 2):
+            gap = math.remainder(place[j] - place[i], 2.0 * math.pi)
+            if abs(gap) < least_rad - 1e-3:
+                push = 0.5 * (least_rad - abs(gap)) * (1.0 if gap >= 0.0 else -1.0)
+                place[i], place[j], moved = place[i] - push, place[j] + push, True
+        if not moved:
+            break
+    return [float(each) for each in place]
+
+
+def _mark(colour: str) -> dict[str, Any]:
+    return {"marker": "o", "markersize": 6.5, "color": colour, "markeredgecolor": "white", "markeredgewidth": 0.6}
+
+
+def _digit() -> dict[str, Any]:
+    return {"fontsize": 5, "color": "white", "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+
+
+def _write_table(figure: Any, rig: Rig, *, below_mm: float, page_mm: float) -> None:  # noqa: ANN401 (matplotlib)
+    head = ("camera", "module or lens", "image [px]", "sees [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
+    start_mm = (0.0, 38.0, 82.0, 107.0, 127.0, 158.0)
+    rows = [head, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
+    width_mm = PAGE_MM[0]
+    for line, row in enumerate(rows):
+        for column, text in enumerate(row):
+            colour = hex_colour(camera_rgb(line - 1)) if line and not column else hex_colour(INK_RGB)
+            is_bold = not line or not column
+            figure.text(
+                (_MARGIN_MM + start_mm[column]) / width_mm,
+                1.0 - (below_mm + line * _ROW_MM) / page_mm,
+                text,
+                fontsize=7,
+                va="top",
+                color=colour,
+                fontweight="bold" if is_bold else "normal",
+            )
+
+
+def _row(index: int, camera: RigCamera) -> tuple[str, ...]:
+    model = camera.model
+    lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
+    seen = [
+        f"{math.degrees(sum(last - first for first, last in arcs)):.0f}" if arcs else "-"
+        for arcs in (horizontal_arcs_rad(camera), vertical_arcs_rad(camera))
+    ]
+    angles = (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)
+    return (
+        f"{index + 1} {camera.name}",
+        camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
+        f"{model.width_px} x {model.height_px}",
+        " x ".join(seen),
+        ", ".join(f"{each:.2f}" for each in camera.position_m),
+        ", ".join(f"{math.degrees(each) + 0.0:.0f}" for each in angles),
+    )
