@@ -369,7 +369,9 @@ def test_the_jacobian_of_a_pair_is_that_of_both_cameras():
     own, own_slope = alone.with_jacobian(pose, scenes)
     image, image_slope = alone.with_jacobian(pose, mirrored)
     found, slope = cameras.with_jacobian(pose, scenes)
-    np.testing.assert_allclose(found, 1.0 - (1.0 - own) * (1.0 - image), atol=6e-3)  # worst seen 3e-3: edges on sample centres
+    np.testing.assert_allclose(
+        found, 1.0 - (1.0 - own) * (1.0 - image), atol=6e-3
+    )  # worst seen 3e-3: edges on sample centres
     expected = (1.0 - image)[..., None] * own_slope + (1.0 - own)[..., None] * image_slope
     for column in (X_M, Y_M, YAW_RAD, PITCH_RAD):
         one, other = slope[..., column].ravel(), expected[..., column].ravel()

@@ -11,7 +11,7 @@ import warp as wp
 from tests.driving_scene import street
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.optimisation.camera_jacobians import _placing_slope
+from warpav.optimisation.camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.polish import polish
@@ -186,7 +186,7 @@ def test_jacobians_match_differences_of_supersampled_renders(name):
     mount = mount_of(model=CameraModel(512, 512, math.pi / 2, near_m=0.005))
     found = areas_of(pose, mount, 4)
     jacobian = found.jacobian.numpy().astype(np.float64)
-    slope = _placing_slope(mount, pose.astype(np.float32))
+    slope = placing_slope(mount, pose.astype(np.float32))
     ours = np.einsum("cok,ckn->con", jacobian[..., :3], slope.position)
     ours += np.einsum("cok,ckn->con", jacobian[..., 3:6], slope.rotation)
     numbers = list(WEIGHT)

@@ -59,7 +59,7 @@ class CameraJacobians:
         if not peopled or not len(pose):
             count = sum(scene.vehicle_count for scene in peopled)
             return np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
-        slope = _placing_slope(self.mount, pose)
+        slope = placing_slope(self.mount, pose)
         views = self._views_of(len(pose))
         shown = views.shown(pose, peopled)
         return self._differentiated(shown, views.placed.position_ego_m.numpy(), slope)
@@ -269,7 +269,7 @@ class _PlacingSlope:
     log_zoom: np.ndarray
 
 
-def _placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
+def placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
     """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""
     pose = wp.array(mount_pose, dtype=float, device=mount.device, requires_grad=True)
     with wp.Tape() as tape:

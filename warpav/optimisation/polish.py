@@ -100,6 +100,7 @@ def polish(
     step_count: int = 20,
     radius: float = RADIUS_FIRST,
     tolerance: float = 1e-4,
+    is_allowed: Callable[[np.ndarray], bool] | None = None,
 ) -> Iterator[PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 
@@ -115,6 +116,8 @@ def polish(
             as many as can.
         radius: Of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished.
         tolerance: Relative gain that the model must promise for another step.
+        is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
+            taken to be. None: every rig may.
 
     Yields:
         The start, then every step. Only cameras that moved are rendered.
@@ -150,7 +153,9 @@ def polish(
         here = Rendered(tried, probability, jacobian, expected_miss_rate(probability, shares))
         rendered.append(here)
         tried_objective = here.objective
-        if here.objective < best.objective:
+        if is_allowed is not None and not is_allowed(here.probability):
+            here = best
+        elif here.objective < best.objective:
             best = here
         elif here.objective > best.objective * (1.0 + RISE_MAX):
             here = best

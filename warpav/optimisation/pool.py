@@ -22,6 +22,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import (
     UNREADABLE,
@@ -128,7 +129,7 @@ class CameraPool:
         cls,
         mount_pose: np.ndarray,
         *,
-        scenes: Sequence[DeviceScene],
+        scenes: Sequence[DeviceScene | GhostScene],
         cameras: SingleCameras,
         executor: Executor | None = None,
         cache: Path | None = None,
@@ -139,7 +140,7 @@ class CameraPool:
 
         Args:
             mount_pose: The cameras, finite numbers, float [camera, 7].
-            scenes: The scenes, on the device of the mount.
+            scenes: The scenes, on the device of the mount; requirements behind them.
             cameras: What the cameras are, and how likely one is to detect.
             executor: Where it is done; None: here, with a thread for each core.
             cache: Folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept. With the
@@ -236,7 +237,7 @@ class CameraPool:
         cls,
         file: Path,
         *,
-        scenes: Sequence[DeviceScene],
+        scenes: Sequence[DeviceScene | GhostScene],
         cameras: SingleCameras,
         executor: Executor | None = None,
         cache: Path | None = None,
@@ -266,6 +267,10 @@ class CameraPool:
         return cls(pose, found, source.scene_index, int(counts[0]), int(counts[1]), source)
 
 
+_Place = DeviceScene | GhostScene | Path
+"""A scene, requirements, or the file that a scene lies in."""
+
+
 @dataclass(frozen=True)
 class _Chunk:
     """A task: some cameras in one scene.
@@ -279,7 +284,7 @@ class _Chunk:
     """
 
     cameras: SingleCameras
-    scene: DeviceScene | Path
+    scene: _Place
     scene_number: int
     row: np.ndarray
     mount_pose: np.ndarray
@@ -289,7 +294,7 @@ class _Chunk:
 class _Source:
     """Where a pool's numbers come from."""
 
-    scenes: tuple[DeviceScene, ...]
+    scenes: tuple[DeviceScene | GhostScene, ...]
     cameras: SingleCameras
     executor: Executor
     cache: Path | None
@@ -354,7 +359,9 @@ class _Source:
         return found, drawn_count, len(mount_pose) * len(self.scenes) - drawn_count
 
     @contextlib.contextmanager
-    def _travelling(self, numbers: set[int]) -> Iterator[tuple[SingleCameras, Callable[[int], DeviceScene | Path]]]:
+    def _travelling(
+        self, numbers: set[int]
+    ) -> Iterator[tuple[SingleCameras, Callable[[int], DeviceScene | GhostScene | Path]]]:
         """The cameras and the scenes as a task takes them: as they are, or where all tasks start at once in files."""
         # a process and a worker of Ray have one core each
         is_alone = self.executor.name in ("process", "ray")
@@ -362,6 +369,7 @@ class _Source:
         if self.executor.name in ("serial", "process"):
             yield cameras, lambda number: self.scenes[number]
             return
+        in_files = {number for number in numbers if isinstance(self.scenes[number], DeviceScene)}
         assert self.cache is not None
         try:
             self.cache.mkdir(parents=True, exist_ok=True)
@@ -369,10 +377,12 @@ class _Source:
         except OSError as error:
             raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
         with folder as path:
-            for number in numbers:
+            for number in in_files:
+                scene = self.scenes[number]
+                assert isinstance(scene, DeviceScene)
                 with (Path(path) / f"{number}.npz").open("wb") as stream:
-                    np.savez(stream, **self.scenes[number].arrays())  # pyright: ignore[reportArgumentType]
-            yield cameras, lambda number: Path(path) / f"{number}.npz"
+                    np.savez(stream, **scene.arrays())  # pyright: ignore[reportArgumentType]
+            yield cameras, lambda number: Path(path) / f"{number}.npz" if number in in_files else self.scenes[number]
 
 
 def _draw(chunk: _Chunk) -> np.ndarray:

@@ -23,6 +23,7 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
@@ -133,6 +134,7 @@ def pool_search(
     object_weight: np.ndarray | None = None,
     limits: RigLimits | None = None,
     pool: CameraPool | None = None,
+    requirements: Requirements | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -153,6 +155,9 @@ def pool_search(
         limits: How many cameras of each of the mount's modules a rig may have; at most ``camera_count`` in all, and
             none of them frozen where fewer are allowed too. None: any ``camera_count`` cameras.
         pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no other.
+        requirements: What has to be seen near the vehicle besides; None: nothing. The objective is then the mean of
+            the expected miss rate and, ``weight`` times, of the share of its points that is missed; rigs that break a
+            hard one are never the best.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -166,9 +171,33 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits)
+    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements)
     yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
+
+
+@dataclass(frozen=True, eq=False)
+class Requirements:
+    """What a rig has to see near the vehicle, beside the traffic.
+
+    Attributes:
+        scene: The points.
+        weight: Of the share of them that a rig misses, over that of the expected miss rate; at least 0.
+    """
+
+    scene: GhostScene
+    weight: float
+
+    def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
+        """Weights of the traffic's objects and of the points behind them, float64 [object and point].
+
+        Args:
+            object_weight: Of the traffic's objects; None: all alike.
+            object_count: How many there are.
+        """
+        share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
+        assert share is not None
+        return np.concatenate([share, self.weight * self.scene.weight])
 
 
 class _Search:
@@ -188,8 +217,15 @@ class _Search:
         seed: int,
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
+        requirements: Requirements | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
+        self.ghosts = None
+        if requirements is not None:
+            self.ghosts = requirements.scene
+            count = sum(scene.vehicle_count for scene in scenes)
+            object_weight = requirements.weights_with(object_weight, count)
+            self.scenes = (*scenes, self.ghosts)
         self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
         self.object_weight = object_weight
         self.assembly = _Assembly(cameras.mount)
@@ -198,6 +234,7 @@ class _Search:
         self.best: np.ndarray | None = None
         self.objective = np.inf
         self.selection: Selection | None = None
+        self._row_points = np.zeros(0, int)
         self.round = 0
 
     def found(self, stage: Stage) -> Found:
@@ -250,11 +287,20 @@ class _Search:
         if start is not None:
             row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
-            self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)))
-            yield self.found("start")
+            self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)), of_start)
+            if self.best is not None:
+                yield self.found("start")
+        if self.ghosts is not None:
+            self._check_requirements()
         if self.settings.polishes:
             yield from self._improved()
         yield from self._select(self.settings.gap)
+
+    def _check_requirements(self) -> None:
+        """Reject a pool that cannot meet the hard requirements, with the names of those."""
+        assert self.ghosts is not None
+        found = self.pool.detection_probability[:, -self.ghosts.vehicle_count :]
+        self.ghosts.check(found, *self.cameras.in_ego(self.pool.mount_pose), self.camera_count)
 
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""
@@ -317,8 +363,20 @@ class _Search:
         """Of so many cameras, those that may still be rendered in all scenes."""
         return camera_count if self._left is None else min(camera_count, self._left // len(self.scenes))
 
-    def _is_better(self, rig: np.ndarray, objective: float) -> bool:
-        """Whether a rig is better than the best so far, which it then is."""
+    def _is_better(self, rig: np.ndarray, objective: float, probability: np.ndarray | None = None) -> bool:
+        """Whether a rig is better than the best so far, which it then is; not if it breaks a hard requirement.
+
+        Args:
+            rig: Its cameras, float32 [camera, 7].
+            objective: Its value.
+            probability: What its cameras detect, [camera, object]; None: the pool knows it.
+        """
+        if self.ghosts is not None:
+            if probability is None:
+                row = rows_of(rig + np.float32(0.0), self.pool.mount_pose)
+                probability = self.pool.detection_probability[row]
+            if not self._meets_requirements(probability):
+                return False
         if objective < self.objective - (_SAME if self.best is not None else 0.0):
             self.best, self.objective = rig, objective
             return True
@@ -332,12 +390,13 @@ class _Search:
         if self.best is not None:
             missing = np.arange(self.camera_count - len(self.best))
             known = np.concatenate([self._rows_of_best(), cameras + missing])
+        rows, self._row_points = self._rows_for(pool.mount_pose, absent)
         self.selection = selection = select(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
             required=np.arange(len(self.assembly.frozen)),
-            rows=self._rows_for(pool.mount_pose, absent),
+            rows=rows,
             weight=self.object_weight,
             start=known,
             gap=gap,
@@ -352,16 +411,30 @@ class _Search:
             raise KeyboardInterrupt
         return chosen, is_better
 
-    def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> list[Row]:
+    def _limit_rows(self, mount_pose: np.ndarray, absent: int = 0) -> list[Row]:
         """The limits for cameras [camera, 7], behind which some that are not there stand."""
         if self.limits is None:
             return []
         return self.limits.rows(np.append(self.cameras.mount.module_of(mount_pose), np.full(absent, -1)))
 
+    def _points_of(self, mount_pose: np.ndarray, absent: int = 0) -> np.ndarray:
+        """How surely cameras of the pool see the requirements' points, [camera, point]; see `_limit_rows`."""
+        assert self.ghosts is not None
+        found = self.pool.detection_probability[rows_of(mount_pose + np.float32(0.0), self.pool.mount_pose)]
+        return _with_absent(found[:, -self.ghosts.vehicle_count :], absent)
+
+    def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> tuple[list[Row], np.ndarray]:
+        """Limits and hard requirements for cameras of the pool, and the points that the latter are, int [row]."""
+        rows = self._limit_rows(mount_pose, absent)
+        asked = None if self.ghosts is None else self.ghosts.rows(self._points_of(mount_pose, absent))
+        return (rows, np.zeros(0, int)) if asked is None else ([*rows, *asked.rows], asked.ghost)
+
     def _coefficients_for(self, mount_pose: np.ndarray) -> np.ndarray | None:
-        """The cameras' coefficients in the rows of the limits, float [camera, row]; None where there are none."""
-        rows = self._rows_for(mount_pose)
-        return np.stack([row.coefficient for row in rows], axis=1) if rows else None
+        """Coefficients of cameras of the pool in the rows of the last selection, float [camera, row]; None: no rows."""
+        rows = [row.coefficient for row in self._limit_rows(mount_pose)]
+        if self.ghosts is not None and len(self._row_points):
+            rows += list(self.ghosts.meets(self._points_of(mount_pose)[:, self._row_points]).T.astype(float))
+        return np.stack(rows, axis=1) if rows else None
 
     def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
         is_first = self.selection is None
@@ -382,6 +455,7 @@ class _Search:
             scene_count=len(self.scenes),
             weight=self.object_weight,
             camera_renders_max=self._left,
+            is_allowed=None if self.ghosts is None else self._meets_requirements,
         )
         is_better = True
         for step in steps:
@@ -390,6 +464,10 @@ class _Search:
                 yield self.found("polish")
         if not is_better:  # what the last steps have cost is the polish's too
             yield self.found("polish")
+
+    def _meets_requirements(self, probability: np.ndarray) -> bool:
+        """Whether a rig whose cameras detect so much, [camera, object], meets all hard requirements."""
+        return self.ghosts is None or self.ghosts.is_kept(probability[:, -self.ghosts.vehicle_count :])
 
     def _detect_and_keep(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What cameras detect in all scenes, with the Jacobian; they join the pool."""
@@ -489,7 +567,7 @@ class _Search:
             len(rig),
             conflict=too_near(pool.mount_pose[around], self.constraints),
             required=np.arange(len(self.assembly.frozen)),
-            rows=self._rows_for(pool.mount_pose[around]),
+            rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
         )
         rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])

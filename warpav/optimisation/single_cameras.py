@@ -20,10 +20,12 @@ import warp as wp
 from warpav.core.executor import available_cores
 from warpav.core.fingerprint import digest, fingerprint
 from warpav.core.warp_setup import load_warp
-from warpav.optimisation.camera_jacobians import CameraJacobians
+from warpav.optimisation.camera_jacobians import CameraJacobians, placing_slope
+from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import MIRROR, MOUNT_POSE_SIZE, CameraMount
+from warpav.optimisation.mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
+from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -115,12 +117,12 @@ class SingleCameras:
             ),
         }
 
-    def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
+    def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene | GhostScene) -> np.ndarray:
         """The probability that each camera detects each object, float32 [camera, object].
 
         Args:
             mount_pose: As the mount counts them, float [camera, 7].
-            scene: On the mount's device.
+            scene: On the mount's device; or requirements, whose points are its objects.
 
         Raises:
             InputError: The images or their supersampling are too large.
@@ -129,8 +131,11 @@ class SingleCameras:
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if found.size == 0:
             return found
-        for module, row in self._by_module(pose):
-            found[row] = self._detected(module, pose[row], scene)
+        if isinstance(scene, GhostScene):
+            found = scene.probability(*self.in_ego(pose))
+        else:
+            for module, row in self._by_module(pose):
+                found[row] = self._detected(module, pose[row], scene)
         pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
         if len(pair):
             image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
@@ -198,7 +203,18 @@ class SingleCameras:
         seen = probability.model.of_coverage(frame, scene, views.position_ego_m)
         return (probability.share_of_box(seen) or seen.probability).numpy()
 
-    def with_jacobian(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
+    def in_ego(self, pose: np.ndarray) -> tuple[np.ndarray, list[CameraModel]]:
+        """Poses of cameras in the ego frame, float64 [camera, 4, 4], and their models."""
+        views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
+        ego_from_camera = np.tile(np.eye(4), (len(pose), 1, 1))
+        ego_from_camera[:, :3, :3] = views.camera_from_ego.numpy().transpose(0, 2, 1)
+        ego_from_camera[:, :3, 3] = views.position_ego_m.numpy()
+        models = [self.mount.cameras[module] for module in self.mount.module_of(pose)]
+        return ego_from_camera, [model.zoomed(float(row[LOG_ZOOM])) for model, row in zip(models, pose, strict=True)]
+
+    def with_jacobian(
+        self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene | GhostScene]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What each camera detects in some scenes, and how that changes as it moves.
 
         Colours and occlusion by more than outlines are held fixed, as in the loss; so the mean product of misses has
@@ -206,7 +222,7 @@ class SingleCameras:
 
         Args:
             mount_pose: As the mount counts them, float [camera, 7].
-            scenes: On the mount's device; on the CPU one thread takes one of them at a time.
+            scenes: On the mount's device; on the CPU one thread takes one of them at a time. Requirements come last.
 
         Returns:
             The probabilities, float64 [camera, object], the objects scene by scene; their Jacobian to the mount poses,
@@ -215,18 +231,28 @@ class SingleCameras:
         Raises:
             InputError: The images or their supersampling are too large.
         """
-        if not self.mount.is_mixed:
-            return self._jacobians(0).of(mount_pose, scenes)
+        traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
+        if len(traffic) == len(scenes) and not self.mount.is_mixed:
+            return self._jacobians(0).of(mount_pose, traffic)
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
-        count = sum(scene.vehicle_count for scene in scenes)
+        count = sum(scene.vehicle_count for scene in traffic)
         probability, jacobian = np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
         for module, row in self._by_module(pose):
-            probability[row], jacobian[row] = self._jacobians(module).of(pose[row], scenes)
+            probability[row], jacobian[row] = self._jacobians(module).of(pose[row], traffic)
+        for ghosts in scenes[len(traffic) :]:
+            assert isinstance(ghosts, GhostScene), "requirements stand behind all scenes"
+            seen, by_view = ghosts.with_jacobian(*self.in_ego(pose))
+            slope = placing_slope(self.mount, pose)
+            by_pose = np.einsum("cov,cvk->cok", by_view[..., :3], slope.position)
+            by_pose += np.einsum("cov,cvk->cok", by_view[..., 3:6], slope.rotation)
+            by_pose += by_view[..., 6:] * slope.log_zoom[:, None]
+            probability = np.concatenate([probability, seen], axis=1)
+            jacobian = np.concatenate([jacobian, by_pose], axis=1)
         pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
         if len(pair):
-            image, slope = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
+            image, slope_of_image = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
             own = (1.0 - image)[..., None] * jacobian[pair]
-            jacobian[pair] = own + (1.0 - probability[pair])[..., None] * slope * MIRROR
+            jacobian[pair] = own + (1.0 - probability[pair])[..., None] * slope_of_image * MIRROR
             probability[pair] = 1.0 - (1.0 - probability[pair]) * (1.0 - image)
         return probability, jacobian
 

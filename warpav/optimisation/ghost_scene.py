@@ -1,0 +1,156 @@
+"""Requirements as one more scene of a search: its objects are the test objects, each a point that has to be seen.
+
+So pool, selection, bound, prices and polish know nothing else of them. A point is "detected" the more surely the nearer
+a camera comes to what its requirement asks for, and all but surely where a camera meets it; a rig misses it as it
+misses a road user.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from warpav.core.fingerprint import digest
+from warpav.optimisation.requirement_rows import RequirementRows, require_meetable, requirement_rows
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
+from warpav.requirements.requirement import Ghosts, Requirement
+from warpav.requirements.visibility import Visibility, ghost_jacobians, ghost_visibility
+
+MET = 0.999
+"""Probability of a point that a camera meets."""
+NEARLY_MET = 0.9
+"""Probability just before: two cameras that do not meet a point together stay below one that does."""
+
+
+class GhostScene:
+    """The test objects of some requirements around a vehicle; it stands where a scene stands in a pool.
+
+    Attributes:
+        ghosts: The test objects.
+        ego: The vehicle, which hides them.
+        name: What messages call it.
+    """
+
+    name = "requirements"
+
+    def __init__(self, requirements: Sequence[Requirement], ego: Mesh, *, device: str = "cpu") -> None:
+        """The test objects of requirements.
+
+        Args:
+            requirements: At least one.
+            ego: The vehicle in the ego frame [m].
+            device: Where they are rendered.
+
+        Raises:
+            InputError: There is no requirement, one has no point, or there are too many points.
+        """
+        self.requirements, self.ego, self.device = tuple(requirements), ego, device
+        self.ghosts = Ghosts.of(self.requirements, ego)
+
+    @property
+    def vehicle_count(self) -> int:
+        """Number of points."""
+        return len(self.ghosts)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all that what cameras see of them depends on."""
+        ghosts, ego = self.ghosts, self.ego
+        needs = [ghosts.of_each(name).tobytes() for name in ("visible_share", "pixels")]
+        bodies = [each.test_object.body for each in self.requirements]
+        parts = [part for body in bodies for part in (body.vertex_m.tobytes(), body.triangle.tobytes())]
+        return digest(
+            "requirements", ego.vertex_m.tobytes(), ego.triangle.tobytes(), ghosts.position_m.tobytes(),
+            ghosts.requirement.tobytes(), *needs, *parts, MET, NEARLY_MET,
+        )  # fmt: skip
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """Share of every point in what the requirements ask for, 1 in sum, float64 [point].
+
+        Requirements count by their weights, hard ones by 1, and the points of each alike.
+        """
+        of_each = [1.0 if each.weight is None else each.weight for each in self.requirements]
+        counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
+        share = (np.array(of_each) / np.maximum(counts, 1))[self.ghosts.requirement]
+        return share / share.sum()
+
+    def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
+        """How surely each camera sees each point, 0..1, float32 [camera, point].
+
+        Args:
+            ego_from_camera: Poses, float [camera, 4, 4].
+            models: Model of every camera.
+        """
+        seen = ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
+        return self._probability(seen)[0].astype(np.float32)
+
+    def with_jacobian(
+        self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same, and the derivatives to every camera's centre [1/m], rotation about its axes [1/rad] and zoom.
+
+        Returns:
+            float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
+        """
+        seen = ghost_jacobians(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
+        probability, by_share, by_pixels = self._probability(Visibility(seen.visible_share, seen.pixels))
+        return probability, (by_share[..., None] * seen.jac_visible_share + by_pixels[..., None] * seen.jac_pixels)
+
+    def _probability(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Probabilities, and their derivatives to share and pixels, each [camera, point]."""
+        need_share = self.ghosts.of_each("visible_share")
+        need_px = np.maximum(self.ghosts.of_each("pixels"), 1e-9)
+        share, pixels = seen.visible_share / need_share, seen.pixels / need_px
+        is_met = seen.meets(self.ghosts)
+        found = np.where(is_met, MET, NEARLY_MET * np.minimum(np.minimum(share, pixels), 1.0))
+        is_by_share = ~is_met & (share < 1.0) & (share <= pixels)
+        is_by_pixels = ~is_met & (pixels < 1.0) & (pixels < share)
+        by_share = np.where(is_by_share, NEARLY_MET / need_share, 0.0)
+        return found, by_share, np.where(is_by_pixels, NEARLY_MET / need_px, 0.0)
+
+    @property
+    def is_hard(self) -> np.ndarray:
+        """Which points have to be met, bool [point]."""
+        return self.ghosts.is_hard
+
+    def is_kept(self, probability: np.ndarray) -> bool:
+        """Whether a rig whose cameras see the points so surely, [camera, point], meets all hard requirements."""
+        found = self.meets(probability).sum(axis=0)
+        return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
+
+    def rows(self, probability: np.ndarray) -> RequirementRows | None:
+        """The hard requirements as rows of a selection from cameras that see the points so surely, [camera, point].
+
+        None where there is none.
+        """
+        return requirement_rows(self.meets(probability), self.ghosts) if self.is_hard.any() else None
+
+    @staticmethod
+    def meets(probability: np.ndarray) -> np.ndarray:
+        """Whether cameras meet points that they see so surely, bool, in the shape of the probabilities."""
+        return np.asarray(probability) >= MET - 1e-4
+
+    def check(
+        self, probability: np.ndarray, ego_from_camera: np.ndarray, models: Sequence[CameraModel], count: int
+    ) -> None:
+        """Make sure that a pool of cameras can meet every hard point.
+
+        Args:
+            probability: Of the pool, [camera, point].
+            ego_from_camera: Poses of its cameras, float [camera, 4, 4].
+            models: Their models.
+            count: Cameras of a rig.
+
+        Raises:
+            InputError: It names each requirement that cannot be met, and the camera that comes nearest.
+        """
+        found = self.meets(probability).sum(axis=0)
+        needed = self.ghosts.of_each("cameras")
+        if not (self.is_hard & ((found < needed) | (needed > count))).any():
+            return
+        seen = ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
+        require_meetable(seen, self.ghosts, count=count)
