@@ -13,15 +13,17 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.requirements.check import check_requirements
 from warpav.requirements.read import read_requirements
-from warpav.rig.catalogue import builtin_modules, read_modules
+from warpav.rig.catalogue import read_modules
 from warpav.rig.formats.convert import export_rig, import_rig
 from warpav.rig.module import Module
 from warpav.rig.presets import preset_rig as preset
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
+from warpav.runs import robustness
 from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate, load_states, mount_tolerance, soiling
+from warpav.runs.evaluate import evaluate
+from warpav.runs.front import front
 from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
@@ -50,16 +52,14 @@ __all__ = [
     "RigEvaluation",
     "RunFolder",
     "Scene",
-    "builtin_modules",
     "check_requirements",
     "coverage",
     "evaluate",
     "export_rig",
+    "front",
     "highest_rig",
     "import_rig",
-    "load_states",
     "losses",
-    "mount_tolerance",
     "optimise",
     "plot",
     "preset",
@@ -72,7 +72,7 @@ __all__ = [
     "read_scenes",
     "read_vehicle",
     "render",
-    "soiling",
+    "robustness",
     "town",
     "write_rig",
     "write_scenes",

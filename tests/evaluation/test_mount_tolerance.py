@@ -101,14 +101,14 @@ def test_the_public_call_takes_a_rig_and_scenes():
     scenes = wa.town(range(2))
     placement = wa.Placement(scenes, cameras=2)
     rig = wa.highest_rig(placement)
-    found = wa.mount_tolerance(rig, wa.town([1000]), placement, sample_count=4)
+    found = wa.robustness.mount_tolerance(rig, wa.town([1000]), placement, sample_count=4)
     assert {effect.camera for effect in found.effects} == {camera.name for camera in rig.cameras}
     assert found.position_m == 0.02
     assert found.angle_rad == pytest.approx(math.radians(1.0))
     assert 0.0 < found.nominal < 100.0
     thesis = wa.Placement(scenes, cameras=2, losses={"detected_area": 1.0})
     with pytest.raises(InputError, match="losses: expected the expected_miss_rate alone"):
-        wa.mount_tolerance(rig, wa.town([1000]), thesis)
+        wa.robustness.mount_tolerance(rig, wa.town([1000]), thesis)
 
 
 def test_the_figure_has_every_change_and_every_loss(tmp_path):

@@ -73,7 +73,7 @@ def problem():
 
 def test_a_camera_that_is_covered_all_over_is_lost(problem):
     placement, rig, scenes = problem
-    found = wa.soiling(rig, scenes, placement, shape="rows", share=1.0)
+    found = wa.robustness.soiling(rig, scenes, placement, shape="rows", share=1.0)
     outages = wa.evaluate(rig, scenes, placement).camera_outage["rig"]
     assert [each.camera for each in found.cameras] == [camera.name for camera in rig.cameras]
     assert found.expected_misses_per_100 == pytest.approx(outages.expected_misses_per_100, abs=1e-3)
@@ -86,7 +86,9 @@ def test_a_camera_that_is_covered_all_over_is_lost(problem):
 
 def test_dirt_costs_nothing_where_nobody_is_and_something_where_they_are(problem):
     placement, rig, scenes = problem
-    sky, middle = (wa.soiling(rig, scenes, placement, shape="rows", place=(0.5, y), share=0.1) for y in (0.05, 0.5))
+    sky, middle = (
+        wa.robustness.soiling(rig, scenes, placement, shape="rows", place=(0.5, y), share=0.1) for y in (0.05, 0.5)
+    )
     assert [each.difference_per_100 for each in sky.cameras] == pytest.approx([0.0] * 3, abs=1e-3)
     assert min(each.difference_per_100 for each in middle.cameras) >= 0.0
     assert middle.worst.difference_per_100 > 10.0  # objects stand around the horizon
@@ -133,13 +135,13 @@ def test_under_a_load_the_world_moves_as_if_the_vehicle_did(town, pitch_deg, hei
 
 def test_no_load_costs_nothing_and_names_stay(problem):
     placement, rig, scenes = problem
-    found = wa.load_states(rig, scenes, placement, states={"none": (0.0, 0.0), "steep": (12.0, 0.0)})
+    found = wa.robustness.load_states(rig, scenes, placement, states={"none": (0.0, 0.0), "steep": (12.0, 0.0)})
     assert [each.name for each in found.states] == ["none", "steep"]
     assert found.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-4)
     assert found.worst.name == "steep"
     assert found.worst.difference_per_100 > 0.5
     assert "+12.0" in str(found.table())
-    usual = wa.load_states(rig, scenes, placement)
+    usual = wa.robustness.load_states(rig, scenes, placement)
     assert [each.name for each in usual.states] == ["nose down", "nose up", "laden"]
     assert usual.expected_misses_per_100 == found.expected_misses_per_100
 
@@ -156,20 +158,20 @@ def test_no_load_costs_nothing_and_names_stay(problem):
 def test_dirt_that_cannot_be_is_one_line(problem, options, words):
     placement, rig, scenes = problem
     with pytest.raises(InputError, match=words):
-        wa.soiling(rig, scenes, placement, **options)
+        wa.robustness.soiling(rig, scenes, placement, **options)
 
 
 def test_loads_and_placements_that_cannot_be_are_one_line(problem):
     placement, rig, scenes = problem
     with pytest.raises(InputError, match=r"pitch_deg: expected an angle within 30, got 31\.0"):
-        wa.load_states(rig, scenes, placement, states={"much": (31.0, 0.0)})
+        wa.robustness.load_states(rig, scenes, placement, states={"much": (31.0, 0.0)})
     with pytest.raises(InputError, match="height_m: expected a finite number, got inf"):
-        wa.load_states(rig, scenes, placement, states={"up": (0.0, math.inf)})
+        wa.robustness.load_states(rig, scenes, placement, states={"up": (0.0, math.inf)})
     with pytest.raises(InputError, match="states: expected at least one load, got none"):
-        wa.load_states(rig, scenes, placement, states={})
+        wa.robustness.load_states(rig, scenes, placement, states={})
     thesis = wa.Placement(wa.town([0]), cameras=3, losses={"detected_area": 1.0})
     with pytest.raises(InputError, match=r"losses: expected the expected_miss_rate alone, .*, for what dirt costs"):
-        wa.soiling(rig, scenes, thesis)
+        wa.robustness.soiling(rig, scenes, thesis)
 
 
 def test_rigs_of_different_modules_are_soiled_and_loaded_each_in_its_own_image():

@@ -31,12 +31,13 @@ def _builtin() -> Mapping[str, Module]:
     return MappingProxyType(read_modules(_FILE))
 
 
-def read_modules(path: str | Path) -> dict[str, Module]:
+def read_modules(source: str | Path = BUILTIN) -> dict[str, Module]:
     """Read a catalogue of camera modules, strictly.
 
     Args:
-        path: YAML file: ``modules``, a list of mappings with the fields of `Module`, angles in degrees as ``fov_deg``
-            and ``vertical_fov_deg``; and, to hold the shipped modules as well, ``extends: builtin``.
+        source: ``builtin`` for the generic modules that ship with warpav, or a YAML file: ``modules``, a list of
+            mappings with the fields of `Module`, angles in degrees as ``fov_deg`` and ``vertical_fov_deg``; and, to hold
+            the shipped modules as well, ``extends: builtin``.
 
     Returns:
         The modules by name, in the order of the file, behind those that it extends.
@@ -45,7 +46,9 @@ def read_modules(path: str | Path) -> dict[str, Module]:
         InputError: The file cannot be read or breaks the format; one line per mistake, each with file and line, field,
             what was expected, what came and how to put it right.
     """
-    file = Path(path).expanduser()
+    if source == BUILTIN:
+        return builtin_modules()
+    file = Path(source).expanduser()
     data, line_of = read_yaml(file)
     reader = _CatalogueReader(str(file), line_of)
     modules = reader.modules(data)

@@ -18,11 +18,12 @@ from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate_on, load_states_of, soiling_of
+from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
+from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
 from warpav.runs.scene_set import load_scenes
 

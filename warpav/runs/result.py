@@ -26,10 +26,11 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config, changed_config, flow_text
-from warpav.runs.evaluate import evaluate_on, tolerance_on
+from warpav.runs.evaluate import evaluate_on
 from warpav.runs.events import of_modules
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
+from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene

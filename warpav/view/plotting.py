@@ -126,8 +126,8 @@ def plot(
     - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
     - ``visibility``: as of a rig; not in animations.
 
-    What errors of mounting cost (`warpav.mount_tolerance`) is a heat map of cameras by degrees of freedom, with
-    ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the bars.
+    What errors of mounting cost (`warpav.robustness.mount_tolerance`) is a heat map of cameras by degrees of freedom,
+    with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the bars.
     An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options. Such figures
     and sheets may also be ``.pdf`` and ``.svg``.
 

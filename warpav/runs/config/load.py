@@ -93,7 +93,7 @@ def load_config(
         override_of[location] = place
         _put(data, location, value, place)
     counts = {("rig", "cameras"), ("rig", "modules")} & {location[:2] for location in override_of}
-    if counts == {("rig", "modules")}:  # they say how many there are
+    if counts == {("rig", "modules")} and data["rig"]["modules"]:  # they say how many there are
         data["rig"] = {name: value for name, value in data["rig"].items() if name not in ("cameras", "fewest_cameras")}
     elif ("rig", "cameras") in override_of and ("rig", "fewest_cameras") not in override_of:
         data["rig"].pop("fewest_cameras", None)
