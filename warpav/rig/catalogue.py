@@ -36,8 +36,8 @@ def read_modules(source: str | Path = BUILTIN) -> dict[str, Module]:
 
     Args:
         source: ``builtin`` for the generic modules that ship with warpav, or a YAML file: ``modules``, a list of
-            mappings with the fields of `Module`, angles in degrees as ``fov_deg`` and ``vertical_fov_deg``; and, to hold
-            the shipped modules as well, ``extends: builtin``.
+            mappings with the fields of `Module`, angles in degrees as ``fov_deg`` and ``vertical_fov_deg``; and, to
+            hold the shipped modules as well, ``extends: builtin``.
 
     Returns:
         The modules by name, in the order of the file, behind those that it extends.

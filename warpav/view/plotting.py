@@ -127,7 +127,8 @@ def plot(
     - ``visibility``: as of a rig; not in animations.
 
     What errors of mounting cost (`warpav.robustness.mount_tolerance`) is a heat map of cameras by degrees of freedom,
-    with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the bars.
+    with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
+    bars.
     An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options. Such figures
     and sheets may also be ``.pdf`` and ``.svg``.
 
