@@ -30,7 +30,7 @@ def test_what_is_met_is_said(working_directory, capsys):
     assert main(["rig", "requirements", "edgar", "--requirements", "mine.yaml"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "100.0 %" in lines[1]
-    assert lines[2] == "all hard requirements are met"
+    assert lines[2] == "all requirements are met"
 
 
 @pytest.mark.parametrize(

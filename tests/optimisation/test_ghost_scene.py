@@ -11,9 +11,9 @@ from tests.optimisation.test_modules import MODULES, columns, symmetric_cameras,
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_zones import MODEL, chart, constraints_of, mount_of, spread
 from warpav.core.errors import InputError
-from warpav.optimisation.ghost_scene import MET, GhostScene
+from warpav.optimisation.ghost_scene import HARD_WEIGHT, MET, GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.pool_search import PoolSearchSettings, Requirements, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
 from warpav.requirements.area import Band
 from warpav.requirements.check import check_requirements
 from warpav.requirements.read import read_requirements
@@ -38,7 +38,8 @@ def test_points_count_by_how_near_cameras_come_to_meeting_them():
     assert 0.0 < seen.meets.mean() < 1.0
     closeness = seen.visibility.closeness(seen.ghosts)
     np.testing.assert_allclose(found[~seen.meets], 0.9 * closeness[~seen.meets], atol=1e-4)
-    assert scene().weight.sum() == pytest.approx(1.0)
+    assert scene().weight.sum() == pytest.approx(HARD_WEIGHT)
+    assert scene(weight=0.3).weight.sum() == pytest.approx(0.3)
 
 
 def test_the_jacobian_agrees_with_differences():
@@ -82,9 +83,8 @@ def test_a_pair_meets_what_one_of_its_cameras_meets():
 def test_a_search_keeps_hard_requirements_and_follows_weighted_ones(weight):
     ghosts = scene(weight, share=0.1, far_m=1.6)
     cameras, constraints = cameras_of(mount=mount_of()), constraints_of(8)
-    requirements = Requirements(ghosts, 1.0)
     settings = replace(SMALL, pool_cameras=160)
-    states = list(pool_search(cameras, streets(), constraints, 8, settings=settings, requirements=requirements))
+    states = list(pool_search(cameras, streets(), constraints, 8, settings=settings, requirements=ghosts))
     without = list(pool_search(cameras, streets(), constraints, 8, settings=settings))
     shares = []
     for state in (states[-1], without[-1]):
@@ -108,6 +108,6 @@ def test_what_no_camera_of_the_pool_can_meet_is_named():
                 constraints_of(3),
                 3,
                 settings=SMALL,
-                requirements=Requirements(ghosts, 1.0),
+                requirements=ghosts,
             )
         )

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,7 +59,9 @@ def test_what_is_met_is_counted_point_by_point():
         assert len(outcome.worst) == min(5, len(points) - met)
     behind, around, twice = result.outcomes
     assert result.cost == pytest.approx(expected)
-    assert result.is_met == (behind.is_met and twice.is_met)
+    assert result.is_met == (behind.is_met and around.is_met and twice.is_met)
+    asked = [replace(each, weight=1.0, share=around.share) for each in WANTED]  # as much as it meets
+    assert [each.is_met for each in wa.check_requirements(wa.Rig(CAMERAS), EGO, asked).outcomes][1]
     assert not twice.is_met  # one camera looks to the left, another one a little
     assert 0.0 < twice.share < 1.0
     assert 0.3 < around.share < 1.0

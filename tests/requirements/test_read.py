@@ -8,7 +8,8 @@ import trimesh
 
 from warpav.core.errors import InputError
 from warpav.requirements.area import Band, Polygon, Strip
-from warpav.requirements.read import read_requirements, template_names
+from warpav.requirements.read import read_requirements
+from warpav.requirements.template import template_file, template_names
 from warpav.requirements.test_object import SIZES_M
 
 POST = "area: {around_m: [0, 5]}, grid_m: 0.5, object: post"
@@ -55,16 +56,15 @@ def test_every_template_is_read_and_says_what_it_is():
     for name in template_names():
         found = read_requirements(name)
         assert found
-        assert all(each.is_hard for each in found)
+        assert all(each.is_hard for each in found) == (name != "near_field")
     (near,) = read_requirements("near_field")
+    assert (near.weight, near.share) == (0.1, 0.99)
     assert (near.area, near.test_object.kind, near.test_object.size_m[2]) == (Band((0.0, 5.0)), "post", 1.1)
 
 
 def test_templates_of_regulations_deny_that_they_prove_compliance():
-    from warpav.requirements.read import _FOLDER
-
     for name in template_names():
-        text = (_FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
+        text = template_file(name).read_text(encoding="utf-8")
         assert ("TEMPLATE in the manner of UN Regulation" in text) == name.endswith("_like")
         assert ("No\n# proof of compliance" in text or "No proof of compliance" in text) == name.endswith("_like")
 
@@ -79,6 +79,8 @@ def test_templates_of_regulations_deny_that_they_prove_compliance():
         (f"a: {{{POST}, pixels: -1}}", "a.pixels: expected an area of 0 px"),
         (f"a: {{{POST}, hard: true, weight: 1}}", "a.weight: expected no weight of a hard requirement"),
         (f"a: {{{POST}, hard: false}}", "a.hard: expected a weight beside it"),
+        (f"a: {{{POST}, weight: 1, share: 1.5}}", "a.share: expected a share of the points above 0 and up to 1"),
+        (f"a: {{{POST}, share: 0.9}}", "a.share: expected none of a hard requirement"),
         (f"a: {{{POST}, hard: maybe}}", "a.hard: expected true or false, got 'maybe'"),
         (f"a: {{{POST}, weight: 0}}", "a.weight: expected a positive number, got 0"),
         (f"a: {{{POST}, sector: raer}}", "a.sector: expected one of front, .*got 'raer'; did you mean rear"),

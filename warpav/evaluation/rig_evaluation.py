@@ -23,6 +23,8 @@ from warpav.rig.rig import Rig
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
 
+    from warpav.requirements.check import RequirementResult
+
 TABLE_ROWS = {
     "rig_recall": "recall of the rig",
     "weighted_recall": "weighted recall",
@@ -123,6 +125,7 @@ class RigEvaluation:
         objects: Every object of the scenes, and what becomes of it.
         camera_outage: What each rig is expected to miss without any one of its cameras, by name; None for rigs whose
             detection probabilities are not known, see `outage_table`.
+        requirements: What each rig meets of what has to be seen near the vehicle, by name; empty: nothing is required.
     """
 
     rigs: dict[str, Rig]
@@ -130,6 +133,7 @@ class RigEvaluation:
     scenes: tuple[str, ...]
     objects: tuple[SeenObject, ...]
     camera_outage: dict[str, CameraOutages | None] = field(default_factory=dict)
+    requirements: dict[str, RequirementResult] = field(default_factory=dict)
 
     @property
     def recall(self) -> dict[str, float | None]:
@@ -170,6 +174,7 @@ class RigEvaluation:
             for field, heading in TABLE_ROWS.items()
             if field not in WEIGHTED_METRICS or any(getattr(each, field) is not None for each in self.metrics.values())
         ]
+        rows += requirement_rows(self.to_json()["requirements"])
         return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), CAPTION)
 
     def outage_table(self, name: str | None = None) -> Table:
@@ -220,6 +225,9 @@ class RigEvaluation:
             "camera_outage": {
                 name: None if found is None else found.to_json() for name, found in self.camera_outage.items()
             },
+            "requirements": {
+                name: [each.to_json() for each in found.outcomes] for name, found in self.requirements.items()
+            },
         }
 
     def outcomes(self) -> list[dict[str, Any]]:
@@ -241,6 +249,18 @@ class RigEvaluation:
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_()
+
+
+def requirement_rows(requirements: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of text from ``requirements`` of ``evaluation.json``: a requirement, and what each rig meets of it."""
+    outcomes = list(requirements.values())
+    return [
+        (
+            f"points met: {each['name']}",
+            *(f"{of_rig[k]['share']:.1%}" + ("" if of_rig[k]["is_met"] else " (not met)") for of_rig in outcomes),
+        )
+        for k, each in enumerate(outcomes[0] if outcomes else ())
+    ]
 
 
 def outage_rows(outage: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

@@ -15,6 +15,7 @@ from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
+from warpav.requirements.template import template_names
 from warpav.runs.config import Config, dump_config, option_values
 from warpav.runs.config.rig_options import LATER_RIG_OPTIONS
 from warpav.runs.environment import environment
@@ -119,13 +120,16 @@ def _options(config: Config) -> dict[str, Any]:
         if name not in ("run.seed", "run.out")
         and not name.startswith("executor.")
         # results from before there were weights, zones and modules are those of none
-        and (value or not name.startswith(("importance.", "mount.zones")))
+        and (value or not name.startswith(("importance.", "mount.zones", "requirements")))
         and (value is not None or name.removeprefix("rig.") not in LATER_RIG_OPTIONS)
     }
     if config.rig.catalogue is not None:
         values["rig.catalogue"] = f"{config.rig.catalogue.name} {digest(config.rig.catalogue.read_bytes())}"
     if config.mount.zones is not None:
         values["mount.zones"] = f"{config.mount.zones.name} {digest(config.mount.zones.read_bytes())}"
+    if config.requirements is not None and config.requirements not in template_names():
+        file = Path(config.requirements).expanduser()
+        values["requirements"] = f"{file.name} {digest(file.read_bytes())}"
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
     return json.loads(json.dumps(values))

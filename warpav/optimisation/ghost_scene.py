@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from warpav.core.fingerprint import digest
+from warpav.optimisation.polish import shares_of
 from warpav.optimisation.requirement_rows import RequirementRows, require_meetable, requirement_rows
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
@@ -23,6 +24,8 @@ MET = 0.999
 """Probability of a point that a camera meets."""
 NEARLY_MET = 0.9
 """Probability just before: two cameras that do not meet a point together stay below one that does."""
+HARD_WEIGHT = 0.1
+"""Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
 
 
 class GhostScene:
@@ -69,14 +72,24 @@ class GhostScene:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Share of every point in what the requirements ask for, 1 in sum, float64 [point].
+        """What missing every point costs, where missing all the traffic costs 1, float64 [point].
 
-        Requirements count by their weights, hard ones by 1, and the points of each alike.
+        The points of a requirement share its weight alike; that of a hard one is `HARD_WEIGHT`.
         """
-        of_each = [1.0 if each.weight is None else each.weight for each in self.requirements]
+        of_each = np.array([HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
         counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
-        share = (np.array(of_each) / np.maximum(counts, 1))[self.ghosts.requirement]
-        return share / share.sum()
+        return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
+
+    def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
+        """Weights of the traffic's objects, 1 in sum, and of the points behind them, float64 [object and point].
+
+        Args:
+            object_weight: Of the traffic's objects, at least 0, not all 0; None: all alike.
+            object_count: How many there are.
+        """
+        share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
+        assert share is not None
+        return np.concatenate([share, self.weight])
 
     def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
         """How surely each camera sees each point, 0..1, float32 [camera, point].

@@ -16,9 +16,11 @@ from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
+from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
@@ -30,12 +32,13 @@ class PoolDescent:
     """A run of `pool_search`; call `step` while `verdict` is None, then `finish`. It stands where a `Descent` stands.
 
     Attributes:
-        objective: What is minimised: the expected miss rate alone.
+        objective: What is minimised: the expected miss rate alone, with the requirements' points behind it.
         start: Mount poses that the rig begins with, float32 [camera, 7].
         history: The rigs that were found, each better than those before.
         iteration: Steps so far.
         found: The last state; None before the first step.
-        object_weight: Of the objects of all its scenes, float64 [object]; None: all alike.
+        object_weight: Of the objects of all its scenes and of the requirements' points behind them, float64 [object];
+            None: all alike.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class PoolDescent:
         progress: Progress | None = None,
         limits: RigLimits | None = None,
         pool: CameraPool | None = None,
+        requirements: GhostScene | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -65,6 +69,7 @@ class PoolDescent:
             progress: Shows the drawing of the pool.
             limits: How many cameras of which module a rig may have; None where all are equal.
             pool: Of an earlier run of the same cameras on the same scenes, which this one goes on with.
+            requirements: What has to be seen near the vehicle besides, see `pool_search`.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -82,7 +87,11 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
-        self.object_weight = objective.object_weight(scenes)
+        self._traffic_weight = self.object_weight = objective.object_weight(scenes)
+        self._requirements = requirements
+        if requirements is not None:
+            count = sum(each.scene.vehicle_count for each in scenes)
+            self.object_weight = requirements.weights_with(self._traffic_weight, count)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -95,9 +104,10 @@ class PoolDescent:
             executor=executor,
             cache=cache,
             progress=progress,
-            object_weight=self.object_weight,
+            object_weight=self._traffic_weight,
             limits=limits,
             pool=pool,
+            requirements=requirements,
         )
 
     @property
@@ -130,6 +140,8 @@ class PoolDescent:
         """
         began = time.perf_counter()
         self.found = found = next(self._states)
+        if not self.candidates and found.stage != "start":  # it breaks a hard requirement
+            self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
         if not self.candidates or found.objective < self.best.training_objective:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
         record = self._record(found, time.perf_counter() - began)
@@ -167,6 +179,17 @@ class PoolDescent:
             **{f"candidate_{name}": value for name, value in self.history.state().items()},
         }
 
+    def _terms(self, found: Found) -> dict[str, float]:
+        """The expected miss rate, and the weighted share of the requirements' points that is missed."""
+        if self._requirements is None:
+            return {"expected_miss_rate": found.objective}
+        row = rows_of(found.mount_pose + np.float32(0.0), found.pool.mount_pose)
+        probability, count = found.pool.detection_probability[row], self._requirements.vehicle_count
+        return {
+            "expected_miss_rate": expected_miss_rate(probability[:, :-count], shares_of(self._traffic_weight)),
+            "requirements": expected_miss_rate(probability[:, -count:], shares_of(self._requirements.weight)),
+        }
+
     def _record(self, found: Found, seconds: float) -> IterationRecord:
         if found.stage == "selection":
             self._proven = found.bound, found.pool_cameras
@@ -187,7 +210,7 @@ class PoolDescent:
         return IterationRecord(
             iteration=self.iteration,
             loss=found.objective,
-            terms={"expected_miss_rate": found.objective},
+            terms=self._terms(found),
             multipliers={},
             gradient_norm={},
             positions_m=position_m.tolist(),

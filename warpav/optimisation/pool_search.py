@@ -134,7 +134,7 @@ def pool_search(
     object_weight: np.ndarray | None = None,
     limits: RigLimits | None = None,
     pool: CameraPool | None = None,
-    requirements: Requirements | None = None,
+    requirements: GhostScene | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -156,8 +156,8 @@ def pool_search(
             none of them frozen where fewer are allowed too. None: any ``camera_count`` cameras.
         pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no other.
         requirements: What has to be seen near the vehicle besides; None: nothing. The objective is then the mean of
-            the expected miss rate and, ``weight`` times, of the share of its points that is missed; rigs that break a
-            hard one are never the best.
+            the expected miss rate and, by their weights, of the shares of points that are missed; rigs that break a
+            hard requirement are never the best.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -174,30 +174,6 @@ def pool_search(
     search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements)
     yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
-
-
-@dataclass(frozen=True, eq=False)
-class Requirements:
-    """What a rig has to see near the vehicle, beside the traffic.
-
-    Attributes:
-        scene: The points.
-        weight: Of the share of them that a rig misses, over that of the expected miss rate; at least 0.
-    """
-
-    scene: GhostScene
-    weight: float
-
-    def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
-        """Weights of the traffic's objects and of the points behind them, float64 [object and point].
-
-        Args:
-            object_weight: Of the traffic's objects; None: all alike.
-            object_count: How many there are.
-        """
-        share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
-        assert share is not None
-        return np.concatenate([share, self.weight * self.scene.weight])
 
 
 class _Search:
@@ -217,15 +193,13 @@ class _Search:
         seed: int,
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
-        requirements: Requirements | None,
+        requirements: GhostScene | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
-        self.ghosts = None
+        self.ghosts = requirements
         if requirements is not None:
-            self.ghosts = requirements.scene
-            count = sum(scene.vehicle_count for scene in scenes)
-            object_weight = requirements.weights_with(object_weight, count)
-            self.scenes = (*scenes, self.ghosts)
+            object_weight = requirements.weights_with(object_weight, sum(scene.vehicle_count for scene in scenes))
+            self.scenes = (*scenes, requirements)
         self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
         self.object_weight = object_weight
         self.assembly = _Assembly(cameras.mount)

@@ -68,8 +68,8 @@ class RequirementOutcome:
 
     @property
     def is_met(self) -> bool:
-        """Whether every point is met."""
-        return self.met == self.points
+        """Whether as many points are met as it asks for."""
+        return self.met >= self.requirement.share * self.points - 1e-9
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it."""
@@ -83,10 +83,12 @@ class RequirementOutcome:
                 "visible_share": requirement.visible_share,
                 "pixels": requirement.pixels,
                 "cameras": requirement.cameras,
+                "share": requirement.share,
             },
             "points": self.points,
             "met": self.met,
             "share": self.share,
+            "is_met": self.is_met,
             "worst": [
                 {
                     "position_m": list(point.position_m),
@@ -138,8 +140,19 @@ class RequirementResult:
 
     @property
     def is_met(self) -> bool:
-        """Whether every point of every hard requirement is met."""
-        return bool(self.is_point_met[self.ghosts.is_hard].all())
+        """Whether every requirement is met, hard ones and others."""
+        return all(each.is_met for each in self.outcomes)
+
+    @property
+    def shortfall(self) -> str | None:
+        """In words, which requirements are not met, how far, and where; None where all are."""
+        lines = [
+            f"{each.requirement.name} is met at {100.0 * each.share:.1f} % of {each.points} points, "
+            f"asked {100.0 * each.requirement.share:g} %; worst at {_worst_text(each.worst)}"
+            for each in self.outcomes
+            if not each.is_met
+        ]
+        return "; ".join(lines) or None
 
     @property
     def cost(self) -> float:

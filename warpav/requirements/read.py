@@ -8,10 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from warpav.core.errors import InputError
+from warpav.core.files import write_text
 from warpav.requirements.area import SIDES, Area, Band, Polygon, Strip
 from warpav.requirements.requirement import Requirement
+from warpav.requirements.template import template_file, template_names
 from warpav.requirements.test_object import SIZES_M, TestObject
 from warpav.rig.formats.record import Record, read_yaml_record
 from warpav.scene.own_vehicle import read_vehicle_file
@@ -19,18 +22,12 @@ from warpav.scene.own_vehicle import read_vehicle_file
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
 """Sectors of 45 degrees around the middle of the body, the first one centred straight ahead."""
 
-_FOLDER = Path(__file__).parent / "templates"
 _KEYS = (
-    "area", "grid_m", "object", "visible_share", "pixels", "cameras", "sector", "hard", "weight",
+    "area", "grid_m", "object", "visible_share", "pixels", "cameras", "sector", "hard", "weight", "share",
 )  # fmt: skip
 _AREAS = ("around_m", "strip", "box_m", "polygon_m")
 _STRIP = ("side", "distance_m", "along_m")
 _OBJECT = ("kind", "mesh", "height_m", "width_m", "length_m", "yaw_deg")
-
-
-def template_names() -> list[str]:
-    """Names of the shipped templates, sorted, such as ``near_field``."""
-    return sorted(file.stem for file in _FOLDER.glob("*.yaml"))
 
 
 def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
@@ -43,7 +40,7 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
             the ego frame; ``grid_m``; ``object``, a name of `SIZES_M` or a mapping with ``kind`` or ``mesh``,
             ``height_m``, ``width_m``, ``length_m``, ``yaw_deg``; and, where wanted, ``visible_share`` (0.5),
             ``pixels`` (0), ``cameras`` (1), ``sector`` (a name of `SECTORS`, or two yaws in degrees), and ``hard``
-            (true) or a ``weight``.
+            (true) or a ``weight`` with the ``share`` of the points that must be met (1).
 
     Raises:
         InputError: There is no such file or template, or it breaks the format; the line says where, which field, what
@@ -59,10 +56,27 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
     return tuple(_requirement(name, each, file.parent) for name, each in found.items())
 
 
+def copy_requirements(file: Path, copy: Path) -> None:
+    """Write the requirements of a YAML file to another place, where their meshes are found too.
+
+    Args:
+        file: As `read_requirements` takes it.
+        copy: A YAML file to write.
+
+    Raises:
+        InputError: One of them cannot be read or written.
+    """
+    data = read_yaml_record(file).value
+    for each in data["requirements"].values():
+        if isinstance(each.get("object"), dict) and "mesh" in each["object"]:
+            each["object"]["mesh"] = str((file.parent / Path(each["object"]["mesh"]).expanduser()).absolute())
+    write_text(copy, yaml.safe_dump(data, sort_keys=False))
+
+
 def _found(source: str | Path) -> Path:
     names = template_names()
     if str(source) in names:
-        return _FOLDER / f"{source}.yaml"
+        return template_file(str(source))
     path = Path(source).expanduser()
     if path.suffix.lower() not in (".yaml", ".yml") and not path.is_file():
         near = difflib.get_close_matches(str(source), names, 1, 0.5)
@@ -99,6 +113,11 @@ def _requirement(name: str, record: Record, folder: Path) -> Requirement:
         raise record.at("weight").error("no weight of a hard requirement; leave out one of hard and weight")
     if hard.value is False and weight is None:
         raise hard.error("a weight beside it, such as weight: 1.0", "hard: false alone")
+    share = record.at("share").number(1.0)
+    if not 0.0 < share <= 1.0:
+        raise record.at("share").error("a share of the points above 0 and up to 1")
+    if share < 1.0 and weight is None:
+        raise record.at("share").error("none of a hard requirement, which is met at every point; give it a weight")
     return Requirement(
         name=name,
         area=_area(record.at("area")),
@@ -109,6 +128,7 @@ def _requirement(name: str, record: Record, folder: Path) -> Requirement:
         cameras=cameras,
         sector_rad=_sector(record.at("sector")),
         weight=weight,
+        share=share,
     )
 
 

@@ -33,7 +33,9 @@ class Requirement:
         cameras: How many cameras at least must see so much of it.
         sector_rad: Only points in these directions from the middle of the body count: from the first yaw to the left
             up to the second [rad]; None: all.
-        weight: What a point that is not met costs; None: the requirement is hard.
+        weight: What it costs a search when all its points are missed, over missing all the traffic; None: the
+            requirement is hard, every point has to be met.
+        share: Share of its points that must be met, in (0, 1]; 1 of a hard one.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Requirement:
     cameras: int = 1
     sector_rad: tuple[float, float] | None = None
     weight: float | None = None
+    share: float = 1.0
 
     @property
     def is_hard(self) -> bool:
@@ -56,7 +59,8 @@ class Requirement:
         seen = f"{100.0 * self.visible_share:g} %"
         if self.pixels > 0.0:
             seen += f" and {self.pixels:g} px"
-        return f"{seen} of a {self.test_object.kind} by {self.cameras} camera{'s' if self.cameras > 1 else ''}"
+        text = f"{seen} of a {self.test_object.kind} by {self.cameras} camera{'s' if self.cameras > 1 else ''}"
+        return text if self.share == 1.0 else f"{text}, at {100.0 * self.share:g} % of the points"
 
     def points_m(self, body: Body) -> np.ndarray:
         """Where the test object is put [m], [point, 2]: only where it does not reach under the body.

@@ -260,3 +260,16 @@ def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
             continue
         found.append(zone)
     return tuple(found)
+
+
+def with_middles(zones: Sequence[Zone]) -> tuple[Zone, ...]:
+    """Zones, and of each that lies across the middle of a vehicle and looks forwards or back a centred one of its own.
+
+    So a symmetric rig may have single cameras there, such as one behind the windscreen or above the rear plate.
+    """
+    across = [
+        zone
+        for zone in zones
+        if not zone.is_centred and abs(zone.axes[2, 0]) > 0.5 and abs(zone.axes[2, 1]) < 1e-6 and not zone.origin_m[1]
+    ]
+    return (*zones, *(replace(zone, name=f"{zone.name}_middle", is_centred=True) for zone in across))

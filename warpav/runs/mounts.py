@@ -15,7 +15,7 @@ from warpav.core.errors import OptionError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules
-from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.chart import chart_of, propose_zones, with_middles
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
@@ -128,8 +128,11 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """
     if not has_zones(config):
         return roof_surface(config, ego)
+    zones = propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones)
+    if config.mount.zones is None and config.rig.symmetric:
+        zones = with_middles(zones)
     return chart_of(
-        propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones),
+        zones,
         ego,
         modules=rig_modules(config),
         pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,

@@ -172,6 +172,7 @@ class Optimisation:
                 progress=progress,
                 limits=placement.limits,
                 pool=known_pool,
+                requirements=placement.ghosts,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

@@ -25,6 +25,7 @@ from warpav.optimisation.assignment import (
     cameras_of,
     nearest_cameras,
 )
+from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.importance import Importance, check_categories
 from warpav.optimisation.losses.build import losses_of
 from warpav.optimisation.losses.loss import Loss, LossSchedule
@@ -39,8 +40,11 @@ from warpav.optimisation.segregation import Segregation, choose_orientations
 from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
+from warpav.requirements.read import read_requirements
+from warpav.requirements.requirement import Requirement
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, RigConfig, changed_config, flow_text
+from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
@@ -98,6 +102,7 @@ class Parts:
         probability: The model of detection probability, or one for each module; None:
             `warpav.runs.detector_fit.ensure_fit` gives it.
         losses: Every loss with its weight; None: those of ``config``.
+        requirements: What has to be seen near the vehicle; None: as ``config.requirements`` says.
         has_own_detector: Whether the detector is an object that no configuration describes.
         has_own_scenes: Whether the scenes are objects that no configuration describes.
     """
@@ -109,6 +114,7 @@ class Parts:
     networks: Networks | None = None
     probability: DetectionProbabilities | None = None
     losses: tuple[tuple[float, Loss], ...] | None = None
+    requirements: tuple[Requirement, ...] | None = None
     has_own_detector: bool = False
     has_own_scenes: bool = False
 
@@ -155,6 +161,7 @@ class Placement:
         rig: RigConfig | Mapping[str, Any] | None = None,
         losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
         importance: ImportanceSettings | Mapping[str, Any] | None = None,
+        requirements: str | Path | Sequence[Requirement] | None = None,
         probability: DetectionProbability | None = None,
         config: Config | None = None,
     ) -> None:
@@ -181,6 +188,8 @@ class Placement:
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
             importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
+            requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
+                ``"near_field"``, or what `warpav.read_requirements` gives; None: as ``config`` says.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
@@ -214,6 +223,7 @@ class Placement:
             "rig.freeze": None if start is None else [],
             "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
             "importance": None if importance is None else _section(importance),
+            "requirements": str(requirements) if isinstance(requirements, (str, Path)) else None,
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
             **_scene_options(train, validation, base),
         }
@@ -241,6 +251,9 @@ class Placement:
             networks=None if own_detector is None else Networks(own_detector, None),
             probability=probability,
             losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
+            requirements=None
+            if requirements is None or isinstance(requirements, (str, Path))
+            else _checked_requirements(requirements, found),
             has_own_detector=own_detector is not None,
             has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),
         )
@@ -399,6 +412,29 @@ class Placement:
     def limits(self) -> RigLimits | None:
         """How many cameras of which module a rig may have; None where all are equal."""
         return rig_limits(self.config, self.mount.surface)
+
+    @cached_property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """What has to be seen near the vehicle; empty: nothing.
+
+        Raises:
+            InputError: The file of ``config.requirements`` cannot be used.
+        """
+        if self._parts.requirements is not None:
+            return self._parts.requirements
+        source = self.config.requirements
+        return () if source is None else read_requirements(source)
+
+    @cached_property
+    def ghosts(self) -> GhostScene | None:
+        """The requirements' test objects around the vehicle; None where nothing is required.
+
+        Raises:
+            InputError: A requirement has no point, or there are too many.
+        """
+        if not self.requirements:
+            return None
+        return GhostScene(self.requirements, self.ego, device=str(self.mount.device))
 
     @property
     def frozen_rig(self) -> Rig | None:
@@ -588,6 +624,17 @@ def _needs_fit(parts: Parts) -> bool:
     if parts.losses is None:
         return parts.config.losses.weights["expected_miss_rate"] > 0.0
     return any(loss.needs(LossSchedule()).detection_probability for _, loss in parts.losses)
+
+
+def _checked_requirements(requirements: Sequence[Requirement], config: Config) -> tuple[Requirement, ...]:
+    """Requirements of an argument."""
+    found = tuple(requirements)
+    for each in found:
+        if not isinstance(each, Requirement):
+            raise TypeError(f"requirements: expected what read_requirements gives, got {type(each).__name__}")
+    if found and config.descends:
+        raise ArgumentError("requirements", f"expected none: {NO_REQUIREMENTS}")
+    return found
 
 
 def _have_one_objective(one: Config, other: Config) -> bool:

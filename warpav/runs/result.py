@@ -26,7 +26,7 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config, changed_config, flow_text
-from warpav.runs.evaluate import evaluate_on
+from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
@@ -41,6 +41,7 @@ from warpav.view import Canvas, drawing_of, plot
 if TYPE_CHECKING:
     from warpav.evaluation.camera_outage import CameraOutages
     from warpav.optimisation.assignment import AssignedScene
+    from warpav.requirements.check import RequirementResult
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""
@@ -148,6 +149,11 @@ class Result:
         See `warpav.optimisation.further_camera`.
         """
         return self._descent.further_cameras() if isinstance(self._descent, PoolDescent) else None
+
+    @cached_property
+    def requirements(self) -> RequirementResult | None:
+        """What `rig` meets of what the placement requires near the vehicle; None where it requires nothing."""
+        return requirements_of({"rig": self.rig}, self.placement).get("rig")
 
     @property
     def is_better_than_start(self) -> bool:
@@ -298,6 +304,7 @@ def write_verdict(
     from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import RigDrawing, draw_rigs, draw_views
+    from warpav.view.figures.requirements import requirement_map
 
     placement, descent = result.placement, result._descent
     mount = placement.mount
@@ -347,6 +354,13 @@ def write_verdict(
         }
         folder.write_evaluation({**evaluation, "seconds": timer.seconds})
         progress.stage("figures and report")
+        for name in (START, OPTIMISED) if compared.requirements else ():
+            requirement_map(
+                folder.figure_path(f"requirements_{name}"),
+                result=compared.requirements[name],
+                rig=compared.rigs[name],
+                ego=placement.ego,
+            )
         folder.write_ground(ground.arrays(placement.ego.bounds_m()))
         outcomes = [
             [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes

@@ -49,8 +49,8 @@ def check_rig(
         rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)
     )
     yield result.table()
-    unmet = [each.requirement.name for each in result.outcomes if each.requirement.is_hard and not each.is_met]
-    yield f"not met: {', '.join(unmet)}" if unmet else "all hard requirements are met"
+    unmet = [each.requirement.name for each in result.outcomes if not each.is_met]
+    yield f"not met: {', '.join(unmet)}" if unmet else "all requirements are met"
     if json_file is not None:
         with writing(json_file), atomic_write(json_file) as draft:
             draft.write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")

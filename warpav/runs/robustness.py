@@ -88,10 +88,10 @@ def tolerance_on(
 ) -> MountTolerance | None:
     """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`.
 
-    None where the objective is not the expected miss rate alone.
+    None where the objective is not the expected miss rate alone, and of symmetric rigs, whose pairs move as one.
     """
     cameras = single_cameras_of(placement.objective)
-    if cameras is None:
+    if cameras is None or placement.mount.is_symmetric:
         return None
     packed = [each.scene for each in scenes]
     return MountTolerance.of(
@@ -198,13 +198,15 @@ def _posed(
     """A rig's mount pose, its cameras, scenes as the placement sees them, and the weights of their objects."""
     observed = placement.observed(scenes, progress=progress)
     cameras = single_cameras_of(placement.objective)
-    if cameras is None:
+    if cameras is None or placement.mount.is_symmetric:
         raise _unknown_probability(placement, what)
     weight = weights_on([each.scene for each in observed], placement)
     return placement.mount_pose_of(rig), cameras, list(placement.as_seen(scenes)), weight
 
 
 def _unknown_probability(placement: Placement, what: str) -> InputError:
+    if placement.mount.is_symmetric:
+        return InputError(f"rig.symmetric: expected null for {what}, as the cameras of a pair are known together alone")
     got = ", ".join(loss.name for _, loss in placement.objective.losses)
     return InputError(f"losses: expected the expected_miss_rate alone, with combine=any, for {what}, got {got}")
 

@@ -27,12 +27,15 @@ from typing import TYPE_CHECKING, Any, Literal
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
+from warpav.requirements.read import copy_requirements
+from warpav.requirements.template import template_names
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import (
     CATALOGUE_FILE,
+    REQUIREMENTS_FILE,
     START_FILE,
     ZONES_FILE,
     Config,
@@ -122,6 +125,8 @@ class RunFolder:
             write_zones(read_zones(config.mount.zones), path / ZONES_FILE)
         if config.rig.catalogue is not None:
             shutil.copyfile(config.rig.catalogue, path / CATALOGUE_FILE)
+        if config.requirements is not None and config.requirements not in template_names():
+            copy_requirements(Path(config.requirements), path / REQUIREMENTS_FILE)
         folder.replace_config(config)
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
         return folder
@@ -143,7 +148,7 @@ class RunFolder:
         return cls(folder)
 
     def replace_config(self, config: Config) -> None:
-        """Write ``config.yaml`` (again), with the same start, zones and catalogue of modules."""
+        """Write ``config.yaml`` (again), with the same start, zones, catalogue of modules and requirements."""
         if (self.path / START_FILE).is_file():
             rig = self.config().rig if (self.path / "config.yaml").is_file() else config.rig
             config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
@@ -151,6 +156,8 @@ class RunFolder:
             config = config.model_copy(
                 update={"rig": config.rig.model_copy(update={"catalogue": Path(CATALOGUE_FILE)})}
             )
+        if (self.path / REQUIREMENTS_FILE).is_file():
+            config = config.model_copy(update={"requirements": REQUIREMENTS_FILE})
         if (self.path / ZONES_FILE).is_file():
             mount = config.mount.model_copy(update={"zones": Path(ZONES_FILE)})
             config = config.model_copy(update={"mount": mount})

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, WEIGHTED_METRICS
-from warpav.evaluation.rig_evaluation import outage_rows
+from warpav.evaluation.rig_evaluation import outage_rows, requirement_rows
 
 ARM_ROWS = {
     "map50_average": "AP50, mean of the cameras",
@@ -173,6 +173,41 @@ def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
+    """Which requirements the rig that a run has found does not meet, how far and where, a sentence each.
+
+    Args:
+        evaluation: The content of ``evaluation.json``.
+    """
+    _, outcomes = next(iter((evaluation.get("requirements") or {}).items()), ("", []))
+    found = []
+    for each in outcomes:
+        if each["is_met"]:
+            continue
+        text = f"REQUIREMENT NOT MET: {each['name']} at {each['share']:.1%} of {each['points']} points"
+        if each["need"]["share"] < 1.0:
+            text += f", asked {each['need']['share']:.0%}"
+        if each["worst"]:
+            x, y = each["worst"][0]["position_m"]
+            text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
+        found.append(text)
+    return found
+
+
+def requirement_table(evaluation: Mapping[str, Any]) -> Table | None:
+    """What every arm meets of the requirements; None where there are none."""
+    requirements = evaluation.get("requirements")
+    if not requirements:
+        return None
+    table = Table(title="seen near the vehicle", title_justify="left", header_style="bold")
+    table.add_column("", no_wrap=True)
+    for name in requirements:
+        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+    for row in requirement_rows(requirements):
+        table.add_row(*map(Text, row))
+    return table
+
+
 def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     """Print the arms' metrics, whether the constraints are met, and what the run has changed.
 
@@ -183,10 +218,15 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     arms = evaluation["arms"]
     for text in worse_than_start(evaluation):
         console.print(f"[bold red]{text}[/]")
+    for text in unmet_requirements(evaluation):
+        console.print(f"[yellow]{text}[/]")
     console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
     recall = recall_table(arms)
     if recall is not None:
         console.print(recall)
+    near = requirement_table(evaluation)
+    if near is not None:
+        console.print(near)
     outage = outage_table(evaluation)
     if outage is not None:
         console.print(outage)

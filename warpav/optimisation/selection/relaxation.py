@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,15 @@ SOLVER_OPTIONS = {
     "dual_feasibility_tolerance": 1e-9,
 }
 """Of HiGHS."""
+
+TROUBLED_OPTIONS = {
+    **SOLVER_OPTIONS,
+    "presolve": "on",
+    "simplex_scale_strategy": 4,
+    "primal_feasibility_tolerance": 1e-7,
+    "dual_feasibility_tolerance": 1e-7,
+}
+"""Of HiGHS, where these fail: bounds do not rest on its tolerances."""
 
 LEAST_VIOLATION = 1e-8
 """By how much a cut must be violated to be added: more than the solver allows itself."""
@@ -123,8 +132,7 @@ class Relaxation:
             self._log_missed = -np.log(problem.missed)
         self._status = highspy.HighsModelStatus
         self._model = Silent()
-        for option, value in SOLVER_OPTIONS.items():
-            self._model.setOptionValue(option, value)
+        self._set_options(SOLVER_OPTIONS)
         objects = problem.object_count
         self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
         self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), problem.weight)
@@ -207,8 +215,8 @@ class Relaxation:
                 self.add_cameras(missing)
                 self._enter(node)
                 continue
-            if status == self._status.kTimeLimit:
-                return best
+            if status in (self._status.kTimeLimit, self._status.kUnknown, self._status.kSolveError):
+                return best  # what earlier duals have proven
             if status != self._status.kOptimal:
                 raise RuntimeError(f"HiGHS ended with {self._model.modelStatusToString(status)}")
             solution = self._model.getSolution()
@@ -267,11 +275,19 @@ class Relaxation:
         self._model.setOptionValue("time_limit", self._model.getRunTime() + left_s)
         self._model.run()
         status = self._model.getModelStatus()
-        if status in (self._status.kUnknown, self._status.kSolveError):  # numerical trouble: from a basis of its own
+        for options in (SOLVER_OPTIONS, TROUBLED_OPTIONS):  # numerical trouble: from a basis of its own
+            if status not in (self._status.kUnknown, self._status.kSolveError):
+                break
             self._model.clearSolver()
+            self._set_options(options)
             self._model.run()
             status = self._model.getModelStatus()
+            self._set_options(SOLVER_OPTIONS)
         return status
+
+    def _set_options(self, options: Mapping[str, Any]) -> None:
+        for option, value in options.items():
+            self._model.setOptionValue(option, value)
 
     def _coefficient(self, cut_object: np.ndarray, camera: np.ndarray, level: np.ndarray) -> np.ndarray:
         """Of cuts, float64 [cut, camera]."""

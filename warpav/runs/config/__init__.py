@@ -23,6 +23,7 @@ from warpav.runs.config.load import (
 from warpav.runs.config.rig_options import NAMED_STARTS, START_TEXT, RigConfig
 from warpav.runs.config.schema import (
     CATALOGUE_FILE,
+    REQUIREMENTS_FILE,
     START_FILE,
     ZONES_FILE,
     BaselineConfig,
@@ -38,6 +39,7 @@ __all__ = [
     "CATALOGUE_FILE",
     "COMMAND_LINE",
     "NAMED_STARTS",
+    "REQUIREMENTS_FILE",
     "START_FILE",
     "START_TEXT",
     "ZONES_FILE",

@@ -18,9 +18,18 @@ from pydantic import ValidationError
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
+from warpav.requirements.template import template_names
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.rig_options import NAMED_STARTS
-from warpav.runs.config.schema import CATALOGUE_FILE, EXTENDS, START_FILE, ZONES_FILE, ConfigTree, merged
+from warpav.runs.config.schema import (
+    CATALOGUE_FILE,
+    EXTENDS,
+    REQUIREMENTS_FILE,
+    START_FILE,
+    ZONES_FILE,
+    ConfigTree,
+    merged,
+)
 from warpav.runs.config.shipped import find_config
 from warpav.scene.vehicles import vehicle_file
 
@@ -82,6 +91,8 @@ def load_config(
         values = data.get(section)
         if file and isinstance(values, dict) and values.get(option) == name and (file.parent / name).is_file():
             values[option] = str((file.parent / name).absolute())
+    if file and data.get("requirements") == REQUIREMENTS_FILE and (file.parent / REQUIREMENTS_FILE).is_file():
+        data["requirements"] = str((file.parent / REQUIREMENTS_FILE).absolute())
     override_of: dict[Location, str] = {}
     new_name = dict(renamed_options(Config))
     for override in overrides:
@@ -129,6 +140,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
         ("mount.zones", config.mount.zones),
         ("rig.catalogue", config.rig.catalogue),
+        ("requirements", None if config.requirements in template_names() else config.requirements),
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")

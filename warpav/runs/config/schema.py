@@ -34,6 +34,7 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
+from warpav.requirements.template import template_names
 from warpav.runs.config.file_options import existing_file, read_path
 from warpav.runs.config.rig_options import LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
 from warpav.runs.config.shipped import shipped_values
@@ -51,6 +52,9 @@ ZONES_FILE = "zones.yaml"
 
 CATALOGUE_FILE = "modules.yaml"
 """A rig.catalogue of this name, likewise."""
+
+REQUIREMENTS_FILE = "requirements.yaml"
+"""Requirements of this name, likewise."""
 
 MAX_SEED = 2**31 - 1
 MAX_SEED_COUNT = 100_000
@@ -444,6 +448,18 @@ class ExecutorConfig(Section):
     )
 
 
+_REQUIREMENTS_TEXT = "the name of a template, such as near_field, or the path of a YAML file"
+
+NO_REQUIREMENTS = "only the search by a pool, with the loss expected_miss_rate alone, knows requirements"
+"""Why others take none."""
+
+
+def _read_requirements(value: object) -> object:
+    if isinstance(value, str) and value not in template_names():
+        existing_file(value, f"one of {', '.join(template_names())}, or a YAML file", [value], template_names())
+    return value
+
+
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Sections laid over others: what the upper ones leave out comes from below."""
     result = dict(below)
@@ -493,6 +509,11 @@ class ConfigTree(Section):
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
     importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
+    requirements: Annotated[str, BeforeValidator(_read_requirements), Expectation(_REQUIREMENTS_TEXT)] | None = Field(
+        default=None,
+        description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
+        "near_field, or the path of a YAML file; null: nothing",
+    )
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
@@ -518,6 +539,8 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
+        if self.requirements is None:
+            result.pop("requirements", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
         for name in LATER_RIG_OPTIONS:
@@ -546,6 +569,8 @@ class ConfigTree(Section):
         self._check_freeze()
         self._check_zones()
         self._check_importance()
+        if self.requirements is not None and (self.descends or self.method == "thesis"):
+            mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",

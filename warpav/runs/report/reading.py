@@ -202,6 +202,39 @@ class ToleranceRecord(_Part):
     worst: MountEffectRecord
 
 
+class NeedRecord(_Part):
+    """What a requirement asks for, see `warpav.requirements.requirement.Requirement`."""
+
+    object: str
+    visible_share: float
+    pixels: float
+    cameras: int
+    share: float = 1.0
+
+
+class PointRecord(_Part):
+    """A point that is not met, see `warpav.requirements.check.WorstPoint`."""
+
+    position_m: tuple[float, float]
+    camera: str | None
+    visible_share: float
+    pixels: float
+
+
+class RequirementRecord(_Part):
+    """What a rig meets of a requirement, see `warpav.requirements.check.RequirementOutcome`."""
+
+    name: str
+    hard: bool
+    weight: float | None
+    need: NeedRecord
+    points: int
+    met: int
+    share: float
+    is_met: bool
+    worst: list[PointRecord] = []
+
+
 class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
@@ -217,6 +250,7 @@ class EvaluationRecord(_Part):
     ground: GroundTable | None = None
     camera_outage: dict[str, OutageRecord | None] = {}
     mount_tolerance: ToleranceRecord | None = None
+    requirements: dict[str, list[RequirementRecord]] = {}
 
     @model_validator(mode="after")
     def _knows_its_arms(self) -> EvaluationRecord:
@@ -225,6 +259,8 @@ class EvaluationRecord(_Part):
         of_parts |= set(self.arms) - set(self.arms if self.constraints is None else self.constraints)
         if of_parts:
             raise ValueError(f"outcomes, ground and constraints must be of all arms, {min(of_parts)} is missing")
+        if len({tuple(each.name for each in outcomes) for outcomes in self.requirements.values()}) > 1:
+            raise ValueError("requirements must be the same for all arms")
         groups = [
             {by: set(table) for by, table in arm.recall_by.items()} for arm in self.arms.values() if arm.recall_by
         ]

@@ -56,11 +56,14 @@ FIGURES = {
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
     "sensitivity": "What each camera costs that is off, by degree of freedom, and that is lost",
     "search": "Best rig and bound over the camera renders",
+    "requirements_start": "From above: points that have to be seen, and how many cameras of the start see enough there",
+    "requirements_optimised": "The same of the rig that was found",
     "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
 }
 """Figures of a run in the order of the report; others follow by name."""
 
-_ELSEWHERE = ("loss_curves", "further_cameras", "sensitivity")
+_NEAR = ("requirements_start", "requirements_optimised")
+_ELSEWHERE = ("loss_curves", "further_cameras", "sensitivity", *_NEAR)
 """Figures that have places of their own."""
 
 
@@ -170,6 +173,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "is_weighted": run.config is not None and run.config.importance.is_set,
         "sensitivity": words.sensitivity(run),
         "sensitivity_map": [image for image in shown if image.name == "sensitivity"],
+        "near": _near(evaluation) if evaluation else [],
+        "near_maps": [image for image in shown if image.name in _NEAR],
         "outage": _outage(evaluation) if evaluation else None,
         "views": _views(run.views, [next(encoded) for _ in run.views]),
         "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
@@ -237,6 +242,20 @@ def _cards(run: RunContent) -> list[words.Statement]:
             else words.Statement("constraint violation", f"{words.number(violation_m, 4)} m", "bad")
         )
     return cards
+
+
+def _near(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
+    """Rows of what the arms meet of every requirement."""
+    return [
+        (
+            f"{each.name}, {each.points} points" + (" (hard)" if each.hard else ""),
+            [
+                words.percent(outcomes[k].share) + ("" if outcomes[k].is_met else " (not met)")
+                for outcomes in evaluation.requirements.values()
+            ],
+        )
+        for k, each in enumerate(evaluation.requirements.get(evaluation.first, []))
+    ]
 
 
 def _outage(evaluation: EvaluationRecord) -> tuple[list[str], list[list[str]]] | None:

@@ -127,7 +127,8 @@ def summary(run: RunContent) -> list[Statement]:
         found += [_traffic(run, run.evaluation), _proof(run.evaluation), _objective(run, run.evaluation)]
     found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
-        found += [_left(run, run.evaluation), _ground(run.evaluation), _constraints(run.evaluation)]
+        found += [_left(run, run.evaluation), _requirements(run.evaluation)]
+        found += [_ground(run.evaluation), _constraints(run.evaluation)]
     found.append(_end(run))
     if run.evaluation is not None:
         found.append(_caution(run.evaluation))
@@ -323,6 +324,25 @@ def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     return Statement("Not detected", text)
 
 
+def _requirements(evaluation: EvaluationRecord) -> Statement | None:
+    """Which requirements the rig that was found meets, and where not."""
+    outcomes = evaluation.requirements.get(evaluation.first)
+    if not outcomes:
+        return None
+    parts = []
+    for each in outcomes:
+        asked = "" if each.need.share == 1.0 else f" of the {percent(each.need.share, 0)} asked"
+        text = f"{each.name} is met at {percent(each.share)}{asked} of {each.points} points"
+        if not each.is_met and each.worst:
+            x, y = each.worst[0].position_m
+            text += f", least at ({number(x, 1)}, {number(y, 1)}){SPACE}m"
+        parts.append(text)
+    is_met = all(each.is_met for each in outcomes)
+    lead = "Met: " if is_met else "Not met: "
+    parts = parts if is_met else [text for text, each in zip(parts, outcomes, strict=True) if not each.is_met]
+    return Statement("Seen near the vehicle", f"{lead}{_listed(parts)}.", "good" if is_met else "bad")
+
+
 def _ground(evaluation: EvaluationRecord) -> Statement | None:
     ground = evaluation.ground
     if ground is None:
@@ -336,7 +356,8 @@ def _ground(evaluation: EvaluationRecord) -> Statement | None:
     text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
     before, after = ground.share("start", 0) if "start" in ground.blind else None, ground.share(first, 0)
     if before is not None and after is not None and after > before + 0.005:
-        text += " That is more than at the start: the objective counts traffic, not ground."
+        what = "points of the requirements, not all the ground" if evaluation.requirements else "traffic, not ground"
+        text += f" That is more than at the start: the objective counts {what}."
     near = [
         (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
         for sector in range(len(ground.sectors))
