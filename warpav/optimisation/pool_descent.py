@@ -14,6 +14,7 @@ from warpav.core.errors import OptionError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.camera_loss import RobustObjective, RobustValue
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.history import Candidate, History, IterationRecord
@@ -30,7 +31,9 @@ class PoolDescent:
     """A run of `pool_search`; call `step` while `verdict` is None, then `finish`. It stands where a `Descent` stands.
 
     Attributes:
-        objective: What is minimised: the expected miss rate alone.
+        objective: Of the rig: the expected miss rate alone.
+        robust: What is minimised instead; None: the expected miss rate.
+        start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
         start: Mount poses that the rig begins with, float32 [camera, 7].
         history: The rigs that were found, each better than those before.
         iteration: Steps so far.
@@ -51,6 +54,7 @@ class PoolDescent:
         progress: Progress | None = None,
         limits: RigLimits | None = None,
         pool: CameraPool | None = None,
+        robust: RobustObjective | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -65,6 +69,7 @@ class PoolDescent:
             progress: Shows the drawing of the pool.
             limits: How many cameras of which module a rig may have; None where all are equal.
             pool: Of an earlier run of the same cameras on the same scenes, which this one goes on with.
+            robust: What is minimised; None: the expected miss rate.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -82,6 +87,8 @@ class PoolDescent:
         self.history = History()
         self.iteration = 0
         self.found: Found | None = None
+        self.robust = robust
+        self.start_value: RobustValue | None = None
         self.object_weight = objective.object_weight(scenes)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
@@ -98,6 +105,7 @@ class PoolDescent:
             object_weight=self.object_weight,
             limits=limits,
             pool=pool,
+            robust=robust,
         )
 
     @property
@@ -130,6 +138,8 @@ class PoolDescent:
         """
         began = time.perf_counter()
         self.found = found = next(self._states)
+        if self.start_value is None:
+            self.start_value = found.robust
         if not self.candidates or found.objective < self.best.training_objective:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
         record = self._record(found, time.perf_counter() - began)
@@ -184,10 +194,16 @@ class PoolDescent:
             free["height_m"] = (pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
         if mount.is_free[LOG_ZOOM]:
             free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
+        terms = {"expected_miss_rate": found.objective}
+        if found.robust is not None:
+            terms = {
+                "expected_miss_rate": found.robust.expected_miss_rate,
+                "expected_miss_rate_without_camera": found.robust.without_camera,
+            }
         return IterationRecord(
             iteration=self.iteration,
             loss=found.objective,
-            terms={"expected_miss_rate": found.objective},
+            terms=terms,
             multipliers={},
             gradient_norm={},
             positions_m=position_m.tolist(),

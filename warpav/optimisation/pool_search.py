@@ -22,6 +22,7 @@ from scipy import sparse
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
+from warpav.optimisation.camera_loss import RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
@@ -90,7 +91,7 @@ class Found:
 
     Attributes:
         mount_pose: The best rig so far, which satisfies all constraints, float32 [camera, 7].
-        objective: Its expected miss rate on the scenes of the search.
+        objective: Its expected miss rate on the scenes of the search, or its robust objective.
         bound: No rig of cameras of the pool is below it; 0 before the first selection. It says nothing of cameras that
             the pool does not have.
         stage: What has just been done; ``settled`` where nothing is left to do.
@@ -100,6 +101,7 @@ class Found:
         pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
         price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
+        robust: What the objective is made of where it is a robust one, else None.
     """
 
     mount_pose: np.ndarray
@@ -112,6 +114,7 @@ class Found:
     pool: CameraPool = field(repr=False)
     price: Price | None = field(repr=False, default=None)
     round: int = 0
+    robust: RobustValue | None = None
 
     @property
     def gap(self) -> float:
@@ -135,6 +138,7 @@ def pool_search(
     limits: RigLimits | None = None,
     pool: CameraPool | None = None,
     requirements: Requirements | None = None,
+    robust: RobustObjective | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -158,6 +162,8 @@ def pool_search(
         requirements: What has to be seen near the vehicle besides; None: nothing. The objective is then the mean of
             the expected miss rate and, ``weight`` times, of the share of its points that is missed; rigs that break a
             hard one are never the best.
+        robust: What is minimised instead of the expected miss rate, by the same weights; see `camera_loss` for what is
+            then proven. None: the expected miss rate.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -171,7 +177,7 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements)
+    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust)
     yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
 
@@ -218,6 +224,7 @@ class _Search:
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
         requirements: Requirements | None,
+        robust: RobustObjective | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
         self.ghosts = None
@@ -228,6 +235,7 @@ class _Search:
             self.scenes = (*scenes, self.ghosts)
         self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
         self.object_weight = object_weight
+        self.robust = robust
         self.assembly = _Assembly(cameras.mount)
         self.began = time.perf_counter()
         self.pool: CameraPool
@@ -252,7 +260,19 @@ class _Search:
             self.pool,
             selection.price if selection else None,
             self.round,
+            self._robust_value(self._rows_of_best()),
         )
+
+    def _robust_value(self, row: np.ndarray) -> RobustValue | None:
+        """Of a rig of the pool, int [camera]; None where the objective is the expected miss rate alone."""
+        if self.robust is None:
+            return None
+        share, size = shares_of(self.object_weight), self._sizes(self.pool.mount_pose[row])
+        return self.robust.of_rig(self.pool.detection_probability[row], share, size)
+
+    def _sizes(self, mount_pose: np.ndarray, absent: int = 0) -> np.ndarray:
+        """How many cameras rows of the pool stand for, int [camera]; see `_limit_rows`."""
+        return np.append(1 + self.cameras.mount.is_pair(mount_pose).astype(int), np.zeros(absent, int))
 
     def states(
         self,
@@ -287,7 +307,9 @@ class _Search:
         if start is not None:
             row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
-            self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)), of_start)
+            robust = self._robust_value(row)
+            value = robust.objective if robust else expected_miss_rate(of_start, shares_of(self.object_weight))
+            self._is_better(start, value, of_start)
             if self.best is not None:
                 yield self.found("start")
         if self.ghosts is not None:
@@ -391,7 +413,8 @@ class _Search:
             missing = np.arange(self.camera_count - len(self.best))
             known = np.concatenate([self._rows_of_best(), cameras + missing])
         rows, self._row_points = self._rows_for(pool.mount_pose, absent)
-        self.selection = selection = select(
+        by_robust = {} if self.robust is None else {"objective": self.robust, "size": self._sizes(pool.mount_pose, absent)}
+        self.selection = selection = (select_robust if by_robust else select)(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
@@ -402,6 +425,7 @@ class _Search:
             gap=gap,
             time_limit_s=self.settings.selection_time_s,
             seed=self.seed,
+            **by_robust,
         )
         chosen = selection.cameras[selection.cameras < cameras]
         chosen = self.assembly.rig(pool.mount_pose[chosen], like=self.best)
@@ -456,6 +480,7 @@ class _Search:
             weight=self.object_weight,
             camera_renders_max=self._left,
             is_allowed=None if self.ghosts is None else self._meets_requirements,
+            robust=self.robust,
         )
         is_better = True
         for step in steps:
@@ -522,6 +547,8 @@ class _Search:
             held=held,
             weight=self.object_weight,
             fits=module[:, None] == module[rig],
+            robust=self.robust,
+            size=self._sizes(pool.mount_pose),
         )
 
     def _rows_of_best(self) -> np.ndarray:
@@ -570,8 +597,12 @@ class _Search:
             rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
         )
-        rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])
-        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(miss_rate[0]))
+        first = np.searchsorted(around, rig)[None]
+        if self.robust is None:
+            rigs, value = exchange(problem, first)
+        else:
+            rigs, value = exchange_robust(problem, first, self.robust, self._sizes(pool.mount_pose[around]))
+        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(value[0]))
         yield self.found("polish")
 
 

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, cr
 
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, Degrees, Metres, number_in
+from warpav.optimisation.camera_loss import RobustObjective
 from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
@@ -248,6 +249,30 @@ class ImportanceSettings(Section):
     def is_set(self) -> bool:
         """Whether anything is."""
         return bool(self.category or self.distance_m or self.sector_deg)
+
+
+class RobustSettings(Section):
+    """How much the loss of a camera counts in the objective of a search by a pool."""
+
+    camera_loss: Literal["mean", "worst"] | None = Field(
+        default=None,
+        description="minimise also what the rig is expected to miss without one camera: the mean over all, or without "
+        "the one that is worst to lose; null: with all cameras alone",
+    )
+    weight: float = Field(
+        default=0.5, gt=0.0, le=1.0, description="of what is missed without one camera; the whole rig has the rest"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> RobustSettings:
+        if self.camera_loss is None and self.weight != type(self).model_fields["weight"].default:
+            mistake("expected robust.camera_loss beside a weight, got none; set mean or worst", "camera_loss", "weight")
+        return self
+
+    @property
+    def objective(self) -> RobustObjective | None:
+        """What is minimised; None: the expected miss rate."""
+        return None if self.camera_loss is None else RobustObjective(self.camera_loss, self.weight)
 
 
 class VisibilitySettings(Section):

@@ -172,6 +172,7 @@ class Optimisation:
                 progress=progress,
                 limits=placement.limits,
                 pool=known_pool,
+                robust=config.robust.objective,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

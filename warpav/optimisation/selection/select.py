@@ -40,7 +40,8 @@ class Selection:
         objective: Its expected miss rate, 0..1.
         bound: No rig of the pool that satisfies the constraints is below it.
         ended: ``optimal``: no other is better by more than 1e-9; ``gap``: none by more than the gap that was asked for;
-            ``time``: it was over; ``interrupted``: by Ctrl-C.
+            ``time``: it was over; ``interrupted``: by Ctrl-C; ``exchange``: no exchange of a camera helps, and no more
+            is proven than the bound.
         seconds: Wall time [s].
         nodes: Nodes of the branch and bound beyond the root.
         price: What further cameras would bring; None where the time did not suffice for a relaxation.
@@ -49,7 +50,7 @@ class Selection:
     cameras: np.ndarray
     objective: float
     bound: float
-    ended: Literal["optimal", "gap", "time", "interrupted"]
+    ended: Literal["optimal", "gap", "time", "interrupted", "exchange"]
     seconds: float
     nodes: int
     price: Price | None

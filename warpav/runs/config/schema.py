@@ -30,6 +30,7 @@ from warpav.optimisation.settings import (
     ImportanceSettings,
     LossSettings,
     OptimiserSettings,
+    RobustSettings,
     SegregationSettings,
     VisibilitySettings,
 )
@@ -493,6 +494,7 @@ class ConfigTree(Section):
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
     importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
+    robust: RobustSettings = Field(default=RobustSettings(), description="rigs that are to bear the loss of a camera")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
@@ -518,6 +520,8 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
+        if self.robust.camera_loss is None:
+            result.pop("robust", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
         for name in LATER_RIG_OPTIONS:
@@ -546,6 +550,11 @@ class ConfigTree(Section):
         self._check_freeze()
         self._check_zones()
         self._check_importance()
+        if self.robust.camera_loss is not None and (self.descends or not self.losses.suits_pool):
+            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
+            mistake(
+                f"{text}; leave optimiser.search and the losses as they are", "robust.camera_loss", "optimiser.search"
+            )
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
