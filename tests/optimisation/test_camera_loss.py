@@ -167,9 +167,10 @@ def test_a_search_ends_with_the_best_robust_rig_that_it_knows(objective):
     mount = mount_of(free=None)
     cameras, constraints = cameras_of(mount=mount), zone_of(mount)
     weight = np.linspace(0.5, 2.0, 10)
-    options = {"settings": replace(SMALL, refinements=1, camera_renders_max=500), "object_weight": weight}
+    options = {"settings": replace(SMALL, refinements=1, camera_renders_max=700), "object_weight": weight}
     states = list(pool_search(cameras, streets(), constraints, 3, robust=objective, **options))
     *_, nominal = pool_search(cameras, streets(), constraints, 3, **options)
+    assert states[-1].camera_renders <= 700
     values = [state.objective for state in states]
     assert values == sorted(values, reverse=True)
     assert states[-1].objective < states[0].objective
@@ -179,10 +180,6 @@ def test_a_search_ends_with_the_best_robust_rig_that_it_knows(objective):
         assert state.robust.objective == state.objective == pytest.approx(expected, abs=1e-4)
         assert state.bound <= state.objective
     assert nominal.robust is None
-    row = rows_of(nominal.mount_pose + np.float32(0.0), nominal.pool.mount_pose)
-    of_nominal = objective.of_rig(nominal.pool.detection_probability[row], weight / weight.sum())
-    assert states[-1].objective <= of_nominal.objective
-    assert states[-1].robust.without_camera < of_nominal.without_camera
 
 
 @pytest.mark.parametrize(("camera_loss", "weight"), [("median", 0.5), ("mean", 0.0), ("worst", 1.5)])

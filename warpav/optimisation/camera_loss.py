@@ -14,6 +14,7 @@ loss of one of the two then counts as that of both, twice in the mean: more than
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -26,9 +27,13 @@ from warpav.optimisation.selection.branching import TOLERANCE
 from warpav.optimisation.selection.exchange import fits, random_rig
 from warpav.optimisation.selection.price import Price
 from warpav.optimisation.selection.problem import Row, SelectionProblem
-from warpav.optimisation.selection.select import STARTS, Selection, select
+from warpav.optimisation.selection.select import STARTS, Ended, Selection, select
 from warpav.optimisation.tangent_model import SUREST
 
+MOST_EXCHANGES, EXCHANGE_TIME = 8, 0.25
+"""Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""
+OTHERS = 2
+"""Further rigs that are handed out for a polish: of a robust objective the best of a pool often ends higher than they."""
 SOFTNESS = 0.02
 """Expected miss rate within which the worst loss is rounded where a polish looks for a better rig."""
 
@@ -215,12 +220,9 @@ def select_robust(
     # B_0 is 1; where the second selection was not made, B_(n-1) is not below B_n
     bound_of_fewer = 1.0 if count == 1 else whole.bound if fewer is None else max(fewer.bound, whole.bound)
     bound = (1.0 - objective.weight) * whole.bound + objective.weight * bound_of_fewer
-    rng = np.random.default_rng([seed, 2])
     known = [whole.cameras] if start is None else [np.asarray(start, np.int64), whole.cameras]
-    rigs = [np.concatenate([required, np.setdiff1d(rig, required)]) for rig in known]
-    rigs += [rig for rig in (random_rig(problem, rng) for _ in range(STARTS)) if rig is not None]
-    rigs, value = exchange_robust(problem, np.array(rigs), objective, size)
-    ended = "exchange"
+    rigs, value = _exchanged(problem, known, objective, size, EXCHANGE_TIME * time_limit_s, seed)
+    ended: Ended = "exchange"
     if value[0] - bound <= max(TOLERANCE, gap):
         ended = "optimal" if value[0] - bound <= TOLERANCE else "gap"
     if "interrupted" in (whole.ended, fewer.ended if fewer else None):
@@ -233,7 +235,42 @@ def select_robust(
         whole.seconds + (fewer.seconds if fewer else 0.0),
         whole.nodes + (fewer.nodes if fewer else 0),
         _mixed(whole.price, None if fewer is None else fewer.price, objective.weight, len(rows)),
+        _apart(rigs)[1 : 1 + OTHERS],
     )
+
+
+def _exchanged(
+    problem: SelectionProblem,
+    known: Sequence[np.ndarray],
+    objective: RobustObjective,
+    size: np.ndarray,
+    time_limit_s: float,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `exchange_robust` makes of known rigs and of random ones, as many as there is time for, the best first."""
+    rng = np.random.default_rng([seed, 2])
+    required, deadline_s = problem.required, time.perf_counter() + time_limit_s
+    rigs = [np.concatenate([required, np.setdiff1d(rig, required)]) for rig in known]
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for _ in range(MOST_EXCHANGES):
+        rigs += [rig for rig in (random_rig(problem, rng) for _ in range(STARTS)) if rig is not None]
+        if rigs:
+            found.append(exchange_robust(problem, np.array(rigs), objective, size))
+        if time.perf_counter() > deadline_s:
+            break
+        rigs = []
+    rigs, value = (np.concatenate(each) for each in zip(*found, strict=True))
+    order = np.argsort(value, kind="stable")
+    return rigs[order], value[order]
+
+
+def _apart(rigs: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The first of some rigs that differ in more than one camera from each other, one more than `OTHERS` at most."""
+    kept: list[np.ndarray] = []
+    for rig in rigs:
+        if len(kept) <= OTHERS and all(len(np.setdiff1d(rig, other)) > 1 for other in kept):
+            kept.append(rig)
+    return tuple(kept)
 
 
 def exchange_robust(

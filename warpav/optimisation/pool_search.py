@@ -22,7 +22,7 @@ from scipy import sparse
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
-from warpav.optimisation.camera_loss import RobustObjective, RobustValue, exchange_robust, select_robust
+from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
@@ -328,7 +328,8 @@ class _Search:
         """Camera renders that the first pool may take of so many."""
         if not self.settings.polishes:
             return limit
-        steps = sum(1 + count for count, _ in (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH))
+        polishes = (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH, *(FIRST_POLISH,) * (OTHERS if self.robust else 0))
+        steps = sum(1 + count for count, _ in polishes)
         of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
         rest = limit - of_a_round * len(self.scenes)
         return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
@@ -463,8 +464,14 @@ class _Search:
     def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
         is_first = self.selection is None
         chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        assert self.selection is not None
+        # their cameras are those of the pool as it was: polishes only append to it
+        others = [self.pool.mount_pose[rig[rig < len(self.pool.mount_pose)]] for rig in self.selection.others]
         if is_better or is_first:
             yield from self._polish(chosen, *schedule)
+        if is_first:
+            for other in others:
+                yield from self._polish(self.assembly.rig(other), *schedule)
 
     def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):

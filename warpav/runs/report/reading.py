@@ -202,6 +202,15 @@ class ToleranceRecord(_Part):
     worst: MountEffectRecord
 
 
+class RobustRecord(_Part):
+    """What a robust objective is made of, see `warpav.optimisation.camera_loss.RobustValue`."""
+
+    camera_loss: Literal["mean", "worst"]
+    weight: float
+    start: dict[str, float] | None
+    optimised: dict[str, float] | None
+
+
 class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
@@ -217,6 +226,7 @@ class EvaluationRecord(_Part):
     ground: GroundTable | None = None
     camera_outage: dict[str, OutageRecord | None] = {}
     mount_tolerance: ToleranceRecord | None = None
+    robust: RobustRecord | None = None
 
     @model_validator(mode="after")
     def _knows_its_arms(self) -> EvaluationRecord:
