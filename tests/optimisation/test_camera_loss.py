@@ -6,14 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.optimisation.test_modules import SMALL as SMALL_MIX
+from tests.optimisation.test_modules import symmetric_cameras, symmetric_chart, symmetric_mount
 from tests.optimisation.test_polish import polished, zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
+from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.camera_loss import RobustObjective, select_robust
+from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.mount import MIRROR
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import pool_search
 from warpav.optimisation.replacements import Replacements
+from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.selection.problem import Row
 from warpav.optimisation.tangent_model import Rendered, TangentModel
 
@@ -186,3 +192,30 @@ def test_a_search_ends_with_the_best_robust_rig_that_it_knows(objective):
 def test_other_words_and_weights_are_refused(camera_loss, weight):
     with pytest.raises(InputError, match="expected"):
         RobustObjective(camera_loss, weight)
+
+
+def test_of_mixed_modules_and_pairs_the_objective_is_never_below_what_is_missed():
+    """Rows that stand for two cameras, rows that are not there, and the same rig with all of its cameras one by one."""
+    mount, surface, cameras, scenes = symmetric_mount(), symmetric_chart(), symmetric_cameras(), streets()
+    kinds = [(name, 1 + pair) for name, pair in zip(surface.modules, surface.pairs, strict=True)]
+    limits = RigLimits.of({"narrow": (0, 1), "wide": (2, 2), "fisheye": (0, 2)}, count=(3, 5), kinds=kinds)
+    constraints = ZoneAndSpacing(surface, camera_count=1, margin_m=0.02, module=limits.first_kinds())
+    start = highest_mount_pose(constraints, len(limits.first_kinds()))
+    options = {"start": start, "settings": SMALL_MIX, "limits": limits}
+    for objective in (MEAN, WORST):
+        *_, last = pool_search(cameras, scenes, constraints, 5, robust=objective, **options)
+        pose = last.mount_pose
+        is_pair = mount.is_pair(pose)
+        assert is_pair.any()
+        found = np.concatenate([cameras.detection_probability(pose, scene) for scene in scenes], axis=1)
+        share = np.full(found.shape[1], 1.0 / found.shape[1])
+        assert last.objective == pytest.approx(by_hand(objective, found, share, 1 + is_pair), abs=1e-3)
+        image = np.concatenate(
+            [cameras._mirrored.detection_probability(pose * MIRROR, scene) for scene in scenes], axis=1
+        )
+        own = np.where(is_pair[:, None], 1.0 - (1.0 - found) / (1.0 - np.minimum(image, 0.9999)), found)
+        single = np.concatenate([own, image[is_pair]])
+        truth = by_hand(objective, single, share, (1,) * len(single))
+        assert truth <= last.objective + 1e-3
+        assert last.bound <= last.objective
+        assert limits.holds(mount.module_of(pose))
