@@ -1,8 +1,8 @@
 """Rigs that are to bear the loss of a camera against rigs that are not, on town scenes that neither was made on.
 
-Left out of the ordinary run; ``pytest tests/benchmarks/test_camera_loss.py --benchmark-only --benchmark-json FILE`` runs
-it, some four minutes on two cores. Extra figures are expected misses per 100 with all cameras, and how many more there
-are without the camera that is worst to lose; the detector's recall; and the differences with their 95 % intervals.
+Left out of the ordinary run; ``pytest tests/benchmarks/test_camera_loss.py --benchmark-only --benchmark-json FILE``
+runs it, some five minutes on two cores. Extra figures are expected misses per 100 with all cameras, and how many more
+are without the camera that is worst to lose; the recall of the detector; and the differences with 95 % intervals.
 """
 
 import numpy as np

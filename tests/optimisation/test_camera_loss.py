@@ -115,9 +115,9 @@ def test_exchange_finds_the_best_rig_and_no_rig_is_below_the_bound(objective, se
     values = {}
     for rig in itertools.combinations(range(9), 4):
         each = np.array(rig)
-        if set(required) <= set(rig) and not conflict[np.ix_(each, each)].any():
-            if 3.0 <= rows[0].coefficient[each].sum() <= 8.0:
-                values[rig] = by_hand(objective, found[each], share, size[each])
+        is_allowed = set(required) <= set(rig) and not conflict[np.ix_(each, each)].any()
+        if is_allowed and 3.0 <= rows[0].coefficient[each].sum() <= 8.0:
+            values[rig] = by_hand(objective, found[each], share, size[each])
     best = min(values, key=values.__getitem__)
     assert len(values) > 5
     assert tuple(chosen.cameras) == best

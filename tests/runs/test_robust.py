@@ -44,7 +44,7 @@ def test_what_cannot_be_is_refused(options, message):
 
 def test_a_front_is_refused():
     placement = wa.Placement(list(wa.town([1])), cameras="2..3", robust={"camera_loss": "mean"})
-    with pytest.raises(InputError, match="robust.camera_loss: expected null"):
+    with pytest.raises(InputError, match=r"^robust\.camera_loss: expected null"):
         wa.front(placement)
 
 
@@ -69,4 +69,4 @@ def test_a_result_says_what_its_objective_is_made_of(tmp_path):
     assert robust_text(evaluation["robust"]).startswith("the objective is 0.6 x expected misses + 0.4 x those without")
     report = (folder / "report.html").read_text()
     assert robust_text(evaluation["robust"]).replace("->", "-&gt;") in report
-    assert "has a robust objective below" in report
+    assert "has a robust objective" in report

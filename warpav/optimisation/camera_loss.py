@@ -1,15 +1,16 @@
 """A rig that still finds most when any one of its cameras fails: the objective, its selection and its bound.
 
-The objective is ``(1 - w) m + w L``: m is the expected miss rate of the whole rig, L that without one of its cameras, in
-the mean over the cameras or without the one that is worst to lose. Cameras err independently, so all of it follows in
-closed form from what single cameras detect, and so does its slope.
+The objective is ``(1 - w) m + w L``: m is the expected miss rate of the whole rig, L that without one of its cameras,
+in the mean over the cameras or without the one that is worst to lose. Cameras err independently, so all of it follows
+in closed form from what single cameras detect, and so does its slope.
 
 The bound. A loss only adds misses, and a rig of n cameras without one is a rig of n - 1. So no rig is below
-``(1 - w) B_n + w B_(n-1)``, where B_k is the proven bound of all rigs of k cameras of the pool. It is not tight: the best
-rig of n - 1 cameras is not what is left of the best of n.
+``(1 - w) B_n + w B_(n-1)``, where B_k is the proven bound of all rigs of k cameras of the pool. It is not tight: the
+best rig of n - 1 cameras is not what is left of the best of n.
 
-Pairs. Of a symmetric rig one row of a pool stands for a camera and its mirror image, whose probabilities are merged. The
-loss of one of the two then counts as that of both, twice in the mean: more than is really missed, never less.
+Pairs. Of a symmetric rig one row of a pool stands for a camera and its mirror image, whose probabilities are merged.
+The loss of one of the two then counts as that of both, twice in the mean: more than is really missed, never less. The
+bound is one of this objective.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from warpav.optimisation.tangent_model import SUREST
 MOST_EXCHANGES, EXCHANGE_TIME = 8, 0.25
 """Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""
 OTHERS = 2
-"""Further rigs that are handed out for a polish: of a robust objective the best of a pool often ends higher than they."""
+"""Further rigs that are handed out for a polish: the best of a pool often ends higher than they."""
 SOFTNESS = 0.02
 """Expected miss rate within which the worst loss is rounded where a polish looks for a better rig."""
 
@@ -116,9 +117,7 @@ class RobustObjective:
         value = (1.0 - self.weight) * float(whole @ share) + self.weight * lost
         return value, share * whole / missed * by_product
 
-    def of_completed(
-        self, missed: np.ndarray, weight: np.ndarray, others: np.ndarray, size: np.ndarray
-    ) -> np.ndarray:
+    def of_completed(self, missed: np.ndarray, weight: np.ndarray, others: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The objective of rigs that each camera of a pool would complete, float64 [camera, rig].
 
         Args:
@@ -169,8 +168,8 @@ def select_robust(
     """A rig of a low robust objective, and a bound that no rig of the pool is below.
 
     The rig comes from exchanges of single cameras under the robust objective, over the whole pool, from the best rig of
-    the expected miss rate alone, the start, and random ones; no proof is taken that it is the best. The bound comes from
-    two selections of the expected miss rate, with all cameras and with one less.
+    the expected miss rate alone, the start, and random ones; it is not proven to be the best. The bound comes from two
+    selections of the expected miss rate, with all cameras and with one less.
 
     Args:
         detection_probability: At most `SUREST`, float [camera, object].

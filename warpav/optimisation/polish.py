@@ -150,7 +150,9 @@ def polish(
     best = here = Rendered(pose, probability, jacobian, objective)
     rendered = [here]
     for length in _radii(radius, step_count):
-        model = TangentModel(here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value)
+        model = TangentModel(
+            here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
+        )
         tried = problem.feasible(problem.minimised(model, here.mount_pose, length))
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:

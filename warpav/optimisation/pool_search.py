@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -177,7 +178,9 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust)
+    search = _Search(
+        cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust
+    )
     yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
 
@@ -414,8 +417,10 @@ class _Search:
             missing = np.arange(self.camera_count - len(self.best))
             known = np.concatenate([self._rows_of_best(), cameras + missing])
         rows, self._row_points = self._rows_for(pool.mount_pose, absent)
-        by_robust = {} if self.robust is None else {"objective": self.robust, "size": self._sizes(pool.mount_pose, absent)}
-        self.selection = selection = (select_robust if by_robust else select)(
+        choose = select
+        if self.robust is not None:
+            choose = partial(select_robust, objective=self.robust, size=self._sizes(pool.mount_pose, absent))
+        self.selection = selection = choose(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
@@ -426,7 +431,6 @@ class _Search:
             gap=gap,
             time_limit_s=self.settings.selection_time_s,
             seed=self.seed,
-            **by_robust,
         )
         chosen = selection.cameras[selection.cameras < cameras]
         chosen = self.assembly.rig(pool.mount_pose[chosen], like=self.best)

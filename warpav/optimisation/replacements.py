@@ -31,8 +31,8 @@ class Replacements:
         missed_by_others: Share that the other cameras miss, for each camera that may be replaced, times the weight of
             the object, float64 [slot, object]. Of a robust objective how much it falls, to first order, for an object
             that the camera finds.
-        miss_rate: Expected miss rate, or robust objective, with a camera of the pool instead, infinite where it stands too near to another,
-            float64 [camera, slot].
+        miss_rate: Expected miss rate, or robust objective, with a camera of the pool instead, infinite where it stands
+            too near to another, float64 [camera, slot].
     """
 
     def __init__(

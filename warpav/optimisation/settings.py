@@ -14,7 +14,6 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, cr
 
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, Degrees, Metres, number_in
-from warpav.optimisation.camera_loss import RobustObjective
 from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
@@ -24,6 +23,8 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 if TYPE_CHECKING:
+    from warpav.optimisation.camera_loss import RobustObjective
+
     LossWeights = Section
 else:
     LossWeights = create_model(
@@ -272,6 +273,8 @@ class RobustSettings(Section):
     @property
     def objective(self) -> RobustObjective | None:
         """What is minimised; None: the expected miss rate."""
+        from warpav.optimisation.camera_loss import RobustObjective  # it needs scipy, which configurations do not
+
         return None if self.camera_loss is None else RobustObjective(self.camera_loss, self.weight)
 
 

@@ -261,9 +261,10 @@ def _bound(run: RunContent) -> Statement | None:
     scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
     if run.evaluation is not None and run.evaluation.robust is not None:
         text = (
-            f"On the scenes of the search no rig of the pool's {found.pool_cameras} cameras has a robust objective below "
-            f"{number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
-            f"{number(found.objective, 4)}. Of cameras that the pool does not hold, and of other scenes, nothing is proven."
+            f"On the scenes of the search no rig of the pool's {found.pool_cameras} cameras has a robust objective "
+            f"below {number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
+            f"{number(found.objective, 4)}. Of cameras that the pool does not hold, and of other scenes, nothing is "
+            "proven."
         )
         return Statement("Bound", text)
     beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
