@@ -2,7 +2,7 @@
 
 Left out of the ordinary run; ``pytest tests/benchmarks/test_camera_loss.py --benchmark-only --benchmark-json FILE``
 runs it, some five minutes on two cores. Extra figures are expected misses per 100 with all cameras, and how many more
-are without the camera that is worst to lose; the recall of the detector; and the differences with 95 % intervals.
+there are without the camera that is worst to lose; the recall of the detector; and the differences with 95 % intervals.
 """
 
 import numpy as np

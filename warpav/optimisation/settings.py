@@ -255,7 +255,7 @@ class ImportanceSettings(Section):
 class RobustSettings(Section):
     """How much the loss of a camera counts in the objective of a search by a pool."""
 
-    camera_loss: Literal["mean", "worst"] | None = Field(
+    camera_loss: Annotated[Literal["mean", "worst"] | None, Expectation("mean, worst or null")] = Field(
         default=None,
         description="minimise also what the rig is expected to miss without one camera: the mean over all, or without "
         "the one that is worst to lose; null: with all cameras alone",
