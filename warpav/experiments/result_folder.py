@@ -121,6 +121,7 @@ def _options(config: Config) -> dict[str, Any]:
         and not name.startswith("executor.")
         # results from before there were weights, zones and modules are those of none
         and (value or not name.startswith(("importance.", "mount.zones", "requirements")))
+        and (config.robust.camera_loss is not None or not name.startswith("robust."))
         and (value is not None or name.removeprefix("rig.") not in LATER_RIG_OPTIONS)
     }
     if config.rig.catalogue is not None:

@@ -240,6 +240,7 @@ def _run(task: _Search) -> dict[str, Any]:
                 settings=settings,
                 seed=config.run.seed,
                 object_weight=weight_of(train),
+                robust=config.robust.objective,
             )
         )
     )

@@ -17,9 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.tangent_model import REACH, SUREST, Rendered, TangentModel
@@ -41,7 +43,7 @@ class PolishStep:
 
     Attributes:
         mount_pose: The best rig so far, float32 [camera, 7]; it satisfies all constraints.
-        objective: Its expected miss rate.
+        objective: Its expected miss rate, or robust objective.
         tried_objective: That of the rig that the step tried.
         promised: What the model expected of that rig.
         radius: Within which it was sought, in `STEP_UNIT`.
@@ -101,6 +103,7 @@ def polish(
     radius: float = RADIUS_FIRST,
     tolerance: float = 1e-4,
     is_allowed: Callable[[np.ndarray], bool] | None = None,
+    robust: RobustObjective | None = None,
 ) -> Iterator[PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 
@@ -118,6 +121,7 @@ def polish(
         tolerance: Relative gain that the model must promise for another step.
         is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
             taken to be. None: every rig may.
+        robust: What is minimised; None: the expected miss rate.
 
     Yields:
         The start, then every step. Only cameras that moved are rendered.
@@ -131,7 +135,13 @@ def polish(
     count = probability.shape[1]
     shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
     shares = shares / shares.sum()
-    objective = expected_miss_rate(probability, shares)
+    size = 1 + mount.is_pair(pose).astype(int)
+    rig_value = None if robust is None else partial(robust.value_and_slope, size=size, softness=SOFTNESS)
+
+    def value_of(found: np.ndarray) -> float:
+        return expected_miss_rate(found, shares) if robust is None else robust.of_rig(found, shares, size).objective
+
+    objective = value_of(probability)
     renders = len(pose) * scene_count
     yield PolishStep(pose, objective, objective, objective, 0.0, renders)
     moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
@@ -140,7 +150,9 @@ def polish(
     best = here = Rendered(pose, probability, jacobian, objective)
     rendered = [here]
     for length in _radii(radius, step_count):
-        model = TangentModel(here, shares, earlier=rendered, reach=REACH * length * step_unit(mount))
+        model = TangentModel(
+            here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
+        )
         tried = problem.feasible(problem.minimised(model, here.mount_pose, length))
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:
@@ -150,7 +162,7 @@ def polish(
         probability, jacobian = here.probability.copy(), here.jacobian.copy()
         probability[moved], jacobian[moved] = detect(tried[moved])
         renders += len(moved) * scene_count
-        here = Rendered(tried, probability, jacobian, expected_miss_rate(probability, shares))
+        here = Rendered(tried, probability, jacobian, value_of(probability))
         rendered.append(here)
         tried_objective = here.objective
         if is_allowed is not None and not is_allowed(here.probability):

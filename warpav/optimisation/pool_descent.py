@@ -14,6 +14,7 @@ from warpav.core.errors import OptionError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.camera_loss import RobustObjective, RobustValue
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.ghost_scene import GhostScene
@@ -32,7 +33,9 @@ class PoolDescent:
     """A run of `pool_search`; call `step` while `verdict` is None, then `finish`. It stands where a `Descent` stands.
 
     Attributes:
-        objective: What is minimised: the expected miss rate alone, with the requirements' points behind it.
+        objective: Of the rig: the expected miss rate alone; the requirements' points stand beside it.
+        robust: What is minimised instead; None: the expected miss rate.
+        start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
         start: Mount poses that the rig begins with, float32 [camera, 7].
         history: The rigs that were found, each better than those before.
         iteration: Steps so far.
@@ -55,6 +58,7 @@ class PoolDescent:
         limits: RigLimits | None = None,
         pool: CameraPool | None = None,
         requirements: GhostScene | None = None,
+        robust: RobustObjective | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -70,6 +74,7 @@ class PoolDescent:
             limits: How many cameras of which module a rig may have; None where all are equal.
             pool: Of an earlier run of the same cameras on the same scenes, which this one goes on with.
             requirements: What has to be seen near the vehicle besides, see `pool_search`.
+            robust: What is minimised; None: the expected miss rate.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -92,6 +97,8 @@ class PoolDescent:
         if requirements is not None:
             count = sum(each.scene.vehicle_count for each in scenes)
             self.object_weight = requirements.weights_with(self._traffic_weight, count)
+        self.robust = robust
+        self.start_value: RobustValue | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -108,6 +115,7 @@ class PoolDescent:
             limits=limits,
             pool=pool,
             requirements=requirements,
+            robust=robust,
         )
 
     @property
@@ -142,6 +150,8 @@ class PoolDescent:
         self.found = found = next(self._states)
         if not self.candidates and found.stage != "start":  # it breaks a hard requirement
             self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
+        if self.start_value is None:
+            self.start_value = found.robust
         if not self.candidates or found.objective < self.best.training_objective:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
         record = self._record(found, time.perf_counter() - began)
@@ -180,14 +190,17 @@ class PoolDescent:
         }
 
     def _terms(self, found: Found) -> dict[str, float]:
-        """The expected miss rate, and the weighted share of the requirements' points that is missed."""
+        """What the objective is made of: the expected miss rate, the share of the requirements' points that is missed."""
+        robust = found.robust
+        without = {} if robust is None else {"expected_miss_rate_without_camera": robust.without_camera}
         if self._requirements is None:
-            return {"expected_miss_rate": found.objective}
+            return {"expected_miss_rate": found.objective if robust is None else robust.expected_miss_rate, **without}
         row = rows_of(found.mount_pose + np.float32(0.0), found.pool.mount_pose)
         probability, count = found.pool.detection_probability[row], self._requirements.vehicle_count
         return {
             "expected_miss_rate": expected_miss_rate(probability[:, :-count], shares_of(self._traffic_weight)),
             "requirements": expected_miss_rate(probability[:, -count:], shares_of(self._requirements.weight)),
+            **without,
         }
 
     def _record(self, found: Found, seconds: float) -> IterationRecord:

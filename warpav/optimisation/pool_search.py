@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from scipy import sparse
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
+from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
@@ -90,7 +92,7 @@ class Found:
 
     Attributes:
         mount_pose: The best rig so far, which satisfies all constraints, float32 [camera, 7].
-        objective: Its expected miss rate on the scenes of the search.
+        objective: Its expected miss rate on the scenes of the search, or its robust objective.
         bound: No rig of cameras of the pool is below it; 0 before the first selection. It says nothing of cameras that
             the pool does not have.
         stage: What has just been done; ``settled`` where nothing is left to do.
@@ -100,6 +102,7 @@ class Found:
         pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
         price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
+        robust: What the objective is made of where it is a robust one, else None.
     """
 
     mount_pose: np.ndarray
@@ -112,6 +115,7 @@ class Found:
     pool: CameraPool = field(repr=False)
     price: Price | None = field(repr=False, default=None)
     round: int = 0
+    robust: RobustValue | None = None
 
     @property
     def gap(self) -> float:
@@ -135,6 +139,7 @@ def pool_search(
     limits: RigLimits | None = None,
     pool: CameraPool | None = None,
     requirements: GhostScene | None = None,
+    robust: RobustObjective | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -158,6 +163,8 @@ def pool_search(
         requirements: What has to be seen near the vehicle besides; None: nothing. The objective is then the mean of
             the expected miss rate and, by their weights, of the shares of points that are missed; rigs that break a
             hard requirement are never the best.
+        robust: What is minimised instead of the expected miss rate, by the same weights; see `camera_loss` for what is
+            then proven. None: the expected miss rate.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -171,7 +178,9 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    search = _Search(cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements)
+    search = _Search(
+        cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust
+    )
     yield from search.states(start, pool, executor, cache, progress)
     yield search.found("settled")
 
@@ -194,6 +203,7 @@ class _Search:
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
         requirements: GhostScene | None,
+        robust: RobustObjective | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
         self.ghosts = requirements
@@ -202,6 +212,7 @@ class _Search:
             self.scenes = (*scenes, requirements)
         self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
         self.object_weight = object_weight
+        self.robust = robust
         self.assembly = _Assembly(cameras.mount)
         self.began = time.perf_counter()
         self.pool: CameraPool
@@ -226,7 +237,19 @@ class _Search:
             self.pool,
             selection.price if selection else None,
             self.round,
+            self._robust_value(self._rows_of_best()),
         )
+
+    def _robust_value(self, row: np.ndarray) -> RobustValue | None:
+        """Of a rig of the pool, int [camera]; None where the objective is the expected miss rate alone."""
+        if self.robust is None:
+            return None
+        share, size = shares_of(self.object_weight), self._sizes(self.pool.mount_pose[row])
+        return self.robust.of_rig(self.pool.detection_probability[row], share, size)
+
+    def _sizes(self, mount_pose: np.ndarray, absent: int = 0) -> np.ndarray:
+        """How many cameras rows of the pool stand for, int [camera]; see `_limit_rows`."""
+        return np.append(1 + self.cameras.mount.is_pair(mount_pose).astype(int), np.zeros(absent, int))
 
     def states(
         self,
@@ -261,7 +284,9 @@ class _Search:
         if start is not None:
             row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
-            self._is_better(start, expected_miss_rate(of_start, shares_of(self.object_weight)), of_start)
+            robust = self._robust_value(row)
+            value = robust.objective if robust else expected_miss_rate(of_start, shares_of(self.object_weight))
+            self._is_better(start, value, of_start)
             if self.best is not None:
                 yield self.found("start")
         if self.ghosts is not None:
@@ -280,7 +305,8 @@ class _Search:
         """Camera renders that the first pool may take of so many."""
         if not self.settings.polishes:
             return limit
-        steps = sum(1 + count for count, _ in (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH))
+        polishes = (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH, *(FIRST_POLISH,) * (OTHERS if self.robust else 0))
+        steps = sum(1 + count for count, _ in polishes)
         of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
         rest = limit - of_a_round * len(self.scenes)
         return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
@@ -365,7 +391,10 @@ class _Search:
             missing = np.arange(self.camera_count - len(self.best))
             known = np.concatenate([self._rows_of_best(), cameras + missing])
         rows, self._row_points = self._rows_for(pool.mount_pose, absent)
-        self.selection = selection = select(
+        choose = select
+        if self.robust is not None:
+            choose = partial(select_robust, objective=self.robust, size=self._sizes(pool.mount_pose, absent))
+        self.selection = selection = choose(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
@@ -413,8 +442,14 @@ class _Search:
     def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
         is_first = self.selection is None
         chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        assert self.selection is not None
+        # their cameras are those of the pool as it was: polishes only append to it
+        others = [self.pool.mount_pose[rig[rig < len(self.pool.mount_pose)]] for rig in self.selection.others]
         if is_better or is_first:
             yield from self._polish(chosen, *schedule)
+        if is_first:
+            for other in others:
+                yield from self._polish(self.assembly.rig(other), *schedule)
 
     def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):
@@ -430,6 +465,7 @@ class _Search:
             weight=self.object_weight,
             camera_renders_max=self._left,
             is_allowed=None if self.ghosts is None else self._meets_requirements,
+            robust=self.robust,
         )
         is_better = True
         for step in steps:
@@ -496,6 +532,8 @@ class _Search:
             held=held,
             weight=self.object_weight,
             fits=module[:, None] == module[rig],
+            robust=self.robust,
+            size=self._sizes(pool.mount_pose),
         )
 
     def _rows_of_best(self) -> np.ndarray:
@@ -544,8 +582,12 @@ class _Search:
             rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
         )
-        rigs, miss_rate = exchange(problem, np.searchsorted(around, rig)[None])
-        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(miss_rate[0]))
+        first = np.searchsorted(around, rig)[None]
+        if self.robust is None:
+            rigs, value = exchange(problem, first)
+        else:
+            rigs, value = exchange_robust(problem, first, self.robust, self._sizes(pool.mount_pose[around]))
+        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(value[0]))
         yield self.found("polish")
 
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.mount import YAW_RAD
 from warpav.optimisation.polish import SUREST
 
@@ -28,9 +29,10 @@ class Replacements:
 
     Attributes:
         missed_by_others: Share that the other cameras miss, for each camera that may be replaced, times the weight of
-            the object, float64 [slot, object].
-        miss_rate: Expected miss rate with a camera of the pool instead, infinite where it stands too near to another,
-            float64 [camera, slot].
+            the object, float64 [slot, object]. Of a robust objective how much it falls, to first order, for an object
+            that the camera finds.
+        miss_rate: Expected miss rate, or robust objective, with a camera of the pool instead, infinite where it stands
+            too near to another, float64 [camera, slot].
     """
 
     def __init__(
@@ -44,6 +46,8 @@ class Replacements:
         held: int = 0,
         weight: np.ndarray | None = None,
         fits: np.ndarray | None = None,
+        robust: RobustObjective | None = None,
+        size: np.ndarray | None = None,
     ) -> None:
         """All replacements of a single camera.
 
@@ -57,18 +61,31 @@ class Replacements:
             weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
             fits: Which cameras of the pool may take the place of which of the rig's, as they are of one module, bool
                 [camera, rig camera]; None: all.
+            robust: What is minimised; None: the expected miss rate.
+            size: How many cameras each of the pool stands for, int [camera]; None: all 1.
         """
         self._pose, self._unit = np.asarray(mount_pose, np.float64), unit
         self._of_slot = rig[held:]
         missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
         others = [np.delete(np.arange(len(rig)), slot) for slot in range(held, len(rig))]
-        self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
-        if weight is not None:
-            self.missed_by_others = self.missed_by_others * (weight / np.mean(weight))
+        relative = None if weight is None else weight / np.mean(weight)
+        if robust is None:
+            self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
+            if relative is not None:
+                self.missed_by_others = self.missed_by_others * relative
+            miss_rate = missed @ self.missed_by_others.T / missed.shape[1]
+        else:
+            size = np.ones(len(missed), int) if size is None else size
+            count = missed.shape[1]
+            share = np.full(count, 1.0 / count) if relative is None else relative / count
+            slope = robust.value_and_slope(missed[rig], share, size[rig], softness=SOFTNESS)[1]
+            self.missed_by_others = slope[held:] * count
+            value = [robust.of_completed(missed.T, share, rig[each][None], size) for each in others]
+            miss_rate = np.concatenate(value, axis=1)
         too_near = np.stack([conflict[:, each].any(axis=1) for each in others], axis=1)
         if fits is not None:
             too_near |= ~fits[:, held:]
-        self.miss_rate = np.where(too_near, np.inf, missed @ self.missed_by_others.T / missed.shape[1])
+        self.miss_rate = np.where(too_near, np.inf, miss_rate)
 
     def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:
         """The best replacements that are a unit and more from each other, from the rig and from known places.

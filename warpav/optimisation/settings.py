@@ -23,6 +23,8 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 if TYPE_CHECKING:
+    from warpav.optimisation.camera_loss import RobustObjective
+
     LossWeights = Section
 else:
     LossWeights = create_model(
@@ -248,6 +250,32 @@ class ImportanceSettings(Section):
     def is_set(self) -> bool:
         """Whether anything is."""
         return bool(self.category or self.distance_m or self.sector_deg)
+
+
+class RobustSettings(Section):
+    """How much the loss of a camera counts in the objective of a search by a pool."""
+
+    camera_loss: Annotated[Literal["mean", "worst"] | None, Expectation("mean, worst or null")] = Field(
+        default=None,
+        description="minimise also what the rig is expected to miss without one camera: the mean over all, or without "
+        "the one that is worst to lose; null: with all cameras alone",
+    )
+    weight: float = Field(
+        default=0.5, gt=0.0, le=1.0, description="of what is missed without one camera; the whole rig has the rest"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> RobustSettings:
+        if self.camera_loss is None and self.weight != type(self).model_fields["weight"].default:
+            mistake("expected robust.camera_loss beside a weight, got none; set mean or worst", "camera_loss", "weight")
+        return self
+
+    @property
+    def objective(self) -> RobustObjective | None:
+        """What is minimised; None: the expected miss rate."""
+        from warpav.optimisation.camera_loss import RobustObjective  # it needs scipy, which configurations do not
+
+        return None if self.camera_loss is None else RobustObjective(self.camera_loss, self.weight)
 
 
 class VisibilitySettings(Section):

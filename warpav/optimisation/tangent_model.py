@@ -13,7 +13,7 @@ and object.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +27,8 @@ REACH = 3.0
 """How far those may be in a number, in radii of the step to be taken."""
 CONTRADICTION = 0.3
 """Logit by which a tangent may be below what was rendered; one that is lower by more has been proven wrong."""
+RigValue = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
+"""The value of a rig and its derivatives [camera, object] to what each camera misses [camera, object], by weights."""
 _SOFTNESS = 0.02  # logit within which the least of some tangents is rounded, so that it has a slope everywhere
 _LOGIT_MAX = 12.0
 
@@ -63,7 +65,7 @@ class Rendered:
 
 
 class TangentModel:
-    """The expected miss rate around a rig, as a function of how far its cameras have moved."""
+    """The expected miss rate or another value around a rig, as a function of how far its cameras have moved."""
 
     def __init__(
         self,
@@ -72,6 +74,7 @@ class TangentModel:
         *,
         earlier: Sequence[Rendered] = (),
         reach: np.ndarray | float = 0.0,
+        rig_value: RigValue | None = None,
     ) -> None:
         """A model of what was rendered.
 
@@ -80,7 +83,9 @@ class TangentModel:
             weight: Of each object, float [object].
             earlier: Rigs that were rendered before, the last one last.
             reach: How far off in each number a camera of theirs may be to count, float [7].
+            rig_value: What is modelled; of objects that nobody sees it is their weight. None: the expected miss rate.
         """
+        self._rig_value = rig_value
         is_seen = here.probability > 0.0
         # an object that no camera sees at all has no Jacobian
         used = is_seen.any(axis=0)
@@ -115,9 +120,13 @@ class TangentModel:
         missed = np.maximum(1.0 - probability, 1.0 - SUREST)
         product = missed.prod(axis=0)
         # d product / d logit of one camera: the others' product times -p (1 - p), and 1 - p is among the product
-        by_logit = -self._weight * product * probability
+        if self._rig_value is None:
+            value, by_logit = float(self._weight @ product), -self._weight * product * probability
+        else:
+            value, by_missed = self._rig_value(missed, self._weight)
+            by_logit = -by_missed * missed * probability
         by_tangent = (share * (by_logit / total)[:, None]).reshape(len(share), 1, -1)
-        return float(self._weight @ product) + self._missed_anyway, (by_tangent @ self._slope)[:, 0]
+        return value + self._missed_anyway, (by_tangent @ self._slope)[:, 0]
 
 
 def _near(camera: int, here: Rendered, earlier: Sequence[Rendered], reach: np.ndarray | float) -> list[Rendered]:

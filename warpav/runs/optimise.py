@@ -173,6 +173,7 @@ class Optimisation:
                 limits=placement.limits,
                 pool=known_pool,
                 requirements=placement.ghosts,
+                robust=config.robust.objective,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

@@ -17,6 +17,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
+from warpav.core.section import Section
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.assignment import (
     AssignedScene,
@@ -37,7 +38,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, 
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.segregation import Segregation, choose_orientations
-from warpav.optimisation.settings import ImportanceSettings
+from warpav.optimisation.settings import ImportanceSettings, RobustSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
 from warpav.requirements.read import read_requirements
@@ -162,6 +163,7 @@ class Placement:
         losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
         importance: ImportanceSettings | Mapping[str, Any] | None = None,
         requirements: str | Path | Sequence[Requirement] | None = None,
+        robust: RobustSettings | Mapping[str, Any] | None = None,
         probability: DetectionProbability | None = None,
         config: Config | None = None,
     ) -> None:
@@ -190,6 +192,7 @@ class Placement:
             importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
             requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
                 ``"near_field"``, or what `warpav.read_requirements` gives; None: as ``config`` says.
+            robust: Whether the loss of a camera counts, as in the section ``robust``: ``{"camera_loss": "worst"}``.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
@@ -224,6 +227,7 @@ class Placement:
             "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
             "importance": None if importance is None else _section(importance),
             "requirements": str(requirements) if isinstance(requirements, (str, Path)) else None,
+            "robust": None if robust is None else _section(robust),
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
             **_scene_options(train, validation, base),
         }
@@ -638,9 +642,9 @@ def _checked_requirements(requirements: Sequence[Requirement], config: Config) -
 
 
 def _have_one_objective(one: Config, other: Config) -> bool:
-    """Whether two configurations differ in nothing but how the optimiser steps."""
+    """Whether two configurations differ in nothing but how the optimiser steps, or what a search by a pool adds."""
     dampings = [{each.optimiser.damping(are_inequalities=flag) for flag in (True, False)} for each in (one, other)]
-    steps = {"run": other.run, "optimiser": other.optimiser}
+    steps = {"run": other.run, "optimiser": other.optimiser, "robust": other.robust}
     return one.run.seed == other.run.seed and dampings[0] == dampings[1] and one.model_copy(update=steps) == other
 
 
@@ -789,8 +793,8 @@ def _counts(modules: Mapping[str, int | str | tuple[int, int]]) -> dict[str, int
     return {name: range_text(count) if isinstance(count, tuple) else count for name, count in modules.items()}
 
 
-def _section(settings: RigConfig | ImportanceSettings | Mapping[str, Any]) -> dict[str, Any]:
+def _section(settings: Section | Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a section that are given, as they are written in files."""
-    if isinstance(settings, (RigConfig, ImportanceSettings)):
+    if isinstance(settings, Section):
         return settings.model_dump(mode="json", exclude_unset=True)
     return dict(settings)

@@ -59,7 +59,8 @@ class Result:
         rig: The rig of the run: the one that was found, or the start where that one is worse.
         start: The rig that it started from.
         found: The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse.
-        objective: Of `rig`, on all validation scenes (the training scenes if there are none); less is better.
+        objective: Of `rig`, on all validation scenes (the training scenes if there are none); less is better. With
+            ``robust.camera_loss`` it counts what is missed without a camera, see `robust`.
         start_objective: Of `start`, likewise.
         found_objective: Of `found`, likewise.
         history: Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration; and
@@ -141,6 +142,18 @@ class Result:
     def pool_cameras(self) -> int | None:
         """Cameras of the pool that the bound is over; None for a descent."""
         return None if self.certificate is None else self.certificate.pool_cameras
+
+    @property
+    def robust(self) -> dict[str, Any] | None:
+        """What the objective is made of, of start and `found`, where it counts the loss of a camera; else None."""
+        descent = self._descent
+        if not isinstance(descent, PoolDescent) or descent.found is None or descent.robust is None:
+            return None
+        values = {START: descent.start_value, OPTIMISED: descent.found.robust}
+        return {
+            **asdict(descent.robust),
+            **{name: None if value is None else asdict(value) for name, value in values.items()},
+        }
 
     @cached_property
     def further_cameras(self) -> FurtherCameras | None:
@@ -348,6 +361,7 @@ def write_verdict(
                 "kept": result._kept.iteration,
             },
             "certificate": None if result.certificate is None else result.certificate.to_json(),
+            **({} if result.robust is None else {"robust": result.robust}),
             "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
             "outcomes": compared.outcomes(),
             "ground": ground.table(),

@@ -44,6 +44,9 @@ RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": 
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
 
 
+_ENDS = ("start", "optimised")
+
+
 def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
     """The rig's recall by group as text: for every grouping its rows of group, number of objects, and recall by arm.
 
@@ -145,6 +148,24 @@ def _cost_table(
     return table
 
 
+def robust_text(robust: Mapping[str, Any]) -> str:
+    """What a robust objective is made of at the start and at the end, in a sentence.
+
+    Args:
+        robust: As in ``evaluation.json``.
+    """
+    lost = "the camera that is worst to lose" if robust["camera_loss"] == "worst" else "one camera, in the mean"
+    change = {
+        name: " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in map(robust.get, _ENDS))
+        for name in ("expected_miss_rate", "without_camera")
+    }
+    weight = robust["weight"]
+    return (
+        f"the objective is {1.0 - weight:g} x expected misses + {weight:g} x those without {lost}; per 100, start -> "
+        f"end: {change['expected_miss_rate']} with all cameras, {change['without_camera']} without {lost}"
+    )
+
+
 def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
     """In what the rig that a run has found is worse than the rig that it started from, a sentence each.
 
@@ -242,6 +263,8 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
         change = f" ({(end - start) / start:+.1%})" if start else ""
         where = "the scenes of the search" if evaluation.get("certificate") else "the training scenes"
         console.print(f"objective on {where}: {start:.4f} at the start, {end:.4f} at the end{change}")
+    if evaluation.get("robust"):
+        console.print(robust_text(evaluation["robust"]))
     certificate = evaluation.get("certificate")
     if certificate:
         scenes, count = certificate["scenes"], certificate["pool_cameras"]

@@ -59,7 +59,7 @@ def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, n
         left = np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None]
         value = problem.missed.T @ left
         before = value[rigs[:, slot], every]
-        value[~_fits(problem, others)] = np.inf
+        value[~fits(problem, others)] = np.inf
         best = np.argmin(value, axis=0)
         # what only rounding tells apart would be exchanged for ever
         is_better = value[best, every] < before * (1.0 - 1e-9)
@@ -71,7 +71,7 @@ def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, n
     return rigs[order], value[order]
 
 
-def _fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
+def fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
     """Which cameras complete the rigs of which others, bool [camera, rig]; others are int [rig, camera]."""
     chosen = np.zeros((problem.camera_count, len(others)), bool)
     chosen[others.T, np.arange(len(others))] = True

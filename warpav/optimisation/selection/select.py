@@ -31,6 +31,10 @@ FURTHER_STARTS_TIME = 0.1
 """Share of the time left that it may take for each but the first."""
 
 
+Ended = Literal["optimal", "gap", "time", "interrupted", "exchange"]
+"""Why a selection ended, see `Selection`."""
+
+
 @dataclass(frozen=True, eq=False)
 class Selection:
     """A rig, and what is proven of it.
@@ -40,19 +44,22 @@ class Selection:
         objective: Its expected miss rate, 0..1.
         bound: No rig of the pool that satisfies the constraints is below it.
         ended: ``optimal``: no other is better by more than 1e-9; ``gap``: none by more than the gap that was asked for;
-            ``time``: it was over; ``interrupted``: by Ctrl-C.
+            ``time``: it was over; ``interrupted``: by Ctrl-C; ``exchange``: no exchange of a camera helps, and no more
+            is proven than the bound.
         seconds: Wall time [s].
         nodes: Nodes of the branch and bound beyond the root.
         price: What further cameras would bring; None where the time did not suffice for a relaxation.
+        others: Of a selection without a proof further good rigs, no two of which share all cameras but one.
     """
 
     cameras: np.ndarray
     objective: float
     bound: float
-    ended: Literal["optimal", "gap", "time", "interrupted"]
+    ended: Ended
     seconds: float
     nodes: int
     price: Price | None
+    others: tuple[np.ndarray, ...] = ()
 
     @property
     def gap(self) -> float:

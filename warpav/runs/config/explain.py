@@ -150,8 +150,12 @@ def _number(value: object) -> str:
 
 def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
-    unset = {"importance": config.importance.model_dump(mode="json"), "requirements": None}
-    tree = {**unset, **config.model_dump(mode="json")}
+    unset = {"importance": config.importance, "robust": config.robust}
+    tree = {
+        "requirements": None,
+        **{name: section.model_dump(mode="json") for name, section in unset.items()},
+        **config.model_dump(mode="json"),
+    }
     tree["mount"] = {"zones": None, **tree["mount"]}
     tree["rig"] = {**dict.fromkeys(LATER_RIG_OPTIONS), **tree["rig"]}
     return {

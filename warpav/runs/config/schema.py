@@ -30,6 +30,7 @@ from warpav.optimisation.settings import (
     ImportanceSettings,
     LossSettings,
     OptimiserSettings,
+    RobustSettings,
     SegregationSettings,
     VisibilitySettings,
 )
@@ -514,6 +515,7 @@ class ConfigTree(Section):
         description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
         "near_field, or the path of a YAML file; null: nothing",
     )
+    robust: RobustSettings = Field(default=RobustSettings(), description="rigs that are to bear the loss of a camera")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
@@ -541,6 +543,8 @@ class ConfigTree(Section):
             result.pop("importance", None)
         if self.requirements is None:
             result.pop("requirements", None)
+        if self.robust.camera_loss is None:
+            result.pop("robust", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
         for name in LATER_RIG_OPTIONS:
@@ -571,6 +575,11 @@ class ConfigTree(Section):
         self._check_importance()
         if self.requirements is not None and (self.descends or self.method == "thesis"):
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
+        if self.robust.camera_loss is not None and (self.descends or not self.losses.suits_pool):
+            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
+            mistake(
+                f"{text}; leave optimiser.search and the losses as they are", "robust.camera_loss", "optimiser.search"
+            )
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",

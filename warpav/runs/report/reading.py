@@ -235,6 +235,15 @@ class RequirementRecord(_Part):
     worst: list[PointRecord] = []
 
 
+class RobustRecord(_Part):
+    """What a robust objective is made of, see `warpav.optimisation.camera_loss.RobustValue`."""
+
+    camera_loss: Literal["mean", "worst"]
+    weight: float
+    start: dict[str, float] | None
+    optimised: dict[str, float] | None
+
+
 class EvaluationRecord(_Part):
     """``evaluation.json``. What older versions did not write is None or empty."""
 
@@ -251,6 +260,7 @@ class EvaluationRecord(_Part):
     camera_outage: dict[str, OutageRecord | None] = {}
     mount_tolerance: ToleranceRecord | None = None
     requirements: dict[str, list[RequirementRecord]] = {}
+    robust: RobustRecord | None = None
 
     @model_validator(mode="after")
     def _knows_its_arms(self) -> EvaluationRecord:

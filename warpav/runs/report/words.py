@@ -15,6 +15,7 @@ from warpav.evaluation.metrics import ObjectOutcome
 from warpav.evaluation.mount_tolerance import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
+from warpav.runs.verdict import robust_text
 
 Tone = Literal["good", "bad", "open"]
 
@@ -229,6 +230,8 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
         return None
     search = "descent" if run.certificate is None else "search"
     text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
+    if evaluation.robust is not None:
+        return Statement("Objective", f"{text}: {robust_text(evaluation.robust.model_dump())}.")
     arms = evaluation.arms
     before = arms["start"].numbers["objective"] if "start" in arms else None
     after = arms[evaluation.first].numbers["objective"]
@@ -257,6 +260,14 @@ def _bound(run: RunContent) -> Statement | None:
     if found is None:
         return None
     scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
+    if run.evaluation is not None and run.evaluation.robust is not None:
+        text = (
+            f"On the scenes of the search no rig of the pool's {found.pool_cameras} cameras has a robust objective "
+            f"below {number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
+            f"{number(found.objective, 4)}. Of cameras that the pool does not hold, and of other scenes, nothing is "
+            "proven."
+        )
+        return Statement("Bound", text)
     beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
     text = (
         f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras is expected to miss less than "
