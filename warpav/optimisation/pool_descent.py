@@ -190,7 +190,7 @@ class PoolDescent:
         }
 
     def _terms(self, found: Found) -> dict[str, float]:
-        """What the objective is made of: the expected miss rate, the share of the requirements' points that is missed."""
+        """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""
         robust = found.robust
         without = {} if robust is None else {"expected_miss_rate_without_camera": robust.without_camera}
         if self._requirements is None:
