@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 
@@ -157,18 +156,11 @@ def _freest(
     caster: EmbreeScene, camera: RigCamera, middle_m: np.ndarray, place_m: np.ndarray, outward: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """The place with the least hidden view near the one that is nearest to ``middle_m``, and its hidden share."""
-    distance_m = np.linalg.norm(place_m - middle_m, axis=1)
-    order = np.argsort(distance_m, kind="stable")
     # in the open alone: a ray along the normal meets nothing, as it would in a cabin
-    for some in np.array_split(order, max(len(order) // 2000, 1)):
-        is_open = ~_are_hit(caster, place_m[some], outward[some])
-        if is_open.any():
-            nearest_m = distance_m[some[is_open][0]]
-            break
-    else:
-        raise InputError("vehicle: expected a body with an outside, got none; see warpav vehicle check")
-    near = order[distance_m[order] <= nearest_m + REACH_M]
-    near = near[~_are_hit(caster, place_m[near], outward[near])]
+    place_m = place_m[~_are_hit(caster, place_m, outward)]
+    distance_m = np.linalg.norm(place_m - middle_m, axis=1)
+    near = np.flatnonzero(distance_m <= distance_m.min() + REACH_M)
+    near = near[np.argsort(distance_m[near], kind="stable")]
     for some in np.array_split(near, max(len(near) // 500, 1)):
         share = blocked_shares(caster, camera, place_m[some])
         if not share.all():
