@@ -169,8 +169,8 @@ class Result:
     ) -> Path:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
-        The result is compared with its start, the rig around the highest point, the best of some random rigs and the presets of
-        ``baselines.presets``.
+        The result is compared with its start, the rig around the highest point, the best of some random rigs, and the
+        presets of ``baselines.presets``.
         Scenes that are objects are written into the folder. Of a detector that is an object ``env.json`` keeps the
         class alone, so ``warpav evaluate`` asks for its ONNX file.
 
