@@ -103,7 +103,7 @@ def colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.nda
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
     error = np.zeros(len(index))
     longest = _edge_texels(mesh, size_px, index).max(axis=1, initial=0.0)
-    level = np.digitize(longest, np.array(_LATTICES[:-1]) * _TEXELS_A_SAMPLE)
+    level = np.searchsorted(np.array(_LATTICES[:-1]) * _TEXELS_A_SAMPLE, longest, side="right")
     for number, texture in enumerate(textures):
         for step, lattice in enumerate(_LATTICES):
             some = np.flatnonzero((mesh.texture_of[index] == number) & (level == step))
