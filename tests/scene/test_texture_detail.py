@@ -23,7 +23,7 @@ def textured(texel_rgb, vertex=QUAD, triangle=TWO, uv=None, texture_of=0):
     return TexturedMesh(vertex, triangle, rgb, uv, np.full(len(triangle), texture_of)), [texture]
 
 
-def checker(count, texels=8):
+def chequers(count, texels=8):
     field = (np.add.outer(np.arange(count), np.arange(count)) % 2 * 200 + 20).astype(np.uint8)
     return np.repeat(np.repeat(field, texels, 0), texels, 1)[..., None].repeat(3, axis=2)
 
@@ -56,8 +56,8 @@ def rim(mesh):
     return float(np.linalg.norm(place[odd[:, 0]] - place[odd[:, 1]], axis=1).sum()), len(odd)
 
 
-def test_a_checkered_quad_is_followed_within_the_budget(rng):
-    mesh, textures = textured(checker(8))
+def test_a_chequered_quad_is_followed_within_the_budget(rng):
+    mesh, textures = textured(chequers(8))
     before = rms_on(mesh, textures, rng)
     errors = []
     for vertices_max in (100, 400, 1600, 6400):
@@ -77,7 +77,7 @@ def test_a_checkered_quad_is_followed_within_the_budget(rng):
 
 
 def test_the_error_of_a_triangle_is_that_of_random_points(rng):
-    mesh, textures = textured(checker(4))
+    mesh, textures = textured(chequers(4))
     error = colour_errors(mesh, textures, np.arange(2))
     # 4 % by its lattice of 136 points
     assert np.sqrt((error**2).mean()) == pytest.approx(rms_on(mesh, textures, rng, 400_000), rel=0.06)
@@ -88,7 +88,7 @@ def test_what_is_followed_already_stays_as_it_is():
     for texel_rgb in (np.full((32, 32, 3), 90), ramp):
         mesh, textures = textured(texel_rgb)
         assert follow_textures(mesh, textures) is mesh
-    mesh, textures = textured(checker(8))
+    mesh, textures = textured(chequers(8))
     assert follow_textures(mesh, textures, vertices_max=4) is mesh
     plain = replace(mesh, texture_of=np.full(2, -1))
     assert follow_textures(plain, []) is plain
@@ -97,7 +97,7 @@ def test_what_is_followed_already_stays_as_it_is():
 
 
 def test_detail_goes_where_it_is():
-    half = checker(8)
+    half = chequers(8)
     half[:, 32:] = 60
     mesh, textures = textured(half)
     found = follow_textures(mesh, textures, vertices_max=2000)
@@ -107,7 +107,7 @@ def test_detail_goes_where_it_is():
 
 def test_a_neighbour_without_a_texture_is_split_with_it_and_keeps_its_colour():
     vertex = np.concatenate([QUAD, QUAD + np.array([4.0, 0.0, 0.0])])  # a seam at x = 4: two vertices at each end
-    mesh, textures = textured(checker(8), vertex[:4])
+    mesh, textures = textured(chequers(8), vertex[:4])
     plain = np.array([120.0, 40.0, 200.0])
     both = TexturedMesh(
         vertex,
@@ -138,7 +138,7 @@ def test_a_closed_box_stays_closed():
     index = np.array([*side, *other]).reshape(-1)
     # every triangle with vertices of its own, as where textures do not join
     uv = np.tile([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], (12, 1))
-    mesh, textures = textured(checker(8), corner[index], np.arange(36).reshape(-1, 3), uv)
+    mesh, textures = textured(chequers(8), corner[index], np.arange(36).reshape(-1, 3), uv)
     found = follow_textures(mesh, textures, vertices_max=4000)
     assert len(found.vertex) > 3000
     assert rim(found) == (0.0, 0)
