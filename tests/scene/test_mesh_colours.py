@@ -107,7 +107,7 @@ def write_dae(path, *, faces="triangles", texture="quad.png", diffuse=TEXTURED, 
 
 def colours(path):
     """Colour of every corner of every triangle by its x and y, each one colour."""
-    file = read_vehicle_file(path)
+    file = read_vehicle_file(path, vertices_max=None)
     found = {}
     for corner in file.triangle.ravel():
         x, y, _ = np.round(file.vertex[corner], 5)
@@ -130,7 +130,7 @@ def test_every_kind_of_colladas_faces_is_read(tmp_path, faces):
     write_dae(tmp_path / "quad.dae", faces=faces)
     write_texture(tmp_path / "quad.png")
     assert colours(tmp_path / "quad.dae") == EXPECTED
-    file = read_vehicle_file(tmp_path / "quad.dae")
+    file = read_vehicle_file(tmp_path / "quad.dae", vertices_max=None)
     corner = file.vertex[file.triangle]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     np.testing.assert_allclose(doubled, [[0, 0, 8]] * 2)  # upwards, and half of the quad each

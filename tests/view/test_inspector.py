@@ -13,6 +13,11 @@ from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
+from warpav.requirements.area import Band
+from warpav.requirements.check import check_requirements
+from warpav.requirements.requirement import Requirement
+from warpav.requirements.test_object import SIZES_M, TestObject
+from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, read_rig
 from warpav.view.descent_view import Steepest
 from warpav.view.further_view import ARROW_M, TITLE
@@ -20,6 +25,7 @@ from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem
 from warpav.view.palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
+from warpav.view.requirement_view import requirements_to_pyvista
 from warpav.view.rig_view import project_px
 
 CAR = vehicle(1, 9.0, 0.5)
@@ -134,6 +140,69 @@ def test_the_detector_is_asked_once_for_a_rig(state):
     assert len(state.asked) == 2
 
 
+MODULES = tuple(builtin_modules().values())[:3]
+
+
+NEAR = Requirement("near", Band((0.0, 6.0)), 0.8, TestObject("child", SIZES_M["child"]), visible_share=0.3)
+
+
+def checked(rig, ego):
+    return check_requirements(rig, ego, [NEAR])
+
+
+class BlindDetector(ConstantDetector):
+    """Finds nothing in however many images."""
+
+    def detect(self, images_rgb):
+        self.answer = [self.answer[0]] * len(images_rgb)
+        return super().detect(images_rgb)
+
+
+@pytest.fixture
+def equipped(state):
+    return InspectedRig(
+        state.frames,
+        lambda index: SCENES[index],
+        2,
+        constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
+        height_offset_m=HEIGHT_M,
+        observer_of=lambda rig: RigObserver(
+            rig,
+            BlindDetector([[]], [[]]),
+            confidence_min=0.1,
+            iou_min=0.5,
+            occlusion=Occlusion.EXACT,
+            supersampling=1,
+            device="cpu",
+        ),
+        modules=MODULES,
+        check=checked,
+    )
+
+
+def test_modules_take_turns_where_a_camera_stands(state, equipped):
+    before, others = equipped.rig.cameras[1], equipped.coverage.is_seen[[0, 2, 3]]
+    for module in (*MODULES, MODULES[0]):
+        found = equipped.change_module(1)
+        assert found.module == module.name
+        assert found.model == dataclasses.replace(module.camera_model(), near_m=before.model.near_m)
+        np.testing.assert_array_equal(found.ego_from_camera, before.ego_from_camera)
+        np.testing.assert_array_equal(equipped.coverage.is_seen[[0, 2, 3]], others)
+    assert state.change_module(1) is state.rig.cameras[1]  # there are none
+
+
+def test_requirements_are_checked_again_when_the_rig_changes(state, equipped):
+    first = equipped.requirements
+    assert first is equipped.requirements
+    equipped.turn(1, 0.9)
+    again, expected = equipped.requirements, checked(equipped.rig, SCENES[0].ego)
+    assert again is not first
+    np.testing.assert_array_equal(again.meets, expected.meets)
+    assert (again.meets[1] != first.meets[1]).any()
+    np.testing.assert_array_equal(again.meets[[0, 2, 3]], first.meets[[0, 2, 3]])
+    assert state.requirements is None
+
+
 # ------------------------------------------------------------------------------------------------ picture
 
 
@@ -209,6 +278,49 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     said = inspector._numbers.input.splitlines()
     assert said[-1] == f"wrote {tmp_path / 'mine-2.yaml'}"
     assert any(line.startswith("constraints broken") for line in said)
+
+
+@needs_opengl
+def test_keys_change_modules_and_lay_requirements_on_the_ground(equipped, tmp_path):
+    made = Inspector(equipped, save_to=tmp_path / "mine.yaml", off_screen=True, window_size=(640, 400))
+    made.plotter.show(auto_close=False, interactive=False)
+    plain = picture(made)
+    press(made, "o")
+    assert equipped.rig is equipped.frames[-1]  # no camera is chosen
+    press(made, "k")
+    assert made.shown_height is None
+    assert "requirements" in made.plotter.actors
+    result = equipped.requirements
+    drawn = made.plotter.actors["requirements"].mapper.dataset
+    assert made._numbers.input.splitlines()[-1].startswith(f"requirements: {result.is_point_met.mean():.1%} of points")
+    count = np.minimum(result.camera_count, 3)
+    np.testing.assert_array_equal(drawn.cell_data["rgb"], np.array(COVERAGE_RGB)[count[drawn.cell_data["point"]]])
+    assert np.abs(picture(made) - plain).max() > 50
+    made.choose(2)
+    press(made, "o")
+    assert equipped.rig.cameras[2].module == MODULES[0].name
+    assert f"{equipped.rig.cameras[2].name}: {MODULES[0].name}" in made._numbers.input
+    assert equipped.requirements is not result
+    assert read_rig(made.save()).cameras[2].module == MODULES[0].name
+    press(made, "k")
+    assert "requirements" not in made.plotter.actors
+    made.plotter.close()
+
+
+@needs_opengl
+def test_points_that_are_met_are_discs_and_the_others_crosses(equipped):
+    result = equipped.requirements
+    drawn = requirements_to_pyvista(result)
+    point = drawn.cell_data["point"]
+    assert set(point) == set(range(len(result.is_point_met)))
+    corner_m = drawn.points.reshape(-1, 3, 3)
+    radius_m = 0.4 * result.ghosts.of_each("grid_m")
+    for k, is_met in enumerate(result.is_point_met):
+        some = corner_m[point == k]
+        away_m = np.linalg.norm(some[..., :2] - result.ghosts.position_m[k], axis=-1)
+        assert len(some) == (12 if is_met else 4)
+        assert away_m.max() == pytest.approx(radius_m[k] * (1.0 if is_met else np.hypot(1.0, 0.22)), rel=1e-4)
+    assert 0 < result.is_point_met.sum() < len(result.is_point_met)
 
 
 def test_views_follow_the_cameras_and_the_scene(inspector):

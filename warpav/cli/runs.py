@@ -178,6 +178,10 @@ def inspect(
             "all that, a page to print (PDF, SVG or PNG) with the rig to scale from above and from the side."
         ),
     ] = "rig",
+    requirements: Annotated[
+        str | None,
+        Parameter(help="YAML file of requirements, or a template such as near_field: which of their points are met."),
+    ] = None,
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.runs.inspect import inspect_rig
@@ -188,7 +192,7 @@ def inspect(
         warn_renamed("--show sight", "--show visibility")
         show = "visibility"
     with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
-        file = inspect_rig(run_or_rig, settings, out, shown=show, progress=display)
+        file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
         from warpav.view.opengl import display_text
 

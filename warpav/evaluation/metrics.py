@@ -424,17 +424,20 @@ def observe_scenes(
         rig: The rig, anywhere in the ego frame.
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
         objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs
-            whose cameras all have the mount's model (of any zoom, where that is free); everything else is measured with
-            the rig's own cameras.
+            whose cameras all have the mount's model (of any zoom, where that is free), or where the objective is by
+            single cameras and knows all of the rig's; everything else is measured with the rig's own cameras.
         with_objective: Whether to evaluate the objective.
         with_probability: Whether to ask for the detection probabilities where the objective does not need them; they
             are known of cameras of the mount's model.
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
-    has_objective = with_objective and is_of_mount and (mount.is_mixed or len(rig.cameras) == objective.camera_count)
+    is_placed = with_objective and is_of_mount and (mount.is_mixed or len(rig.cameras) == objective.camera_count)
+    is_known = not is_of_mount and objective.is_by_single_cameras
+    is_known = is_known and all(objective.probability_of(camera.model) is not None for camera in rig.cameras)
+    has_objective = is_placed or (with_objective and is_known)
     observer = None
-    if mount.is_mixed or not has_objective:
+    if mount.is_mixed or not is_placed:
         observer = RigObserver(
             rig,
             objective.detector,

@@ -45,15 +45,20 @@ from warpav.optimisation.rivals import (
 from warpav.optimisation.search import BudgetedValue, Search, SearchRecord, SearchResult, SearchSpace, run_search
 from warpav.optimisation.segregation import BatchChooser
 from warpav.optimisation.selection.select import Selection
+from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
+from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.rig_source import read_start
 
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""
+
+AS_BUILT = "_as_built"
+"""Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
 
 GREEDY_DIRECTIONS = 8
 """Directions that greedy cover evaluates at each position."""
@@ -94,7 +99,8 @@ class Arm:
 
     Attributes:
         name: Its name, also in file names: lower-case letters, digits and underscores.
-        method: A key of `METHODS`, or the name of a preset.
+        method: A key of `METHODS`, or the name of a preset, on the roof and with the images of all other cameras; with
+            `AS_BUILT` behind it, on the body and with images of its own.
         overrides: Options that make the arm, such as ``losses.detected_area=0``; they also apply to the evaluation of
             its rigs.
         search_overrides: Options for the search alone; the evaluation ignores them.
@@ -108,7 +114,12 @@ class Arm:
     @property
     def is_seeded(self) -> bool:
         """Whether another run seed may give another rig."""
-        return self.method not in _SEEDLESS and self.method not in preset_names()
+        return self.method not in _SEEDLESS and not self.is_preset
+
+    @property
+    def is_preset(self) -> bool:
+        """Whether its rig is that of a known vehicle."""
+        return self.method.removesuffix(AS_BUILT) in preset_names()
 
     @property
     def own_overrides(self) -> tuple[str, ...]:
@@ -194,8 +205,9 @@ def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) 
     Raises:
         InputError: The budget is too small, or something that the arm needs is missing.
     """
-    finder = METHODS.get(arm.method) or partial(_preset, name=arm.method)
-    return finder(placement, camera_renders_max)
+    name = arm.method.removesuffix(AS_BUILT)
+    preset = partial(_preset if name == arm.method else _preset_as_built, name=name)
+    return METHODS.get(arm.method, preset)(placement, camera_renders_max)
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
@@ -226,24 +238,40 @@ def common_arms() -> dict[str, Arm]:
         Arm("thesis_gradient", "optimiser", search_overrides=thesis_method()),
         Arm("thesis_as_printed", "as_configured", search_overrides=thesis_as_printed()),
     ]
-    others = [Arm(name, name) for name in (*METHODS, *preset_names()) if name not in _NEEDS_OPTIONS]
+    presets = [f"{name}{ending}" for ending in ("", AS_BUILT) for name in preset_names()]
+    others = [Arm(name, name) for name in (*METHODS, *presets) if name not in _NEEDS_OPTIONS]
     return {arm.name: arm for arm in (*own, *others)}
 
 
 def common_fov_deg(preset: str) -> float:
     """The horizontal field of view that most cameras of a preset have, to a tenth of a degree."""
-    angles = [round(math.degrees(camera.model.fov_rad), 1) for camera in preset_rig(preset).cameras]
+    angles = [_fov_deg(camera.model) for camera in preset_rig(preset).cameras]
     return Counter(angles).most_common(1)[0][0]
 
 
-def default_like(preset: str) -> Arm:
+def _fov_deg(model: CameraModel) -> float:
+    return round(math.degrees(model.fov_rad), 1)
+
+
+def default_like(preset: str, *, pixels: int | None = None) -> Arm:
     """The default method with as many cameras as a preset and its most frequent field of view.
 
     All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
     which.
+
+    Args:
+        preset: Its name.
+        pixels: The counterpart of the preset as it is built: images in the proportions of its most frequent ones, with
+            about so many pixels. None: images as configured, which the preset has on the roof as well.
     """
-    overrides = (f"rig.cameras={len(preset_rig(preset).cameras)}", f"camera.fov_deg={common_fov_deg(preset)}")
-    return Arm(f"default_as_{preset}", "optimiser", overrides, common_arms()["default"].search_overrides)
+    cameras, common = preset_rig(preset).cameras, common_fov_deg(preset)
+    overrides = (f"rig.cameras={len(cameras)}", f"camera.fov_deg={common}")
+    name = f"default_as_{preset}"
+    if pixels is not None:
+        name += AS_BUILT
+        model = next(each.model for each in cameras if _fov_deg(each.model) == common).with_pixels(pixels)
+        overrides += (f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}")
+    return Arm(name, "optimiser", overrides, common_arms()["default"].search_overrides)
 
 
 def odd_fields(preset: str) -> str:
@@ -474,12 +502,21 @@ def _highest(placement: Placement, camera_renders_max: int | None) -> FoundRig:
 
 
 def _preset(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
-    """A known rig, moved to the vehicle."""
+    """A known rig, moved to the roof of the vehicle, with images of the size of all others."""
     del camera_renders_max
     mount = placement.objective.mount
     moved = move_to_vehicle(
         preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
     )
+    notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
+    return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
+
+
+def _preset_as_built(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
+    """A known rig on the body of the vehicle, with images in its own proportions."""
+    del camera_renders_max
+    moved = preset_for(name, placement.config, placement.ego)
+    know_cameras(moved.rig, placement)
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
     return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
 

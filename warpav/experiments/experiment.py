@@ -39,7 +39,6 @@ from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.raster.mesh import Mesh
-from warpav.rig.presets import preset_names
 from warpav.rig.rig import write_rig
 from warpav.runs.commit import running_commit
 from warpav.runs.config import (
@@ -514,7 +513,7 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
     for arm in arms:
         for each in (arm.evaluation_config(config), arm.search_config(config)):
             needs = (each.rig, each.mount, each.camera, each.method)
-            if arm.method in preset_names() or needs in tried:
+            if arm.is_preset or needs in tried:
                 continue
             highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
             tried.append(needs)

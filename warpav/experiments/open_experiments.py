@@ -14,7 +14,7 @@ from typing import Any
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import Progress
 from warpav.evaluation.statistics import RESAMPLES
-from warpav.experiments.arms import Arm, common_arms, default_like, odd_fields, thesis_method
+from warpav.experiments.arms import AS_BUILT, Arm, common_arms, default_like, odd_fields, thesis_method
 from warpav.experiments.correlation import RANDOM_GROUPS, correlate, correlation_goal
 from warpav.experiments.experiment import Experiment, Finished, merged_results, run_experiment, say_failures
 from warpav.experiments.goals import Goal, goals_of, goals_text
@@ -31,6 +31,9 @@ CONFIGURED = "configured"
 
 PRESETS = ("nuscenes", "argoverse2")
 """Presets that are compared with the default method of as many cameras."""
+
+PIXELS = 256 * 256
+"""Pixels of an image of the configuration ``default``, which presets as they are built have as well."""
 
 _QUICK = (
     "scenes.train_seeds=0..29",
@@ -67,9 +70,9 @@ _CHANGES = {
 def _experiments() -> dict[str, Experiment]:
     common = common_arms()
     reference = common[REFERENCE]
-    like = tuple(default_like(preset) for preset in PRESETS)
+    like = tuple(default_like(preset, pixels=pixels) for pixels in (None, PIXELS) for preset in PRESETS)
     rivals = tuple(common[name] for name in _RIVALS)
-    presets = tuple(common[name] for name in PRESETS)
+    presets = tuple(common[f"{name}{ending}"] for ending in ("", AS_BUILT) for name in PRESETS)
     changed = tuple(Arm(name, "optimiser", search_overrides=overrides) for name, overrides in _CHANGES.items())
     drawn = (
         Arm("random_rig", "random_rig"),
@@ -201,4 +204,6 @@ def _remarks(name: str, config: Config) -> tuple[str, ...]:
         "start and detector thresholds. thesis_as_printed: the shipped configuration thesis in full, with its own "
         "number of steps whatever the budget.",
         "Presets and default_as_ arms have their own number of cameras.",
+        "_as_built: presets on the body, where their makers put them, with images in their own proportions, and their "
+        "counterparts; as many pixels as all others. Without it: on the roof, with the images of all others.",
     )

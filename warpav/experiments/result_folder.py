@@ -17,13 +17,19 @@ from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.requirements.template import template_names
 from warpav.runs.config import Config, dump_config, option_values
-from warpav.runs.config.rig_options import LATER_RIG_OPTIONS
+from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest
 
 SCHEMA = 2
 DESCRIPTION = "experiment.json"
 RESULTS = "results"
+
+_LATER_OPTIONS = {
+    *(f"rig.{name}" for name in LATER_RIG_OPTIONS),
+    *(f"baselines.{name}" for name in LATER_BASELINE_OPTIONS),
+}
+"""Options that earlier results do not have; where they are not set, results do not depend on them."""
 
 
 def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int | None) -> None:
@@ -122,7 +128,7 @@ def _options(config: Config) -> dict[str, Any]:
         # results from before there were weights, zones and modules are those of none
         and (value or not name.startswith(("importance.", "mount.zones", "requirements")))
         and (config.robust.camera_loss is not None or not name.startswith("robust."))
-        and (value is not None or name.removeprefix("rig.") not in LATER_RIG_OPTIONS)
+        and (value is not None or name not in _LATER_OPTIONS)
     }
     if config.rig.catalogue is not None:
         values["rig.catalogue"] = f"{config.rig.catalogue.name} {digest(config.rig.catalogue.read_bytes())}"

@@ -141,6 +141,7 @@ class RigObjective:
         ]
         given = (camera_probability,) if isinstance(camera_probability, CameraProbability) else camera_probability
         self._probabilities = tuple(given or ())
+        self._others: dict[CameraModel, CameraProbability] = {}
         self._check()
         self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
         self.camera_count = camera_count
@@ -205,11 +206,20 @@ class RigObjective:
         return self._probabilities if self._needs(LossSchedule()).detection_probability else None
 
     def probability_of(self, model: CameraModel) -> CameraProbability | None:
-        """How likely a camera of a model is to detect; None where no loss needs it, or it is none of the mount's."""
+        """How likely a camera of a model is to detect; None where no loss needs it, or nobody knows (see `know`)."""
         found, mount = self.camera_probabilities, self.mount
-        if found is None or not mount.has_model(model):
+        if found is None:
             return None
+        if not mount.has_model(model):
+            return self._others.get(model)
         return found[mount.cameras.index(model)] if mount.is_mixed else found[0]
+
+    def know(self, model: CameraModel, probability: CameraProbability) -> None:
+        """From now on say of cameras of another model than the mount's how likely they are to detect.
+
+        With it rigs of such cameras have a value, where `is_by_single_cameras`; the mount's cameras stay the same.
+        """
+        self._others[model] = probability
 
     @property
     def is_by_single_cameras(self) -> bool:

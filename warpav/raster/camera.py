@@ -244,6 +244,11 @@ class CameraModel:
             centre_px=(self.centre_px[0] * grow_x, self.centre_px[1] * grow_y),
         )
 
+    def with_pixels(self, count: float) -> CameraModel:
+        """The same camera with about this many pixels: its proportions stay, as near as whole pixels allow."""
+        grow = math.sqrt(count / (self.width_px * self.height_px))
+        return self.resized(max(round(self.width_px * grow), 8), max(round(self.height_px * grow), 8))
+
 
 def rotational_additions(fov_rad: float) -> tuple[int, float]:
     """How often, and by what angle, a camera turns to look all round.

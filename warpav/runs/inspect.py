@@ -11,18 +11,23 @@ from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import nearest_iteration, rigs_of_events
 from warpav.runs.events import of_modules, trajectory
-from warpav.runs.mounts import camera_mount, constraints_of, mount_surface
+from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, rig_modules
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
     from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.raster.mesh import Mesh
+    from warpav.requirements.check import RequirementResult
+    from warpav.rig.module import Module
     from warpav.scene.scene import Scene
     from warpav.view.inspector import BEGINNINGS, Inspector
 
@@ -33,7 +38,13 @@ body; the zones of the body; or, instead, a page to print."""
 
 
 def inspect_rig(
-    source: str, config: Config, out: Path | None, *, shown: Shown = "rig", progress: Progress | None = None
+    source: str,
+    config: Config,
+    out: Path | None,
+    *,
+    shown: Shown = "rig",
+    requirements: str | None = None,
+    progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file.
 
@@ -44,6 +55,8 @@ def inspect_rig(
             opens a window, or writes ``sheet.pdf``.
         shown: What is drawn besides the rig and the trajectories of its cameras. The inspector begins with it, and with
             the coverage when it is the rig alone.
+        requirements: YAML file, or a template's name: their points lie on the ground by what is met. In a file, only
+            beside the rig alone.
         progress: Shows how many images of an animation are done.
 
     Returns:
@@ -55,15 +68,20 @@ def inspect_rig(
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
+    if requirements is not None and shown != "rig":
+        raise ArgumentError(
+            "requirements", f"expected none beside {shown!r}, got {requirements!r}; leave one of them out"
+        )
     if shown == "sheet":
         return _write_sheet(source, config, out)
     if out is None and has_display():
-        inspector(source, config, begin_with="coverage" if shown == "rig" else shown).plotter.show()
+        first = "requirements" if requirements is not None else "coverage" if shown == "rig" else shown
+        inspector(source, config, begin_with=first, requirements=requirements).plotter.show()
         return None
     is_run = is_run_folder(source)
     further = _further(source, shown) if shown in ("further", "gain") else None
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
-    if is_run and shown == "rig":
+    if is_run and shown == "rig" and requirements is None:
         return plot(RunFolder.open(source).drawn(config), out=out, progress=progress)
     scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
     rig = find_rig(source, config, scene.ego)
@@ -79,6 +97,7 @@ def inspect_rig(
         coverage=_coverage(rig, scene, config, shown) if shown in ("coverage", "redundancy") else None,
         visibility=shown == "visibility",
         further=further,
+        requirements=None if requirements is None else _check(requirements, config)(rig, scene.ego),
     )
 
 
@@ -96,6 +115,7 @@ def inspector(
     config: Config,
     *,
     begin_with: BEGINNINGS = "coverage",
+    requirements: str | None = None,
     off_screen: bool | None = None,
 ) -> Inspector:
     """The interactive view of a rig on the test scenes, with the iterations of a run; not yet shown.
@@ -104,6 +124,7 @@ def inspector(
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives scenes, detector, mount surface and constraints.
         begin_with: What is shown at first, see `warpav.view.inspector.Inspector`.
+        requirements: YAML file, or a template's name; None: there are none.
         off_screen: Draw without a window; by default when there is no display.
 
     Raises:
@@ -114,6 +135,7 @@ def inspector(
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
 
+    check = None if requirements is None else _check(requirements, config)
     further = _further(source, begin_with) if begin_with in ("further", "gain") else None
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
     first = next(load_scenes(config, seeds[:1]))
@@ -141,9 +163,30 @@ def inspector(
         observer_of=lambda rig: _observer(rig, detector, config, device),
         descents=descents,
         further=further,
+        modules=_modules(config),
+        check=check,
         device=device,
     )
     return Inspector(state, save_to=save_to, trajectory_m=trajectory_m, begin_with=begin_with, off_screen=off_screen)
+
+
+def _modules(config: Config) -> tuple[Module, ...]:
+    """What cameras may be changed for: the modules of a run, or those of its catalogue."""
+    from warpav.rig.catalogue import builtin_modules, read_modules
+
+    catalogue = builtin_modules() if config.rig.catalogue is None else read_modules(config.rig.catalogue)
+    return rig_modules(config) or tuple(catalogue.values())
+
+
+def _check(requirements: str, config: Config) -> Callable[[Rig, Mesh], RequirementResult]:
+    """Holds rigs against requirements, which are read now."""
+    from warpav.requirements.check import check_requirements
+    from warpav.requirements.read import read_requirements
+
+    wanted, device = read_requirements(requirements), checked_device(config.device)
+    return lambda rig, ego: check_requirements(
+        rig, ego, wanted, supersampling=config.camera.supersampling, device=device
+    )
 
 
 def _further(source: str, shown: str) -> FurtherCameras:

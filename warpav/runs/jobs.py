@@ -16,11 +16,13 @@ from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.rig.find import is_preset
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
+from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.result import StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
 from warpav.runs.robustness import load_states_of, soiling_of
@@ -131,7 +133,7 @@ def measure_rig(
             f"{own_detector}, got 'builtin'; to evaluate with the shipped one, give {source}/rig_best.yaml",
         )
     placement = Placement.from_config(config).prepare(progress)
-    rig = find_rig(source, config, placement.ego)
+    rig = _rig_to_measure(source, placement, progress)
     if soiled or loads:
         _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
     began_as = rig
@@ -149,6 +151,21 @@ def measure_rig(
         write_json(json_file, evaluation)
         progress.say(f"wrote {json_file}")
     return evaluation
+
+
+def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:
+    """The rig that ``source`` means; a preset stands on the body of the vehicle, with the images of a network."""
+    config, ego = placement.config, placement.ego
+    if not is_preset(source) or is_run_folder(source) or Path(source).exists():
+        return find_rig(source, config, ego)
+    moved = preset_for(source, config, ego)
+    know_cameras(moved.rig, placement, progress)
+    sizes = dict.fromkeys(f"{each.model.width_px} x {each.model.height_px} px" for each in moved.rig.cameras)
+    progress.say(
+        f"{source} on this vehicle, images of {' and '.join(sizes)}; the camera farthest from its place is "
+        f"{moved.moved_m.max():.2f} m off"
+    )
+    return moved.rig
 
 
 def _check_posed(rig: Rig, placement: Placement, option: str) -> None:

@@ -29,6 +29,7 @@ from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
 from warpav.runs.placement import Placement, Stream
+from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.progress import shown_progress
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
@@ -187,7 +188,8 @@ class Result:
     ) -> Path:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
-        The result is compared with its start, the rig around the highest point and the best of some random rigs.
+        The result is compared with its start, the rig around the highest point, the best of some random rigs, and the
+        presets of ``baselines.presets``.
         Scenes that are objects are written into the folder. Of a detector that is an object ``env.json`` keeps the
         class alone, so ``warpav evaluate`` asks for its ONNX file.
 
@@ -439,9 +441,12 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     value = BudgetedValue.of(placement.objective, scenes, space, camera_renders_max=camera_renders)
     random = mount.rig(run_search(random_search, value, rng).mount_pose)
     began_as = result.began_as
+    presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
+    for preset in presets.values():
+        know_cameras(preset, placement, progress)
     return (
-        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig},
+        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **presets},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **presets},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -105,7 +105,7 @@ def check_vehicle(
     """
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
-    file = read_vehicle_file(file_of(path))
+    file = read_vehicle_file(file_of(path), vertices_max=None)  # what is said counts the file's own triangles
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)
@@ -114,18 +114,18 @@ def check_vehicle(
     problems = list(found.problems)
     remedies = {name: value for problem in problems for name, value in (problem.remedy or {}).items()}
     surface = None
-    shown = found
+    shown, shown_by = found, reading
     if remedies:
         # what is said of its place and its roof is only right once it is read right
         words = ", ".join(f"{name.replace('-', ' ')} {value}" for name, value in remedies.items())
         lines.append(f"  read with {words} it is:")
-        better = reading.changed(
+        shown_by = reading.changed(
             up=remedies.get("up"),
             forward=remedies.get("forward"),
             scale=float(remedies["scale"]) if "scale" in remedies else None,
         )
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
-        shown = examine(file, better, stated=stated | set(remedies), rear_axle_m=axle)
+        shown = examine(file, shown_by, stated=stated | set(remedies), rear_axle_m=axle)
     try:
         surface = mount_surface(config, shown.corrected)
     except InputError as error:
@@ -138,9 +138,9 @@ def check_vehicle(
     needs_writing = not is_as_read or bool(found.problems)
     is_fixable = all(problem.remedy == {} for problem in problems)
     if image is not None:
-        lines.append(f"wrote {_draw(shown, surface, image, path.name)}")
+        lines.append(f"wrote {_draw(_with_colours(shown, path, shown_by), surface, image, path.name)}")
     if out is not None and is_fixable:
-        write_vehicle(found.corrected, out, source=path.name)
+        write_vehicle(_with_colours(found, path, reading).corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
         return VehicleReport(tuple(lines), ())
     found_wrong = tuple(f"{path}: {problem.text}" for problem in problems)
@@ -152,6 +152,11 @@ def check_vehicle(
     if not found_wrong:
         lines.append(f"it can be used as it is: scenes.ego={path}")
     return VehicleReport(tuple(lines), found_wrong)
+
+
+def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Examination:
+    """The same vehicle in as many triangles as its textures take."""
+    return replace(found, mesh=read_vehicle_file(file_of(path)).in_ego_frame(reading))
 
 
 def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -138,6 +139,51 @@ def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
     return np.where(is_number, texel_rgb[row, column], GREY_RGB)
 
 
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """An image that a material lays over a mesh.
+
+    Attributes:
+        image: The image.
+        linear_factor: What multiplies its linear light, float64 [3]; None: nothing does.
+    """
+
+    image: Image
+    linear_factor: np.ndarray | None = None
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return self.image.size
+
+    def rgb(self, uv: np.ndarray) -> np.ndarray:
+        """Colours at positions, see `corner_rgb`, uint8 [corner, 3]."""
+        found = corner_rgb(uv, self.image)
+        return found if self.linear_factor is None else _encoded(_decoded(found) * self.linear_factor)
+
+
+def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # noqa: ANN401 (trimesh has few type hints)
+    """The texture of a trimesh; None where it has none, or positions in it that do not fit.
+
+    Args:
+        geometry: A trimesh; its vertices are split where texture coordinates differ.
+        is_plain: Whether its materials are missing.
+    """
+    visual = geometry.visual
+    try:
+        if is_plain or visual.kind != "texture" or np.shape(visual.uv) != (len(geometry.vertices), 2):
+            return None
+        material = visual.material
+        if hasattr(material, "baseColorFactor"):
+            # glTF: the factor of a texture multiplies its linear light
+            image, factor = material.baseColorTexture, _linear_factor(material.baseColorFactor)
+        else:
+            image, factor = getattr(material, "image", None), None  # Kd is .588 where exporters mean the texture alone
+        return None if image is None else Texture(image.convert("RGB"), factor)
+    except Exception:  # a visual that is broken is no reason not to use the shape
+        return None
+
+
 def vertex_rgb(geometry: Any, *, is_plain: bool = False) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
     """Colours of a trimesh at its vertices, uint8 [vertex, 3]: its own, its texture's, its material's, or grey.
 
@@ -148,28 +194,16 @@ def vertex_rgb(geometry: Any, *, is_plain: bool = False) -> np.ndarray:  # noqa:
     count = len(geometry.vertices)
     grey = np.tile(GREY_RGB, (count, 1))
     visual = geometry.visual
+    texture = texture_of(geometry, is_plain=is_plain)
     try:
+        if texture is not None:
+            return texture.rgb(visual.uv)
         if visual.kind != "texture":
             return _per_vertex(visual.vertex_colors, count)
-        material = visual.material
-        if is_plain:
-            return grey
-        return _per_vertex(_of_material(material, visual.uv), count)
+        # plain colours as they are: who writes them seldom means linear light
+        return grey if is_plain else _per_vertex(np.asarray(visual.material.main_color), count)
     except Exception:  # a visual that is broken is no reason not to use the shape
         return grey
-
-
-def _of_material(material: Any, uv: np.ndarray | None) -> np.ndarray:  # noqa: ANN401
-    if hasattr(material, "baseColorFactor"):
-        if uv is None or material.baseColorTexture is None:
-            return np.asarray(material.main_color)  # as it is: who writes plain colours seldom means linear light
-        # glTF: the factor of a texture multiplies its linear light
-        light = _decoded(corner_rgb(uv, material.baseColorTexture))
-        return _encoded(light * _linear_factor(material.baseColorFactor))
-    image = getattr(material, "image", None)
-    if image is not None and uv is not None:
-        return corner_rgb(uv, image)  # Kd is left at .588 by exporters that mean the texture alone
-    return np.asarray(material.main_color)
 
 
 def _per_vertex(colour: object, count: int) -> np.ndarray:

@@ -19,8 +19,9 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
-from warpav.scene.mesh_colours import FileFinder, vertex_rgb
+from warpav.scene.mesh_colours import FileFinder, Texture, texture_of, vertex_rgb
 from warpav.scene.simulator_model import SimulatorModel, simulator_model
+from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
 if TYPE_CHECKING:
@@ -270,14 +271,16 @@ def read_vehicle(
     return found.corrected
 
 
-def read_vehicle_file(path: str | Path) -> VehicleFile:
+def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_MAX) -> VehicleFile:
     """Read the mesh of a vehicle as stored; of a scene that warpav wrote, its ego vehicle.
 
-    Textures become vertex colours. Unit and axes are those that the file states (COLLADA, up in glTF), or that the
+    Textures become vertex colours, where they are finer than the triangles with more triangles of the same surface
+    (`warpav.scene.texture_detail`). Unit and axes are those that the file states (COLLADA, up in glTF), or that the
     ``model.sdf`` of a simulator beside it states; else the ego frame's.
 
     Args:
         path: GLB, glTF, OBJ, COLLADA, PLY, STL, OFF or any other format that trimesh reads.
+        vertices_max: Vertices up to which triangles are split for their textures; None: colours at the file's own.
 
     Raises:
         InputError: The file cannot be read or holds no triangles.
@@ -326,12 +329,14 @@ def read_vehicle_file(path: str | Path) -> VehicleFile:
     if model is not None:
         usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
         notes.append(_model_note(model))
-    first = np.cumsum([0, *(len(vertex) for vertex, _, _ in parts)])
+    whole, textures = _joined(parts)
+    if vertices_max is not None:
+        whole = follow_textures(whole, textures, vertices_max=vertices_max)
     return VehicleFile(
         path,
-        np.concatenate([vertex for vertex, _, _ in parts]),
-        np.concatenate([triangle + start for (_, triangle, _), start in zip(parts, first, strict=False)]),
-        np.concatenate([colour for _, _, colour in parts]),
+        whole.vertex,
+        whole.triangle,
+        np.round(whole.rgb).astype(np.uint8),
         usual,
         is_scene or is_own,
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
@@ -727,8 +732,19 @@ def _refuse_doctype(*_: object) -> None:
     raise ValueError("a DOCTYPE, which no COLLADA file has")
 
 
-def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Vertices in the file's frame, triangles and colours of a node; None where it has no triangles."""
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Vertices in the file's frame, triangles, colours, positions in the texture, and the texture of a node."""
+
+    vertex: np.ndarray
+    triangle: np.ndarray
+    rgb: np.ndarray
+    uv: np.ndarray
+    texture: Texture | None
+
+
+def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> _Part | None:
+    """A node of a file; None where it has no triangles."""
     matrix, geometry_name = file.graph.get(name)
     geometry: Any = file.geometry[geometry_name]
     if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
@@ -740,7 +756,29 @@ def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[np.ndarra
     triangle = np.asarray(geometry.faces, np.int64)
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         triangle = triangle[:, ::-1]
-    return vertex, triangle, vertex_rgb(geometry, is_plain=finder.lacks_materials)
+    texture = texture_of(geometry, is_plain=finder.lacks_materials)
+    uv = np.zeros((len(vertex), 2)) if texture is None else np.asarray(geometry.visual.uv, np.float64)
+    return _Part(vertex, triangle, vertex_rgb(geometry, is_plain=finder.lacks_materials), uv, texture)
+
+
+def _joined(parts: list[_Part]) -> tuple[TexturedMesh, list[Texture]]:
+    """Parts in one mesh, and their textures."""
+    first = np.cumsum([0, *(len(part.vertex) for part in parts)])
+    textures = [part.texture for part in parts if part.texture is not None]
+    number = np.cumsum([part.texture is not None for part in parts]) - 1
+    mesh = TexturedMesh(
+        np.concatenate([part.vertex for part in parts]),
+        np.concatenate([part.triangle + start for part, start in zip(parts, first, strict=False)]),
+        np.concatenate([part.rgb for part in parts]).astype(np.float64),
+        np.concatenate([part.uv for part in parts]),
+        np.concatenate(
+            [
+                np.full(len(part.triangle), -1 if part.texture is None else k)
+                for part, k in zip(parts, number, strict=True)
+            ]
+        ),
+    )
+    return mesh, textures
 
 
 def _points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:

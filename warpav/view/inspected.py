@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
     from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.raster.mesh import Mesh
+    from warpav.requirements.check import RequirementResult
+    from warpav.rig.module import Module
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.descent_view import Steepest
@@ -45,6 +48,8 @@ class InspectedRig:
         scene_index: Which scene is shown.
         scene_count: Number of scenes.
         has_further_cameras: Whether it is known what further cameras would add to the rig of the last frame.
+        has_modules: Whether cameras may be changed for modules.
+        has_requirements: Whether the rig is held against requirements.
     """
 
     def __init__(
@@ -58,6 +63,8 @@ class InspectedRig:
         observer_of: Callable[[Rig], RigObserver],
         descents: Sequence[Steepest | None] = (),
         further: FurtherCameras | None = None,
+        modules: Sequence[Module] = (),
+        check: Callable[[Rig, Mesh], RequirementResult] | None = None,
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene.
@@ -71,6 +78,8 @@ class InspectedRig:
             observer_of: Observes scenes through a rig.
             descents: Direction of steepest descent at every frame, None where it is unknown; or none at all.
             further: What further cameras would add to the rig of the last frame, if that is known.
+            modules: What cameras may be changed for.
+            check: Holds a rig on a vehicle against requirements; None: there are none.
             device: Warp device.
 
         Raises:
@@ -84,6 +93,8 @@ class InspectedRig:
         self._descents = list(descents) or [None] * len(frames)
         self.has_further_cameras = further is not None
         self._further = further
+        self._modules, self._check = tuple(modules), check
+        self.has_modules, self.has_requirements = bool(self._modules), check is not None
         self.frame = len(self.frames) - 1
         self.rig = self.frames[-1]
         self.scene_index, self.scene_count = 0, scene_count
@@ -146,6 +157,27 @@ class InspectedRig:
     def turn(self, camera: int, yaw_rad: float) -> RigCamera:
         """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""
         return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
+
+    def change_module(self, camera: int) -> RigCamera:
+        """Put the next module in a camera's place, after the last the first, and return it as it is then.
+
+        It stands and looks as the camera did; its lens, image and near plane are those of the module and of the camera.
+        Where there are no modules, nothing changes.
+
+        Args:
+            camera: Its number.
+        """
+        old, names = self.rig.cameras[camera], [module.name for module in self._modules]
+        if not names:
+            return old
+        module = self._modules[(names.index(old.module) + 1) % len(names) if old.module in names else 0]
+        model = dataclasses.replace(module.camera_model(), near_m=old.model.near_m)
+        return self._change(camera, model=model, module=module.name)
+
+    @cached_property
+    def requirements(self) -> RequirementResult | None:
+        """What the rig meets of the requirements on its vehicle; None where there are none."""
+        return None if self._check is None else self._check(self.rig, self.scene.ego)
 
     @property
     def descent(self) -> Steepest | None:
@@ -228,5 +260,5 @@ class InspectedRig:
         self._forget()
 
     def _forget(self) -> None:
-        for name in ("coverage", "ground_coverage", "observation"):
+        for name in ("coverage", "ground_coverage", "observation", "requirements"):
             self.__dict__.pop(name, None)

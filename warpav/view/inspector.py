@@ -22,6 +22,7 @@ from warpav.view.further_view import add_further_cameras
 from warpav.view.inspected import NEAR_M
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+from warpav.view.requirement_view import add_requirements
 from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
 from warpav.view.visibility_view import (
     RAYS_PX,
@@ -50,12 +51,15 @@ KEYS = {
     "g": "descent arrows",
     "m": "one more camera",
     "z": "body: zones, one more camera, off",
+    "o": "other module",
+    "k": "requirements",
     "Left": "turn left",
     "Right": "turn right",
     "Return": "write the rig",
     "q": "quit",
 }
-"""What keys do, as the line of help in the window says; m, and the second of z, only after a search by a pool.
+"""What keys do, as the line of help in the window says; m, and the second of z, only after a search by a pool, o and k
+only where there are modules and requirements.
 
 VTK has uses of its own for w, s, r, f, p, u, e, a and 3.
 """
@@ -63,7 +67,7 @@ VTK has uses of its own for w, s, r, f, p, u, e, a and 3.
 VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
 
-BEGINNINGS = Literal["coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain"]
+BEGINNINGS = Literal["coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "requirements"]
 """What an inspector may show at first."""
 
 SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
@@ -94,6 +98,7 @@ class Inspector:
             either them or the coverage.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
         shows_further: Whether arrows show what one more camera would bring, where that is known.
+        shows_requirements: Whether the points of the requirements lie on the ground, where there are any.
         shown_on_body: What the body is painted with: its zones, or what one more camera would bring where.
 
     What moves is changed, not drawn again: while a camera is dragged no actor is made, and one image is drawn.
@@ -132,6 +137,7 @@ class Inspector:
         self.shows_visibility = begin_with == "visibility"
         self.shows_descent = True
         self.shows_further = begin_with == "further"
+        self.shows_requirements = begin_with == "requirements"
         self.shown_on_body: Literal["zones", "gain"] | None = begin_with if begin_with in ("zones", "gain") else None
         tell_vtk_where_to_draw()
         with ThreadPoolExecutor(1) as beside:
@@ -236,6 +242,20 @@ class Inspector:
         with self._one_render():
             self._draw_body()
 
+    def toggle_requirements(self) -> None:
+        """Lay the points of the requirements on the ground, or no longer; the coverage goes."""
+        self.shows_requirements = not self.shows_requirements
+        if self.shows_requirements:
+            self.shown_height = None
+        with self._one_render():
+            self._redraw()
+
+    def change_module(self) -> None:
+        """Put the next module in the place of the chosen camera."""
+        if self.chosen is not None and self.state.has_modules:
+            self.state.change_module(self.chosen)
+            self._after_change(self.chosen)
+
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
         self.chosen = camera
@@ -326,6 +346,12 @@ class Inspector:
     def _add_controls(self) -> None:
         plotter, count = self.plotter, len(self.state.frames)
         controls = {"click a ball": "look through the camera", "drag it": "move the camera", **KEYS}
+        for key, is_there in (
+            ("o", self.state.has_modules),
+            ("k", self.state.has_requirements),
+        ):
+            if not is_there:
+                del controls[key]
         if not self.state.has_further_cameras:
             del controls["m"]
             controls["z"] = "body: zones, off"
@@ -361,6 +387,8 @@ class Inspector:
             "g": self.toggle_descent,
             "m": self.toggle_further,
             "z": self.cycle_body,
+            "o": self.change_module,
+            "k": self.toggle_requirements,
             "Left": lambda: self.turn(TURN_RAD),
             "Right": lambda: self.turn(-TURN_RAD),
             "Return": self.save,
@@ -407,6 +435,8 @@ class Inspector:
                 if name.startswith(f"rig/{camera.name}/"):
                     actor.user_matrix = moved
         else:
+            for name in [name for name in self.plotter.actors if name.startswith(f"rig/{camera.name}/")]:
+                self.plotter.remove_actor(name)
             add_camera(self.plotter, camera, index)
             self._drawn[index] = camera
         self._labels[index].position = _label_m(camera)
@@ -455,6 +485,7 @@ class Inspector:
         self._say("\n".join(self._lines(detector=detector)))
         if detector:
             self._draw_view()
+            add_requirements(self.plotter, self.state.requirements if self.shows_requirements else None)
 
     def _lines(self, *, detector: bool = True) -> list[str]:
         """What the corner says."""
@@ -466,6 +497,11 @@ class Inspector:
                 shares = [float(coverage.share_seen_by(count, radius_m=NEAR_M)[0]) for count in (1, 2, 3)]
                 seen = ", ".join(f"{share:.1%} by {count}" for count, share in zip((1, 2, 3), shares, strict=True))
                 lines.append(f"the ground within {NEAR_M:g} m: {seen} cameras or more")
+        if self.chosen is not None and self.state.rig.cameras[self.chosen].module is not None:
+            lines.append(f"{self.state.rig.cameras[self.chosen].name}: {self.state.rig.cameras[self.chosen].module}")
+        met = self.state.requirements if detector and self.shows_requirements else None
+        if met is not None:
+            lines.append(f"requirements: {met.is_point_met.mean():.1%} of points met (discs), the rest has crosses")
         if detector and (self.shows_outcomes or self.chosen is not None):
             observed = self.state.observation
             lines.append(f"{int(observed.detected.sum())} of {len(observed.detected)} vehicles detected")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from warpav.core.progress import Progress
     from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.requirements.check import RequirementResult
 
     Drawing = Any
     Plotter = Any
@@ -112,6 +113,8 @@ def plot(
     - ``visibility``: True paints what every camera sees of the scene, and the sides of its view.
     - ``further``: `FurtherCameras`, such as ``result.further_cameras``: arrows where one more camera would help; with
       ``mount_surface`` the body is painted instead, by what one more camera would bring there.
+    - ``requirements``: what `warpav.check_requirements` gives, which lays the points on the ground: discs where
+      they are met, crosses where not, in the colour of how many cameras see enough there.
     - ``sheet``: True draws instead a page to print: from above and from the side to scale, with fans of what each
       camera sees, range rings and a table; see `warpav.view.figures.rig_sheet`. Only ``ego``, ``scene`` and
       ``range_m`` go with it.
@@ -249,6 +252,7 @@ def _draw_rig(
     coverage: Coverage | None = None,
     visibility: bool = False,
     further: FurtherCameras | None = None,
+    requirements: RequirementResult | None = None,
     sheet: bool = False,
     range_m: Sequence[float] | None = None,
 ) -> Drawing:
@@ -257,6 +261,7 @@ def _draw_rig(
 
         drawn = {"mount_surface": mount_surface, "trajectory_m": trajectory_m, "outcomes": outcomes}
         drawn |= {"coverage": coverage, "visibility": visibility or None, "further": further}
+        drawn |= {"requirements": requirements}
         given = [name for name, value in drawn.items() if value is not None]
         if given:
             raise ArgumentError("sheet", f"expected a sheet alone, with ego, scene or range_m, got {given[0]} as well")
@@ -274,6 +279,7 @@ def _draw_rig(
         coverage=coverage,
         visibility=visibility,
         further=further,
+        requirements=requirements,
         title=canvas.title,
         window_size=canvas.size_px(WINDOW_PX),
         zoom=canvas.zoom,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
+    from warpav.requirements.check import RequirementResult
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
@@ -65,6 +66,7 @@ def rig_plotter(
     trajectory_m: np.ndarray | None = None,
     mount_surface: MountSurface | None = None,
     further: FurtherCameras | None = None,
+    requirements: RequirementResult | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_PX,
     title: str | None = None,
@@ -77,7 +79,8 @@ def rig_plotter(
 
     Most options are those of `warpav.view.plot`. ``frustum_depth_m`` is how far the frustums are drawn [m], ``labels``
     whether the cameras are named, and ``sectors`` whether the bearings that each camera covers are drawn on the ground,
-    by default unless outcomes, coverage or visibility are painted. Without a rig the vehicle stands there as it is.
+    by default unless outcomes, coverage, visibility or requirements are painted. Without a rig the vehicle
+    stands there as it is.
 
     Raises:
         InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
@@ -87,8 +90,10 @@ def rig_plotter(
     if scene is None and is_painted:
         raise ValueError("visibility, coverage, outcomes: expected a scene with what is seen, got none")
     shows_body = not is_painted and (further is not None or bool(mount_surface is not None and mount_surface.zones))
-    zoom = (WIDE_ZOOM if is_painted else BODY_ZOOM if shows_body else 1.0) if zoom is None else zoom
-    sectors = not is_painted and not shows_body if sectors is None else sectors and not visibility
+    is_wide = is_painted or requirements is not None
+    zoom = (WIDE_ZOOM if is_wide else BODY_ZOOM if shows_body else 1.0) if zoom is None else zoom
+    is_plain = not is_painted and not shows_body and requirements is None
+    sectors = is_plain if sectors is None else sectors and not visibility
     if frustum_depth_m is None:
         frustum_depth_m = BODY_FRUSTUM_DEPTH_M if shows_body else FRUSTUM_DEPTH_M
     pyvista = load_pyvista()
@@ -139,6 +144,10 @@ def rig_plotter(
         from warpav.view.visibility_view import add_coverage
 
         add_coverage(plotter, coverage)
+    if requirements is not None:
+        from warpav.view.requirement_view import add_requirements
+
+        add_requirements(plotter, requirements)
     if further is not None:
         from warpav.view.body_view import add_gain
         from warpav.view.further_view import add_further_cameras

@@ -7,9 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.rig.on_body import Body, MovedRig, put_on_body
 from warpav.rig.rig import Rig, read_rig
 
 _FOLDER = Path(__file__).parent
+
+_BODIES = {
+    # length, width without mirrors, height and wheelbase, as the vehicles' makers state them
+    "nuscenes": Body.of_size(4.084, 1.730, 1.562, wheelbase_m=2.588),  # Renault Zoe
+    "argoverse2": Body.of_size(4.872, 1.852, 1.473, wheelbase_m=2.850),  # Ford Fusion Hybrid
+    "edgar": Body.of_size(4.973, 1.941, 1.903, wheelbase_m=3.124),  # Volkswagen T7 Multivan, the shorter one
+}
+"""Bodies that presets were made for; unidrive_6x60 is of no vehicle."""
 
 
 def preset_names() -> list[str]:
@@ -30,6 +40,19 @@ def preset_rig(name: str) -> Rig:
         InputError: There is no such rig.
     """
     return read_rig(preset_file(name))
+
+
+def preset_on_vehicle(name: str, vehicle: Mesh) -> MovedRig:
+    """The shipped rig of this name on another vehicle, as its makers put it on theirs; see `put_on_body`.
+
+    Args:
+        name: One of :func:`preset_names`.
+        vehicle: The vehicle that carries it, in the ego frame.
+
+    Raises:
+        InputError: There is no such rig.
+    """
+    return put_on_body(preset_rig(name), vehicle, made_for=_BODIES.get(name))
 
 
 def preset_file(name: str) -> Path:

@@ -36,8 +36,9 @@ from warpav.optimisation.settings import (
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.requirements.template import template_names
+from warpav.rig.presets import preset_names
 from warpav.runs.config.file_options import existing_file, read_path
-from warpav.runs.config.rig_options import LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
+from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.vehicles import vehicle_file, vehicle_names
@@ -426,11 +427,39 @@ class DetectorConfig(Section):
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 
 
+def _read_presets(value: object) -> object:
+    if not isinstance(value, (list, tuple)):
+        return value
+    names = preset_names()
+    for name in value:
+        if name not in names:
+            near = difflib.get_close_matches(str(name), names, 1, 0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            mistake(f"expected presets out of {', '.join(names)}, got {shown(name)}{hint}")
+    return tuple(value)
+
+
+PresetNames = Annotated[
+    tuple[str, ...], BeforeValidator(_read_presets), Expectation("a list of presets, such as [nuscenes, argoverse2]")
+]
+PresetImages = Annotated[
+    Literal["same_pixels", "same_width", "sensor"], Expectation("same_pixels, same_width or sensor")
+]
+
+
 class BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
     random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
+    presets: PresetNames | None = Field(
+        default=None, description="presets on the body of the vehicle that a run compares its rig with; null: none"
+    )
+    preset_images: PresetImages | None = Field(
+        default=None,
+        description="images of presets, in proportions of their own: same_pixels as many pixels as the run's cameras, "
+        "same_width as many columns, sensor all they have; null: same_pixels",
+    )
 
 
 class ExecutorConfig(Section):
@@ -547,9 +576,10 @@ class ConfigTree(Section):
             result.pop("robust", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
-        for name in LATER_RIG_OPTIONS:
-            if getattr(self.rig, name) is None:
-                result["rig"].pop(name, None)
+        for section, names in (("rig", LATER_RIG_OPTIONS), ("baselines", LATER_BASELINE_OPTIONS)):
+            for name in names:
+                if getattr(getattr(self, section), name) is None:
+                    result[section].pop(name, None)
         return result
 
     @property

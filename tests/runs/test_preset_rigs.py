@@ -1,0 +1,144 @@
+"""Presets beside a run's rig: images in their own proportions, and values as of any other rig."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+import warpav as wa
+from warpav.core.progress import NullProgress
+from warpav.evaluation.metrics import observe_scenes
+from warpav.experiments.arms import AS_BUILT, common_arms, default_like, find_rig_of
+from warpav.experiments.result_folder import unseeded
+from warpav.rig.catalogue import builtin_modules
+from warpav.rig.rig import Rig
+from warpav.runs.baseline_rigs import highest_rig
+from warpav.runs.config import dump_config, load_config
+from warpav.runs.evaluate import evaluate_on
+from warpav.runs.preset_rigs import know_cameras, preset_for
+from warpav.scene.town.town import town_scene
+
+SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
+
+
+@pytest.fixture(scope="module")
+def placement():
+    return wa.Placement.from_config(load_config("quick", SMALL)).prepare()
+
+
+@pytest.mark.parametrize(
+    ("options", "size_px", "portrait_px"),
+    [
+        ([], (341, 192), (223, 294)),
+        (["baselines.preset_images=same_pixels"], (341, 192), (223, 294)),
+        (["baselines.preset_images=same_width"], (256, 144), (256, 338)),
+        (["baselines.preset_images=sensor"], (1600, 900), (1550, 2048)),
+        (["camera.width_px=640", "camera.height_px=360"], (640, 360), (418, 552)),
+    ],
+)
+def test_images_keep_their_proportions(options, size_px, portrait_px):
+    config, ego = load_config("quick", options), town_scene(0).ego
+    for name, expected in (("nuscenes", size_px), ("argoverse2", portrait_px)):
+        original, found = wa.preset(name).cameras[0].model, preset_for(name, config, ego).rig.cameras[0].model
+        assert (found.width_px, found.height_px) == expected
+        assert found.fov_rad == original.fov_rad
+        assert found.width_px / found.height_px == pytest.approx(original.width_px / original.height_px, rel=5e-3)
+        assert found.near_m == 0.01
+        # square pixels, so the vertical angle is the original's too
+        vertical_rad = [2.0 * math.atan(each.half_field[1]) for each in (original, found)]
+        assert vertical_rad[0] == pytest.approx(vertical_rad[1], rel=5e-3)
+
+
+def test_modules_share_their_mean_of_pixels():
+    config = load_config("quick", ["rig.modules={front_8mp_30: 1, side_2mp_100: 1..4}"])
+    sizes = [builtin_modules()[name].network_px for name in ("front_8mp_30", "side_2mp_100")]
+    mean = sum(width * height for width, height in sizes) / 2.0
+    model = preset_for("nuscenes", config, town_scene(0).ego).rig.cameras[0].model
+    assert model.width_px * model.height_px == pytest.approx(mean, rel=2e-3)
+
+
+def test_a_preset_has_the_value_that_its_cameras_give(placement):
+    """The product of the misses, object by object, by another way than the objective's."""
+    rig = preset_for("nuscenes", placement.config, placement.ego).rig
+    before = evaluate_on({"nuscenes": rig}, placement.test, placement, progress=NullProgress())
+    assert before.metrics["nuscenes"].objective is None
+    know_cameras(rig, placement)
+    found = evaluate_on({"nuscenes": rig}, placement.test, placement, progress=NullProgress())
+    metrics, outage = found.metrics["nuscenes"], found.camera_outage["nuscenes"]
+    assert outage is not None
+    observed = observe_scenes(rig, placement.test, placement.objective, with_probability=True)
+    assert observed.detection_probability is not None
+    missed = (1.0 - observed.detection_probability.astype(float)).prod(axis=0)
+    assert missed.size == metrics.objects
+    np.testing.assert_allclose(outage.expected_misses_per_100, 100.0 * missed.mean(), rtol=1e-5)
+    counts = [each.scene.vehicle_count for each in placement.test]
+    of_scene = [each.mean() for each in np.split(missed, np.cumsum(counts)[:-1])]
+    np.testing.assert_allclose(metrics.objective, np.mean(of_scene), rtol=1e-5)
+    # detection itself is as it was
+    assert metrics.tp_detection_rate == before.metrics["nuscenes"].tp_detection_rate
+
+
+def test_the_mounts_own_cameras_have_the_same_value_either_way(placement):
+    """A rig of the run's cameras but for a hair of the near plane, so of another model."""
+    rig = highest_rig(placement)
+    other = Rig(
+        [
+            dataclasses.replace(each, model=dataclasses.replace(each.model, near_m=1.0001 * each.model.near_m))
+            for each in rig.cameras
+        ]
+    )
+    know_cameras(other, placement)
+    found = evaluate_on({"own": rig, "other": other}, placement.test, placement, progress=NullProgress())
+    own, others = (found.metrics[name].objective for name in ("own", "other"))
+    assert others is not None
+    assert own == pytest.approx(others, rel=1e-5)
+
+
+def test_other_losses_do_not_ask_for_more_cameras():
+    config = load_config("quick", [*SMALL, "run.batch_size=1", "losses={detected_area: 1.0, expected_miss_rate: 0.0}"])
+    placement = wa.Placement.from_config(config).prepare()
+    rig = preset_for("nuscenes", config, placement.ego).rig
+    know_cameras(rig, placement)
+    assert placement.objective.probability_of(rig.cameras[0].model) is None
+
+
+def test_arms_as_built_stand_on_the_body_and_have_a_counterpart(placement):
+    arm = common_arms()[f"nuscenes{AS_BUILT}"]
+    assert arm.is_preset
+    assert not arm.is_seeded
+    found = find_rig_of(arm, placement, None)
+    for one, other in zip(
+        found.rig.cameras, preset_for("nuscenes", placement.config, placement.ego).rig.cameras, strict=True
+    ):
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+        assert one.model == other.model
+    assert placement.objective.probability_of(found.rig.cameras[0].model) is not None
+    on_roof = find_rig_of(common_arms()["nuscenes"], placement, None).rig.cameras[0].model
+    assert (on_roof.width_px, on_roof.height_px) == (256, 256)
+    like = default_like("nuscenes", pixels=256 * 256)
+    assert like.name == "default_as_nuscenes_as_built"
+    camera = like.evaluation_config(load_config("default")).camera
+    assert (camera.width_px, camera.height_px, camera.fov_deg) == (341, 192, 64.8)
+
+
+def test_a_run_compares_its_rig_with_presets(placement, tmp_path):
+    config = load_config("quick", [*SMALL, "baselines.presets=[nuscenes]", "optimiser.pool_cameras=16"])
+    compared = placement.with_config(config)
+    result = wa.optimise(compared, progress=False)
+    result.save(tmp_path / "run", progress=False)
+    arms = json.loads((tmp_path / "run" / "evaluation.json").read_text())["arms"]
+    assert list(arms)[-1] == "nuscenes"
+    assert arms["nuscenes"]["objective"] is not None
+    assert arms["nuscenes"]["frames"] == 6 * 2
+    assert "nuscenes" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_files_and_hashes_are_as_before_where_nothing_is_set():
+    plain, given = load_config("default"), load_config("default", ["baselines.presets=[nuscenes]"])
+    assert "preset" not in dump_config(plain)
+    assert "preset" not in unseeded(plain)
+    assert given.baselines.presets == ("nuscenes",)
+    assert "presets" in dump_config(given)
+    assert '"baselines.presets": ["nuscenes"]' in unseeded(given)
