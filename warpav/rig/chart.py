@@ -14,6 +14,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
@@ -23,6 +24,12 @@ GAP_M = 1.0
 
 CENTRE_M = 0.1
 """Half the width of what of a centred zone is drawn: cameras stand in its middle."""
+
+PANE_MARGIN_M = 0.02
+"""How far a pane reaches beyond the cells of its zone, along them and across [m]."""
+
+MIN_CLEAR = 0.5
+"""Least share of a pane's area that has to be clear: less shows that its triangles are larger than the pane."""
 
 _SKIRT_CELLS = 3
 _BIG_M = 1e6
@@ -57,7 +64,9 @@ def chart_of(
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    surface_of = {zone.name: _with_skirt(zone_surface(zone, mesh, **options)) for zone in zones}
+    field_of = {zone.name: zone_surface(zone, mesh, **options) for zone in zones}
+    pane_of = {zone.name: pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
+    surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
     names, module_of_zone, pairs = [module.name for module in modules], np.zeros(0, np.int64), ()
     if pair_spacing_m is not None:
         surface_of = _left_halves(zones, surface_of, pair_spacing_m)
@@ -89,7 +98,71 @@ def chart_of(
         tuple(names),
         module_of_zone,
         pairs,
+        tuple(pane_of.get(zone.name) for zone in zones) if pane_of else (),
     )
+
+
+def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
+    """What of the body the cameras of a zone behind glass look through.
+
+    Its outline is that of the zone, or else the convex hull of the cells that carry a camera, `PANE_MARGIN_M` wider. It
+    reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
+
+    Args:
+        zone: Behind glass.
+        surface: Its height field, of `zone_surface`.
+        mesh: The vehicle in the ego frame [m].
+
+    Raises:
+        InputError: Less than half of the pane would be clear, as the triangles below it are larger than it is.
+    """
+    from scipy.spatial import ConvexHull
+
+    assert surface.is_mountable is not None
+    cell = np.argwhere(surface.is_mountable)
+    place_m = surface.origin_m + surface.cell_m * cell
+    height_m = surface.height_m[surface.is_mountable].astype(np.float64)
+    middle_m = float(height_m.mean())
+    if zone.outline_m is not None:
+        corner_m = (np.asarray(zone.outline_m) - zone.origin_m) @ zone.axes[:2].T
+    else:
+        half_m = 0.5 * surface.cell_m
+        around_m = half_m * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+        corner_m = (place_m[:, None] + around_m).reshape(-1, 2)
+    angle_rad = np.arange(0.0, 2.0 * math.pi, math.pi / 8.0)
+    round_m = PANE_MARGIN_M * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+    corner_m = (corner_m[:, None] + round_m).reshape(-1, 2)
+    corner_m = _simplified(corner_m[ConvexHull(corner_m).vertices])
+    outline_m = np.c_[corner_m, np.full(len(corner_m), middle_m)] @ zone.axes + zone.origin_m
+    pane = Pane(
+        zone.name,
+        tuple(np.round(zone.axes[2], 6).tolist()),
+        tuple(tuple(corner) for corner in np.round(outline_m, 6).tolist()),
+        (
+            round(float(height_m.min()) - middle_m - PANE_MARGIN_M, 6),
+            round(float(height_m.max()) - middle_m + PANE_MARGIN_M, 6),
+        ),
+    )
+    clear_m2 = pane.clear_area_m2(mesh)
+    zone_m2 = len(cell) * surface.cell_m**2
+    if clear_m2 < MIN_CLEAR * zone_m2:
+        raise InputError(
+            f"zone {zone.name!r}: behind_glass: expected triangles that lie under the zone, got {clear_m2:.2f} of "
+            f"{zone_m2:.2f} m2 clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
+        )
+    return pane
+
+
+def _simplified(corner_m: np.ndarray) -> np.ndarray:
+    """A convex polygon [corner, 2] without corners that are within 3 mm of the line between their neighbours."""
+    while len(corner_m) > 4:
+        before, after = np.roll(corner_m, 1, axis=0), np.roll(corner_m, -1, axis=0)
+        side, to = after - before, corner_m - before
+        away_m = np.abs(side[:, 0] * to[:, 1] - side[:, 1] * to[:, 0]) / np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+        if away_m.min() > 0.003:
+            break
+        corner_m = np.delete(corner_m, int(away_m.argmin()), axis=0)
+    return corner_m
 
 
 def _sheets(

@@ -159,6 +159,12 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     from warpav.optimisation.mount import CameraMount
 
     surface = mount_surface(config, ego)
+    if any(surface.panes) and (config.descends or not config.losses.suits_pool):
+        raise OptionError(
+            "mount.zones",
+            "expected no zone with behind_glass, as only the search by a pool, with the loss expected_miss_rate alone, "
+            "knows such cameras; set optimiser.search=pool, or leave the losses as they are",
+        )
     models = dict(zip(config.rig.modules or (), camera_models(config), strict=False))
     return CameraMount(
         surface,
