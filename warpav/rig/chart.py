@@ -15,6 +15,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
+from warpav.rig.glass import propose_panes, simplified
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
@@ -32,6 +33,7 @@ MIN_CLEAR = 0.5
 """Least share of a pane's area that has to be clear: less shows that its triangles are larger than the pane."""
 
 _SKIRT_CELLS = 3
+_SIMPLER_M = 0.003
 _BIG_M = 1e6
 
 
@@ -132,7 +134,7 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     angle_rad = np.arange(0.0, 2.0 * math.pi, math.pi / 8.0)
     round_m = PANE_MARGIN_M * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
     corner_m = (corner_m[:, None] + round_m).reshape(-1, 2)
-    corner_m = _simplified(corner_m[ConvexHull(corner_m).vertices])
+    corner_m = simplified(corner_m[ConvexHull(corner_m).vertices], _SIMPLER_M)
     outline_m = np.c_[corner_m, np.full(len(corner_m), middle_m)] @ zone.axes + zone.origin_m
     pane = Pane(
         zone.name,
@@ -151,18 +153,6 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
             f"{zone_m2:.2f} m2 clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
         )
     return pane
-
-
-def _simplified(corner_m: np.ndarray) -> np.ndarray:
-    """A convex polygon [corner, 2] without corners that are within 3 mm of the line between their neighbours."""
-    while len(corner_m) > 4:
-        before, after = np.roll(corner_m, 1, axis=0), np.roll(corner_m, -1, axis=0)
-        side, to = after - before, corner_m - before
-        away_m = np.abs(side[:, 0] * to[:, 1] - side[:, 1] * to[:, 0]) / np.maximum(np.linalg.norm(side, axis=1), 1e-9)
-        if away_m.min() > 0.003:
-            break
-        corner_m = np.delete(corner_m, int(away_m.argmin()), axis=0)
-    return corner_m
 
 
 def _sheets(
@@ -290,15 +280,18 @@ def _words(normal: np.ndarray) -> str:
     return f"along {np.round(normal, 3).tolist()}"
 
 
-def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
-    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear.
+def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone, ...]:
+    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear, windscreen, rear window.
 
     The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
     lowest third, where wheels and sills are; front and rear out of what bumpers touch. A zone of which the body has
     nothing is left out.
 
+    Cameras stand behind windscreen and rear window, see `propose_panes`.
+
     Args:
         mesh: The vehicle in the ego frame [m].
+        is_glass: Which triangles are known to be glass, bool [triangle]; None: not known.
     """
     low_m, high_m = mesh.bounds_m().astype(np.float64)
     length, _, height = high_m - low_m
@@ -324,6 +317,7 @@ def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
         Zone(
             "rear", NORMALS["rear"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper", "tailgate")
         ),
+        *propose_panes(mesh, is_glass),
     )
     found = []
     for zone in wanted:
