@@ -10,8 +10,8 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 
-MIN_FACING = 0.3
-"""Least cosine between a triangle of the pane and the pane's normal: a wall that only ends at the pane stays."""
+MIN_FACING = math.cos(math.radians(30.0))
+"""Least cosine between a triangle of the pane and the pane's normal: what only ends at the pane stays, as a scuttle."""
 
 SAME_M = 0.02
 """A pane whose corners are so near to those of its mirror image is its own mirror image [m]."""
@@ -23,7 +23,7 @@ _STEPS = 6  # a triangle is sampled in so many squared places
 class Pane:
     """A prism over a convex outline: triangles inside of it that face along it are clear.
 
-    A triangle is clear if at least half of it lies inside, and its normal is not across the pane's.
+    A triangle is clear if at least half of it lies inside, and its normal is within 30 degrees of the pane's.
 
     Attributes:
         name: What it is called, such as ``windscreen``.
