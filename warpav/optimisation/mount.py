@@ -283,7 +283,7 @@ class CameraMount:
         Raises:
             ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
                 camera: all share image size and lens.
-            InputError: One that stays is above none of the surface's zones.
+            InputError: One that stays is above none of the surface's zones, or looks through another pane than that has.
         """
         is_frozen = np.array([camera.name in names for camera in rig.cameras])
         if is_frozen.sum() != len(set(names)) or is_frozen.all():
@@ -300,6 +300,13 @@ class CameraMount:
                 raise InputError(
                     f"camera {camera.name!r}: expected one above a zone of mount.zones, as it is to stay, got one at "
                     f"{', '.join(f'{each:g}' for each in camera.position_m)} m; let a zone reach there"
+                )
+        for camera, pane in zip(rig.cameras, self.panes_of(mount_pose), strict=True):
+            if camera.name in names and camera.behind_glass != pane:
+                there, given = (each.name if each else "none" for each in (pane, camera.behind_glass))
+                raise InputError(
+                    f"camera {camera.name!r}: behind_glass: expected that of its place in mount.zones, {there}, as it "
+                    f"is to stay, got {given}{' with another outline' if there == given else ''}"
                 )
         mount = copy.copy(self)
         mount.frozen = FrozenCameras(rig.cameras, is_frozen, mount_pose)

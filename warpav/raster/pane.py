@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -16,7 +16,7 @@ MIN_FACING = math.cos(math.radians(30.0))
 SAME_M = 0.02
 """A pane whose corners are so near to those of its mirror image is its own mirror image [m]."""
 
-_STEPS = 6  # a triangle is sampled in so many squared places
+_STEPS = 6  # a triangle is cut into so many squared parts
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,7 @@ class Pane:
         corner_m = corner_m[near]
         normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
         along = np.abs(normal @ self._axes[2]) >= MIN_FACING * np.linalg.norm(normal, axis=1)
-        i, j = np.divmod(np.arange(_STEPS**2), _STEPS)
-        a, b = (i + 1 / 3) / _STEPS, (j + 1 / 3) / _STEPS
-        kept = a + b < 1.0
-        share = np.stack([1.0 - a - b, a, b], axis=1)[kept]
-        inside = self.holds(np.einsum("sk,tki->tsi", share, corner_m))
+        inside = self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m))
         clear[near] = along & (inside.mean(axis=1) >= 0.5)
         return clear
 
@@ -126,6 +122,16 @@ class Pane:
             return self
         name = self.name.removesuffix("_mirrored") if self.name.endswith("_mirrored") else f"{self.name}_mirrored"
         return replace(self, name=name, normal=(x, -y, z), outline_m=outline)
+
+
+@cache
+def _middles() -> np.ndarray:
+    """Shares of the corners in the middles of the equal parts that a triangle is cut into, float64 [part, 3]."""
+    i, j = np.divmod(np.arange(_STEPS**2), _STEPS)
+    both = [np.stack([i, j], axis=1) + at for at in (1 / 3, 2 / 3)]
+    share = np.concatenate(both) / _STEPS
+    share = share[share.sum(axis=1) < 1.0]
+    return np.c_[1.0 - share.sum(axis=1), share]
 
 
 def _doubled_area(corner_m: np.ndarray) -> float:
