@@ -58,7 +58,7 @@ def draw_zones(folder: Path) -> None:
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
 
 
-def draw_behind_glass(folder: Path) -> None:  # noqa: ARG001
+def draw_behind_glass(folder: Path) -> None:
     """behind_glass.png: what a camera behind the windscreen sees, in the embedded car, the bus and the pickup truck."""
     import warpav as wa
     from warpav.optimisation.mount import X_M, Y_M, CameraMount

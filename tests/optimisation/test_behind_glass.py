@@ -115,9 +115,7 @@ def test_jacobians_are_those_around_a_body_without_the_pane(device):
     expected, slope = replace_panes(cameras).with_jacobian(pose[is_inside], [opened(device)])
     np.testing.assert_allclose(probability[is_inside], expected, atol=1e-5)
     np.testing.assert_allclose(jacobian[is_inside], slope, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(
-        probability, cameras.detection_probability(pose, packed_street(device)), atol=1e-4
-    )
+    np.testing.assert_allclose(probability, cameras.detection_probability(pose, packed_street(device)), atol=1e-4)
 
 
 def test_the_jacobian_through_a_pane_is_that_of_finite_differences():
@@ -172,7 +170,9 @@ def test_metrics_and_pictures_know_the_pane(device):
     share = body_shares(rig, scene)
     assert share["shut"] == 1.0
     assert 0.0 < share["in"] < 0.9
-    assert share["in"] == pytest.approx(body_shares(Rig([replace(camera, behind_glass=None)]), opened(device))[camera.name])
+    assert share["in"] == pytest.approx(
+        body_shares(Rig([replace(camera, behind_glass=None)]), opened(device))[camera.name]
+    )
     images = wa.render(rig, street(), device=device)
     assert set(np.unique(images["shut"].object_index)) == {1}
     assert len(np.unique(images["in"].object_index)) > 3
@@ -239,7 +239,7 @@ def test_what_stays_has_to_look_through_the_pane_of_its_place():
     rig = mount_of().rig(np.concatenate([spread()[inside(spread())][:1], spread()[~inside(spread())][:1]]))
     mount_of().freezing(rig, ["camera_0"])
     shut = Rig([replace(rig.cameras[0], behind_glass=None), rig.cameras[1]])
-    with pytest.raises(InputError, match="camera 'camera_0': behind_glass: expected that of its place .*, windscreen"):
+    with pytest.raises(InputError, match=r"camera 'camera_0': behind_glass: expected that of its place .*, windscreen"):
         mount_of().freezing(shut, ["camera_0"])
 
 
@@ -252,5 +252,7 @@ def test_coarse_triangles_are_refused():
     from tests.raster.bodies import cuboid
 
     zone = replace(WINDSCREEN, box_m=np.array([[2.0, -0.3, 0.9], [2.4, 0.3, 1.6]]))
-    with pytest.raises(InputError, match=r"^zone 'windscreen': behind_glass: expected triangles that lie under the zone"):
+    with pytest.raises(
+        InputError, match=r"^zone 'windscreen': behind_glass: expected triangles that lie under the zone"
+    ):
         chart_of((zone,), cuboid((4.0, 1.8, 1.4), (0.2, 0.0, 0.9)))

@@ -283,7 +283,8 @@ class CameraMount:
         Raises:
             ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
                 camera: all share image size and lens.
-            InputError: One that stays is above none of the surface's zones, or looks through another pane than that has.
+            InputError: One that stays is above none of the surface's zones, or looks through another pane than there
+                is.
         """
         is_frozen = np.array([camera.name in names for camera in rig.cameras])
         if is_frozen.sum() != len(set(names)) or is_frozen.all():

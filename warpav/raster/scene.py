@@ -307,13 +307,13 @@ class Scene:
         self.source_triangle, self.source_vertex = arrays["source_triangle"], arrays["source_vertex"]
 
     def through(self, pane: Pane | None) -> Scene:
-        """The scene for views that look through a pane: without what of the foreground is clear; None: the scene itself.
+        """The scene for views that look through a pane: without what of the foreground is clear.
 
         It shares its vertices with this one, which keeps it, so that the same pane gives the same scene. Surfaces that
         have lost triangles are open: from the inside their backs are seen.
 
         Args:
-            pane: In the world frame.
+            pane: In the world frame; None: the scene itself is returned.
 
         Raises:
             ValueError: There is no foreground.

@@ -91,9 +91,7 @@ def _flattest(normal: np.ndarray, area_m2: np.ndarray, may_be: np.ndarray) -> np
     return may_be & (normal @ axis >= FLAT_COSINE)
 
 
-def _zone_over(
-    name: str, corner_m: np.ndarray, normal: np.ndarray, area_m2: np.ndarray, width_m: float
-) -> Zone | None:
+def _zone_over(name: str, corner_m: np.ndarray, normal: np.ndarray, area_m2: np.ndarray, width_m: float) -> Zone | None:
     """The zone of a pane of some triangles [triangle, corner, 3]: their largest patch; None if that is small."""
     import cv2
     from scipy import ndimage

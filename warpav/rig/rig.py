@@ -261,8 +261,9 @@ def rig_text(rig: Rig) -> str:
     lines.append("frame: ego")
     if rig.panes:
         lines += [
-            "# What of the own body is clear for the cameras that name it in behind_glass: triangles under the outline,",
-            "# seen along the normal, and from the least to the greatest reach_m along it from the outline's middle.",
+            "# What of the own body is clear for the cameras that name it in behind_glass: triangles under the",
+            "# outline, seen along the normal, from the least to the greatest reach_m along it from the outline's",
+            "# middle.",
             "panes:",
         ]
     for pane in rig.panes.values():
@@ -315,7 +316,8 @@ def read_rig(path: str | Path) -> Rig:
             roll_deg, fov_deg (horizontal), width_px and height_px, all of them required. A camera may also have a lens
             (else pinhole), distortion, and focal_px and centre_px instead of fov_deg; see `CameraModel`. With
             ``behind_glass`` it looks through a pane of the own vehicle: ``panes`` beside ``frame`` has them by name,
-            with normal, outline_m and reach_m (see `warpav.raster.pane.Pane`). With ``module`` and no image size it is that module of the shipped catalogue, or of the file that ``modules``
+            with normal, outline_m and reach_m (see `warpav.raster.pane.Pane`). With
+            ``module`` and no image size it is that module of the shipped catalogue, or of the file that ``modules``
             names beside ``frame``.
 
     Returns:
@@ -459,8 +461,8 @@ class _RigReader:
             return None
         try:
             outline_m = tuple((float(x), float(y), float(z)) for x, y, z in corners)
-            normal, reach_m = (tuple(map(float, item[field])) for field in ("normal", "reach_m"))
-            return Pane(name, normal, outline_m, reach_m)
+            (x, y, z), (low_m, high_m) = item["normal"], item["reach_m"]
+            return Pane(name, (float(x), float(y), float(z)), outline_m, (float(low_m), float(high_m)))
         except ValueError as error:
             self.mistakes.append(f"{self.line(location)}: {dotted(location)}: {error}")
             return None

@@ -44,7 +44,8 @@ class Zone:
     """A part of the body that may carry cameras, and how they may stand there.
 
     A camera's centre is at ``origin_m + u * U + v * V + (height(u, v) + rise) * N``, with the rows U, V and N of
-    ``axes``; the rise is the stand-off, behind glass it is inwards. Yaw, pitch and roll are those of the ego frame, wherever the zone is.
+    ``axes``; the rise is the stand-off, behind glass it is inwards. Yaw, pitch and roll are those of the ego frame,
+    wherever the zone is.
 
     Attributes:
         name: Its name.
